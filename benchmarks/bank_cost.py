@@ -92,7 +92,7 @@ def _window(kind: str, length_s: float) -> Window:
     log = judged(flight(0, "lively", kind, "large"))
     truth = log.flight.truth
     commands = commands_at_servo(
-        log.segment, log.generator.model.plan.delay_s, log.generator.longest_gap_s(log.segment)
+        log.segment, log.generator.model.delay_s, log.generator.longest_gap_s(log.segment)
     )
     noise = noise_deg(log.residuals.error_deg[log.residuals.settled])
     start_s = truth.start_s if truth else 0.0

@@ -19,7 +19,7 @@ from servofd.core.evidence import ModelOrigin
 from servofd.core.tolerance import Tolerance
 from servofd.core.toml_text import read_toml
 from servofd.servo.catalogue import EffectTable, effects_installed
-from servofd.servo.effects import Extension, PositionLimit
+from servofd.servo.effects.linkage import PositionLimit
 from servofd.servo.library import Positive, Servo, find_servo, levels_in, library
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel, plant_of
@@ -282,7 +282,7 @@ class Aircraft(_Entry):
 
         Examples
         --------
-        >>> plain_aircraft(["elevator"], "hs225bb-eq31").model("elevator").plan.delay_s
+        >>> plain_aircraft(["elevator"], "hs225bb-eq31").model("elevator").delay_s
         0.004
         """
         model = ServoModel.of(self.servo(surface))
@@ -291,7 +291,7 @@ class Aircraft(_Entry):
             model += PositionLimit(*entry.position_limit_deg)
         if not entry.effects:
             return model
-        return model + Extension(effects_installed(plant_of(model).neutral, entry.effects))
+        return model.with_physics(effects_installed(plant_of(model).neutral, entry.effects))
 
 
 def plain_channels(surface: str) -> tuple[str, str]:

@@ -16,8 +16,7 @@ from servofd.cli.terminal import complain
 from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
 from servofd.core.files import write_whole
 from servofd.live.threads import signature_of
-from servofd.servo.catalogue import TabledEffect
-from servofd.servo.effects import Plan
+from servofd.servo.catalogue import effect_of
 from servofd.servo.faults import FAULTS, in_order
 from servofd.servo.library import servo_named
 from servofd.simulation.airframe import AirframeFault, fly_airframe
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
-    from servofd.servo.effects import Effect
+    from servofd.servo.effect import Effect
     from servofd.servo.faults import Fault
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.troubles import Trouble
@@ -186,12 +185,10 @@ def _effect(text: str) -> tuple[str, Effect]:
     values: dict[str, float | str] = dict(_numbers(where, [pair for pair in pairs if pair not in forms]))
     if forms:
         values["form"] = forms[-1].removeprefix("form=")
-    tabled = TabledEffect(name, values)
     try:
-        tabled.install(Plan())
+        return surface, effect_of(name, values)
     except ServofdError as error:
         raise ConfigError(f"{where}: {error}") from None
-    return surface, tabled
 
 
 def _numbers(where: str, pairs: list[str]) -> dict[str, float]:

@@ -15,8 +15,8 @@ from logparsers.compiled import compiled
 from servofd.core.numeric import least
 from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
-from servofd.servo.kernel import play
-from servofd.servo.motion import AnyServo, ExtendedServo, swung
+from servofd.core.loops import play
+from servofd.servo.motion import AnyServo, swung
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -541,7 +541,7 @@ def loss_of_effectiveness(window: Window) -> Explanation | None:
             freedom, lambda ridge, fit, target: {"gain": ridge.estimate(fit, target, _GAIN, offset=1.0, own=own)},
         )  # fmt: skip
         fits += [found] if found.parameters["gain"].value > _STUCK_GAIN else []
-    if isinstance(window.servo, ExtendedServo):
+    if not window.servo.is_linear:
         gains = np.linspace(_LEAST_GAIN, most, _GRID)
         heard = _Search(kind, window, lambda w, gain: w.simulate(w.servo, gain * w.commands.command_deg), gains, "gain")
         fits.append(heard.refined())

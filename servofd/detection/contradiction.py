@@ -17,7 +17,7 @@ import numpy as np
 from servofd.core.statistics import Estimate
 from servofd.detection.residual import noise_deg
 from servofd.detection.verdict import Fault
-from servofd.servo.kernel import compiled
+from servofd.core.loops import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,7 +98,7 @@ class _Flight:
         self.error_deg = self.measured_deg - self.healthy_deg
         self.noise_deg, self.step_deg = noise_deg(self.error_deg), step_deg(self.measured_deg)
         self.lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)  # without its delay
-        self.delay_s, self.usual_s = generator.model.plan.delay_s, float(np.median(np.diff(self.time_s)))
+        self.delay_s, self.usual_s = generator.model.delay_s, float(np.median(np.diff(self.time_s)))
         self.width_deg = resting_width_deg(self.noise_deg, self.step_deg)
         self.missed_deg = min(max(_MISSED_WIDTHS * self.width_deg, _LEAST_MISSED_DEG), _MISSED_DEG)
         """How far from where it should be a jam shows."""

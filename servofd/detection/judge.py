@@ -382,7 +382,7 @@ def judge(
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
-    commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
+    commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
     judgement = judge_evaluated(generator, surface, residuals, threshold, None, commands, dismiss=dismiss)
     if surface.model.origin != "fitted":
         return judgement

@@ -13,7 +13,7 @@ from logparsers.records import own
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.numeric import root
 from servofd.core.types import BoolArray, FloatArray
-from servofd.servo.kernel import compiled, fixed
+from servofd.core.loops import compiled, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -31,12 +31,12 @@ from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.servo.context import NO_CONTEXT, Context
-from servofd.servo.kernel import SAME_STEP_S, compiled, fixed, inlined, inner
+from servofd.core.loops import compiled, fixed, inlined, inner
 
 if TYPE_CHECKING:
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray, IntArray
-    from servofd.servo.motion import AnyServo, ExtendedMotion, PlainMotion
+    from servofd.servo.motion import AnyServo, Motion
     from servofd.servo.servo_model import ServoModel
 
 _GAP_TIME_CONSTANTS = 5.0
@@ -60,6 +60,8 @@ _REGULAR_SPREAD, _UNEVEN_SPREAD, _AT_ONCE = 0.35, 0.45, 0.4
 intervals of 10 ms it is 0.18 to 0.43 if stamps are off by up to 3 ms and a fifth is lost (400 draws), but then hardly
 one is shorter than the last share of the median, as some are where commands come as they please."""
 
+_SAME_STEP_S = 1e-7
+"""Steps this close share their weights: a filter changes by less than 1e-5 of its input."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commands:
@@ -228,17 +230,14 @@ def followed(
     restart: NDArray[np.int8],
 ) -> FloatArray:
     """Deflection of a servo [deg], shape (n,), that starts anew where the surface was measured and `restart` is 2."""
-    from servofd.servo.kernel import ServoParameters
-    from servofd.servo.motion import on_its_way, started_anew
+    from servofd.servo.motion import started_anew
 
-    if isinstance(servo, ServoParameters):
-        signal = commands.effective_s, commands.command_deg, commands.slope_deg_s
-        return started_anew(servo, signal, at_s, measured_deg, restart == RESTART_ALL)
-    return go_on(on_its_way(servo), commands, np.zeros(1, dtype=np.int64), at_s, measured_deg, restart)
+    signal = commands.effective_s, commands.command_deg, commands.slope_deg_s
+    return started_anew(servo, signal, at_s, measured_deg, restart == RESTART_ALL)
 
 
 def go_on(
-    motion: PlainMotion | ExtendedMotion,
+    motion: Motion,
     commands: Commands,
     cursor: IntArray,
     at_s: FloatArray,
@@ -355,7 +354,7 @@ class Simulator:
     def simulated_deg(self, model: ServoModel) -> FloatArray:
         """Deflection of a servo [deg], shape (n,), as its residual generator would have it."""
         measured_deg, restart, _ = self.starts
-        commands = replace(self.commands, effective_s=self.commands.effective_s + model.plan.delay_s)
+        commands = replace(self.commands, effective_s=self.commands.effective_s + model.delay_s)
         return followed(model.servo(self.segment.context), commands, self.segment.measured_s, measured_deg, restart)
 
 
@@ -385,7 +384,7 @@ def unmodelled(
     added_deg = np.zeros(residuals.time_s.size)
     # What was made up first reaches the servo then, and the log with the first position after that.
     made_up_s = segment.command_s[before] + np.diff(segment.command_s)[before] / (lost[before] + 1)
-    at = np.searchsorted(residuals.time_s, made_up_s + generator.model.plan.delay_s)
+    at = np.searchsorted(residuals.time_s, made_up_s + generator.model.delay_s)
     np.add.at(added_deg, np.minimum(at, added_deg.size - 1), passed * size_deg)
     return slower_deg, added_deg
 
@@ -587,7 +586,7 @@ def _filter(
                 others_deg[r - 1, k] = math.nan
             continue
         step_s, last_s = time_s[k] - last_s, time_s[k]
-        if restart[k] == 0 and abs(step_s - memory.step[0]) > SAME_STEP_S:
+        if restart[k] == 0 and abs(step_s - memory.step[0]) > _SAME_STEP_S:
             _weigh_lags(residual_filter, memory, step_s)
         lag = memory.step[1]
         for r in range(lags.shape[0]):

@@ -53,7 +53,7 @@ from servofd.estimate.record import (
     unknown_deg,
 )
 from servofd.servo.context import NO_CONTEXT
-from servofd.servo.motion import on_its_way
+from servofd.servo.motion import Motion
 
 if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
@@ -244,10 +244,10 @@ class Stream(_Waiting):
         super().__init__(surface, period_s, generator.longest_gap_s_at(period_s), self._evaluation.cusum)
         self._generator, self._beat = generator, beat
         self._filter = generator.filter_parameters()
-        self._delay_s = generator.model.plan.delay_s
+        self._delay_s = generator.model.delay_s
         slower = generator.model.weaker(surface.tolerances.rate)
         models = (generator.model,) if slower is generator.model else (generator.model, slower)
-        self._motions = [on_its_way(model.servo()) for model in models]
+        self._motions = [Motion(model.servo()) for model in models]
         self._cursors = [np.zeros(1, dtype=np.int64) for _ in self._motions]
         self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
         room = int(MEMORY_S / max(min(period_s, beat.period_s), FASTEST_COMMANDS_S))

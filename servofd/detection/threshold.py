@@ -38,7 +38,7 @@ from servofd.detection.residual import (
     unmodelled,
     with_value,
 )
-from servofd.servo.kernel import compiled, inner
+from servofd.core.loops import compiled, inner
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -241,7 +241,7 @@ class Evaluation:
 
         pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
         self.cusum = design_cusum(KAPPA_SIGMA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
-        self._generator, self._decay_rad_s = generator, generator.model.parameters().decay_rad_s
+        self._generator, self._decay_rad_s = generator, generator.model.transfer.modes().decay_rad_s
         self.tolerated, self.noise_gain = tolerated_parameters(tolerance), pulse.noise_gain
         self._bounds = np.array([*self.tolerated, tolerance.noise_deg, pulse.noise_gain, self.cusum.factor])
         self._memory = new_state(self.tolerated, tolerance.noise_deg)
@@ -321,9 +321,9 @@ def loose_deg(
 
     The memory is moved on, so that pieces of a flight may follow each other.
     """
-    servo = generator.model.extended()
+    play_deg = generator.model.physics.loose_deg
     loose = np.zeros(simulated_deg.size)
-    if servo is None or servo.play_deg == 0.0:
+    if play_deg == 0.0:
         return loose
     begins = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0])
     for begin, end in zip(begins, np.append(begins[1:], loose.size), strict=True):
@@ -332,7 +332,7 @@ def loose_deg(
         least_deg = np.minimum.accumulate(np.append(memory[0], simulated_deg[begin:end]))[1:]
         most_deg = np.maximum.accumulate(np.append(memory[1], simulated_deg[begin:end]))[1:]
         memory[:] = least_deg[-1], most_deg[-1]
-        loose[begin:end] = servo.play_deg * (most_deg - least_deg <= _TAKEN_UP * servo.play_deg)
+        loose[begin:end] = play_deg * (most_deg - least_deg <= _TAKEN_UP * play_deg)
     return loose / abs(generator.model.transfer.dc_gain)
 
 

@@ -78,7 +78,7 @@ def _watch(segments: Sequence[Segment], model: ServoModel, better: ServoModel, u
     pole_rad_s = min(ResidualGenerator.fitting(model, segment).pole_rad_s for segment in segments)
     generator = ResidualGenerator(model, pole_rad_s)
     period_s = segments[0].period_s
-    design = design_pulse_filter(model.transfer, model.plan.delay_s, period_s, pole_rad_s)
+    design = design_pulse_filter(model.transfer, model.delay_s, period_s, pole_rad_s)
     lags = design.impulse_response().size // 2
     parts = [_parts(generator, segment, better, until_s, lags) for segment in segments]
     residual_deg, noise_deg = (np.concatenate(pieces) for pieces in zip(*parts, strict=True))

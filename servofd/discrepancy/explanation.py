@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.validity import Undriven
     from servofd.discrepancy.varying import Varying
-    from servofd.servo.effects import MissingEffect
+    from servofd.servo.effects import Effect
     from servofd.servo.physics import Physics
     from servofd.servo.servo_model import ServoModel
 
@@ -542,7 +542,7 @@ def linear_sentence(record: Record, selection: Selection) -> str:
     return f"no servo was known: one was fitted, by itself {said[0]}; beside the effects {said[1]}"
 
 
-def form_of(effect: type[MissingEffect], place: float) -> str | None:
+def form_of(effect: type[Effect], place: float) -> str | None:
     """Which machine an effect is, and on which side of the servo's slow pole it acts, where that matters."""
     where = {BEFORE: "behind the slow pole", AFTER: "ahead of the slow pole"}.get(place) if places_of(effect) else None
     return "; ".join(filter(None, (effect.form, where))) or None

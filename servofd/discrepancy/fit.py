@@ -32,7 +32,7 @@ from servofd.servo.catalogue import Bias, Gain, Quantization, installed
 from servofd.servo.physics import Physics, split
 
 if TYPE_CHECKING:
-    from servofd.servo.effects import MissingEffect, Parameter
+    from servofd.servo.effects import Effect, Parameter
 
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""
@@ -115,7 +115,7 @@ _FASTEST_SLOW, _SLOW_RAD_S, _SAMPLES = 3.0, 200.0, 3.0
 class Fit:
     """A servo with some effects, as well as they fit."""
 
-    effects: tuple[type[MissingEffect], ...]
+    effects: tuple[type[Effect], ...]
     values: FloatArray
     """Parameters of the effects in order, shape (p,)."""
     physics: Physics
@@ -240,7 +240,7 @@ class Fitter:
         misfit = float((self._count / self.kappa) @ np.log(squares + self._least)) + self.prior(fit)
         return replace(fit, misfit=misfit, run_deg2=squares)
 
-    def physics(self, effects: Sequence[type[MissingEffect]], values: Sequence[float] | FloatArray) -> Physics:
+    def physics(self, effects: Sequence[type[Effect]], values: Sequence[float] | FloatArray) -> Physics:
         """The servo as it is known, with these effects."""
         return installed(self.record.plant.neutral, effects, [float(v) for v in values])
 
@@ -273,7 +273,7 @@ class Fitter:
                 self._size = min(1.0, rms / _USUAL_GAP_DEG)
         return self._root
 
-    def judged(self, effects: tuple[type[MissingEffect], ...], physics: Physics) -> Fit:
+    def judged(self, effects: tuple[type[Effect], ...], physics: Physics) -> Fit:
         """A servo with given numbers on the whole record."""
         self.simulations += 1
         record = self.record
@@ -297,12 +297,12 @@ class Fitter:
             run_deg2=squares / count,
         )
 
-    def is_own(self, effect: type[MissingEffect]) -> bool:
+    def is_own(self, effect: type[Effect]) -> bool:
         """Whether an effect is one of the servo's own numbers, beyond what servos of a type differ by."""
         own = {name for name, _, _ in _OWN}
         return all(set(p.fields) <= own for p in effect.parameters)
 
-    def strains(self, effect: type[MissingEffect], base: Fit) -> bool:
+    def strains(self, effect: type[Effect], base: Fit) -> bool:
         """Whether it is, and a base has moved it so far that to free it may be better."""
         if not self.is_own(effect):
             return False
@@ -343,7 +343,7 @@ class Fitter:
         )
 
     def screened(
-        self, base: Fit, slopes: FloatArray, effect: type[MissingEffect], place: float
+        self, base: Fit, slopes: FloatArray, effect: type[Effect], place: float
     ) -> tuple[float, Physics]:
         """Best misfit that a coarse grid of one more effect reaches, and the servo there.
 
@@ -379,7 +379,7 @@ class Fitter:
 
     def descended(
         self,
-        effects: tuple[type[MissingEffect], ...],
+        effects: tuple[type[Effect], ...],
         start: Physics,
         iterations: int = _ITERATIONS,
         enough: float = np.inf,
@@ -482,7 +482,7 @@ class Fitter:
         covariance: FloatArray = result + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
         return covariance
 
-    def _numbers(self, effects: tuple[type[MissingEffect], ...], start: Physics) -> list[_Number]:
+    def _numbers(self, effects: tuple[type[Effect], ...], start: Physics) -> list[_Number]:
         """The servo's own numbers first, but for those that an effect fits; then those of the effects."""
         neutral, record = self.record.plant.neutral, self.record
         taken = {name for effect in effects for p in effect.parameters for name in p.fields}
@@ -520,7 +520,7 @@ class Fitter:
             changes |= dict.fromkeys(number.fields, number.value(each))
         return start._replace(**changes)
 
-    def _values(self, effects: tuple[type[MissingEffect], ...], physics: Physics) -> FloatArray:
+    def _values(self, effects: tuple[type[Effect], ...], physics: Physics) -> FloatArray:
         return np.array([getattr(physics, p.fields[0]) for effect in effects for p in effect.parameters])
 
     def _error_deg(self, physics: Physics) -> FloatArray:
@@ -618,7 +618,7 @@ class Fitter:
         return self._size if (parameter.neutral == 0.0 and parameter.name.endswith("_deg")) else 1.0
 
 
-def _idle(effects: tuple[type[MissingEffect], ...], slopes: FloatArray) -> tuple[int, ...]:
+def _idle(effects: tuple[type[Effect], ...], slopes: FloatArray) -> tuple[int, ...]:
     """Which effects have no slope at all."""
     if not slopes.shape[1]:
         return ()

@@ -14,7 +14,7 @@ from servofd.servo.catalogue import Backlash, Bias, DeadBand, Friction, Gain, In
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.effects import MissingEffect
+    from servofd.servo.effects import Effect
 
 _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""
@@ -146,7 +146,7 @@ def stepped_noise_deg(sigma_deg: float, step_deg: float) -> float:
     return step_deg * float(np.sqrt(weights @ squares / weights.sum()))
 
 
-AT_REST: tuple[type[MissingEffect], ...] = (Bias, Gain, Backlash, DeadBand, InsensitiveBand, Friction)
+AT_REST: tuple[type[Effect], ...] = (Bias, Gain, Backlash, DeadBand, InsensitiveBand, Friction)
 """Effects that show where a surface rests. The play of the linkage comes before that of the controller: it needs no
 more than a pull to be seen."""
 

@@ -244,7 +244,7 @@ def record_of(
     hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
     known = np.isfinite(measured_deg)
     slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
-    start_s = min(_START_S, _TIME_CONSTANTS / slowest) + model.plan.delay_s
+    start_s = min(_START_S, _TIME_CONSTANTS / slowest) + model.delay_s
     starts_s = [-np.inf] if at_rest else [time_s[known][0], segment.command_s[0]]
     for times in (time_s[known], segment.command_s):
         starts_s += times[1:][np.diff(times) > hole_s].tolist()

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.effects import MissingEffect
+    from servofd.servo.effects import Effect
     from servofd.servo.physics import Physics
 
-_PLACES: dict[type[MissingEffect], tuple[float, ...]] = {
+_PLACES: dict[type[Effect], tuple[float, ...]] = {
     catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
     catalogue.InsensitiveBand: (BEFORE, INSIDE),
     catalogue.Friction: (BEFORE, INSIDE, AFTER),
@@ -57,12 +57,12 @@ _BEYOND_LOOP = (catalogue.Backlash,)
 within the loop tells them apart."""
 
 
-def places_of(effect: type[MissingEffect]) -> tuple[float, ...]:
+def places_of(effect: type[Effect]) -> tuple[float, ...]:
     """Where the slow pole may lie with this effect; empty if it does not matter."""
     return _PLACES.get(plain(effect), ())
 
 
-def common_places(effects: tuple[type[MissingEffect], ...]) -> tuple[float, ...]:
+def common_places(effects: tuple[type[Effect], ...]) -> tuple[float, ...]:
     """Where the slow pole may lie with all of some effects; empty if it does not matter to any."""
     placed = [effect for effect in effects if places_of(effect)]
     if not placed:
@@ -118,11 +118,11 @@ _EITHER = (
 class Candidate(NamedTuple):
     """An effect, and where the slow pole lies."""
 
-    effect: type[MissingEffect]
+    effect: type[Effect]
     place: float
 
 
-def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[MissingEffect]]]:
+def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
     """Effects that this record can judge, and those that need something it does not hold."""
     held = {
         name
@@ -139,13 +139,13 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     own = (record.own.missing_effect(),) if record.own else ()
     able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
     unable = [effect for effect in CATALOGUE if effect not in able and effect is not catalogue.ExternalLoad]
-    linear: set[type[MissingEffect]] = {
+    linear: set[type[Effect]] = {
         catalogue.SlowDynamics,
         catalogue.Damping,
         catalogue.SensorLag,
         catalogue.ClockOffset,
     }
-    fitted: set[type[MissingEffect]] = linear if record.free_poles else set()
+    fitted: set[type[Effect]] = linear if record.free_poles else set()
     # A surface's weight is balanced about its hinge, and a bench's horn hangs at zero; an arm's joint hangs anywhere.
     is_arm = record.free_poles and not record.runs and record.pressure_pa is None
     fitted |= set() if is_arm else {catalogue.TiltedLoad}
@@ -156,14 +156,14 @@ def judgeable(record: Record) -> tuple[list[type[MissingEffect]], list[type[Miss
     return [effect for effect in able if effect not in fitted], unable
 
 
-def excluded(known: tuple[type[MissingEffect], ...]) -> set[str]:
+def excluded(known: tuple[type[Effect], ...]) -> set[str]:
     """Names that cannot come on top of known effects: they are there already, in this form or another."""
     names = {effect.name for effect in known}
     return names | {other for pair in _EITHER for name in pair if name in names for other in pair}
 
 
 def candidates(
-    record: Record, able: list[type[MissingEffect]], known: tuple[type[MissingEffect], ...], place: float
+    record: Record, able: list[type[Effect]], known: tuple[type[Effect], ...], place: float
 ) -> list[Candidate]:
     """What may come on top of known effects; a servo has one slow pole, in one place."""
     names = excluded(known)
@@ -335,7 +335,7 @@ class Search:
     """Of one record: what fits it, the effects that it can show, and all structures that were fitted."""
 
     fitter: Fitter
-    able: list[type[MissingEffect]]
+    able: list[type[Effect]]
     progress: Callable[[str], None]
     visited: dict[tuple[tuple[str, ...], float], Fit] = field(default_factory=dict)
     grown: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
@@ -403,11 +403,11 @@ class Search:
             fits += self._framed(base, fits)
         return fits
 
-    def _screened(self, start: Fit, shares: int) -> list[tuple[type[MissingEffect], Physics]]:
+    def _screened(self, start: Fit, shares: int) -> list[tuple[type[Effect], Physics]]:
         """What is worth fitting on top of a start, one of so many."""
         slopes = self.part.slopes(start)
         before = self.part.given_way(start.physics, slopes[:, :0])
-        screened: list[tuple[float, type[MissingEffect], Physics]] = []
+        screened: list[tuple[float, type[Effect], Physics]] = []
         for candidate in candidates(self.fitter.record, self.able, start.effects, start.place):
             if self.fitter.is_own(candidate.effect):
                 continue
@@ -427,7 +427,7 @@ class Search:
             if effect.name in near and misfit < best_of[effect.name] + near[effect.name]
         ][: -(-FITS // shares)]
 
-    def _fitted(self, effects: tuple[type[MissingEffect], ...], start: Physics, enough: float = np.inf) -> Fit:
+    def _fitted(self, effects: tuple[type[Effect], ...], start: Physics, enough: float = np.inf) -> Fit:
         fit = self.fitter.descended(effects, start, enough=enough)
         self.keep(fit)
         return fit
@@ -515,7 +515,7 @@ def without_idle(fit: Fit, neutral: Physics) -> Fit:
     return replace(fit, effects=effects, values=np.array(values), physics=physics, idle=())
 
 
-def fields_of(effect: type[MissingEffect]) -> tuple[str, ...]:
+def fields_of(effect: type[Effect]) -> tuple[str, ...]:
     """Of `Physics`, those that an effect sets."""
     return (*(name for p in effect.parameters for name in p.fields), *effect.fixed)
 
@@ -527,12 +527,12 @@ def _lost_deg_s(record: Record, physics: Physics) -> float:
     return physics.friction_deg / record.plant.loop(physics).error_per_rate_s if is_limited else 0.0
 
 
-def _half(effect: type[MissingEffect]) -> float:
+def _half(effect: type[Effect]) -> float:
     """Friction is given by half the width within which a servo may rest, the others by all of it."""
     return 0.5 if effect.parameters[0].fields[0] == "friction_deg" else 1.0
 
 
-def _is_like(effect: type[MissingEffect], other: type[MissingEffect]) -> bool:
+def _is_like(effect: type[Effect], other: type[Effect]) -> bool:
     """Whether two effects are ways of sticking, being dead or loose, or of limiting one speed, of one size."""
     if effect.family == "hysteresis" or other.family == "hysteresis":
         return effect is not other and effect.family == other.family

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.effects import MissingEffect
+    from servofd.servo.effects import Effect
 
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""
@@ -106,7 +106,7 @@ class Selection:
     """For each of these the fits with another effect in the place of the named one, in the same order."""
     sigma_deg: float
     """Noise floor."""
-    unjudged: tuple[type[MissingEffect], ...]
+    unjudged: tuple[type[Effect], ...]
     """Effects that need what the log does not hold."""
     covariance: FloatArray
     fitter: Fitter
@@ -600,7 +600,7 @@ def _rungs(search: Search, best: Fit) -> tuple[Rung, ...]:
     """From the servo as it is known to the best, the effect that helps most first."""
     fitter, rungs = search.fitter, []
     left = list(best.effects)
-    known: list[type[MissingEffect]] = []
+    known: list[type[Effect]] = []
     while left:
         fits = [_prefix(search, best, (*known, effect)) for effect in left]
         k = int(np.argmin([fit.misfit for fit in fits]))
@@ -620,7 +620,7 @@ def _rungs(search: Search, best: Fit) -> tuple[Rung, ...]:
     return tuple(rungs)
 
 
-def _prefix(search: Search, best: Fit, effects: tuple[type[MissingEffect], ...]) -> Fit:
+def _prefix(search: Search, best: Fit, effects: tuple[type[Effect], ...]) -> Fit:
     """The servo with some of its effects."""
     if len(effects) == len(best.effects):
         return best
@@ -645,6 +645,6 @@ def _prefix(search: Search, best: Fit, effects: tuple[type[MissingEffect], ...])
     return fit
 
 
-def _reordered(fit: Fit, effects: tuple[type[MissingEffect], ...]) -> Fit:
+def _reordered(fit: Fit, effects: tuple[type[Effect], ...]) -> Fit:
     values = np.array([getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters])
     return replace(fit, effects=effects, values=values)

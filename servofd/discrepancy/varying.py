@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.servo.effects import MissingEffect, Parameter
+    from servofd.servo.effects import Effect, Parameter
 
 _LEAST_SHARE, _SIGMAS = 0.5, 3.0
 """Of the value that is common to all runs, the least that a run may have, and the inverse of the most; a run tells its
@@ -138,7 +138,7 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
 
 
 def _law(
-    selection: Selection, index: int, effect: type[MissingEffect], known: Mapping[str, FloatArray], values: FloatArray
+    selection: Selection, index: int, effect: type[Effect], known: Mapping[str, FloatArray], values: FloatArray
 ) -> list[Varying]:
     """What an effect goes with that was found with its law: no line has to be drawn any more."""
     record, physics = selection.fitter.record, selection.final.physics

@@ -20,7 +20,7 @@ from servofd.aircraft.priors import NAMES
 from servofd.core.series import latest, subdivided
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.servo.context import AIR_KG_M3
-from servofd.servo.kernel import compiled
+from servofd.core.loops import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

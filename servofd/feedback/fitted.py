@@ -19,7 +19,8 @@ from servofd.detection.contradiction import contradictions, resting_runs, restin
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import interval_threshold
 from servofd.detection.verdict import describe
-from servofd.servo.effects import Delay, LinearDynamics, RateLimit
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import Servo, second_order
 from servofd.servo.servo_model import ServoModel
 
@@ -89,9 +90,8 @@ class RoughFit:
     @property
     def model(self) -> ServoModel:
         """Healthy model with these numbers."""
-        dynamics = LinearDynamics(second_order(2.0 * np.pi * self.bandwidth_hz, self.damping))
-        limit = (RateLimit(self.rate_limit_deg_s),) if np.isfinite(self.rate_limit_deg_s) else ()
-        return ServoModel((Delay(self.delay_s), dynamics, *limit))
+        linear = ServoModel(second_order(2.0 * np.pi * self.bandwidth_hz, self.damping))
+        return linear + Delay(self.delay_s) + RateLimit(self.rate_limit_deg_s)
 
     @property
     def of_position(self) -> RoughFit:

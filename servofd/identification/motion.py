@@ -10,8 +10,9 @@ import numpy as np
 
 from servofd.core.errors import DesignError, IdentificationError
 from servofd.core.statistics import Estimate, descended, memory
-from servofd.servo.effects import Delay, Effect, LinearDynamics, RateLimit
-from servofd.servo.kernel import play
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
+from servofd.core.loops import play
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 
@@ -162,10 +163,8 @@ class ServoCandidate:
     @property
     def model(self) -> ServoModel:
         """Model without the dead band."""
-        effects: list[Effect] = [Delay(self.linear.delay_s), LinearDynamics(self.linear.transfer)]
-        if self.rate_up_deg_s is not None:
-            effects.append(RateLimit(self.rate_up_deg_s, self.rate_down_deg_s))
-        return ServoModel(tuple(effects))
+        model = ServoModel(self.linear.transfer) + Delay(self.linear.delay_s)
+        return model if self.rate_up_deg_s is None else model + RateLimit(self.rate_up_deg_s, self.rate_down_deg_s)
 
     def simulate(self, run: Run) -> FloatArray:
         """Position in a run [deg], shape (m,), without the offset of the measurement."""

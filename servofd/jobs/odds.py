@@ -132,7 +132,7 @@ def odds_from_design(
 def _design(aircraft: Aircraft, surface: str, sample_time_s: float) -> PulseFilter:
     model = aircraft.model(surface)
     pole = aircraft.surfaces[surface].filter_pole_rad_s or fastest_pole_rad_s(model.transfer, sample_time_s)
-    return design_pulse_filter(model.transfer, model.plan.delay_s, sample_time_s, pole)
+    return design_pulse_filter(model.transfer, model.delay_s, sample_time_s, pole)
 
 
 def _pooled(surface: str, members: list[Part | LeftOut], wish: Wish) -> SurfaceOdds | LeftOut:

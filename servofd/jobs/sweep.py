@@ -15,7 +15,7 @@ from servofd.detection.contradiction import wiring_problem
 from servofd.detection.judge import judge
 from servofd.detection.residual import ResidualGenerator, commands_at_servo, noise_deg
 from servofd.detection.verdict import describe
-from servofd.servo.kernel import play
+from servofd.core.loops import play
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
@@ -69,7 +69,7 @@ def measure(
     """
     judged = np.flatnonzero(residuals.settled)
     noise = noise_deg(residuals.error_deg[judged])
-    commands = commands_at_servo(segment, generator.model.plan.delay_s, generator.longest_gap_s(segment))
+    commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
     span = slice(int(judged[0]), int(judged[-1]) + 1)
     window = Window.of(generator.model, tolerance, noise, residuals, commands, span)
     healthy_deg = window.healthy_deg
@@ -231,9 +231,9 @@ def _beyond(estimate: Estimate, healthy: float, tolerance: float) -> bool:
 
 def _short_of_travel(numbers: SweepNumbers, model: ServoModel) -> list[str]:
     """Ends that a healthy servo would have reached and this one did not."""
-    plan = model.plan
+    physics = model.physics
     margin_deg = max(numbers.threshold_deg, _SHORT_SHARE * (numbers.expected_deg[1] - numbers.expected_deg[0]))
-    low, high = max(numbers.expected_deg[0], plan.lower_deg), min(numbers.expected_deg[1], plan.upper_deg)
+    low, high = max(numbers.expected_deg[0], physics.lower_deg), min(numbers.expected_deg[1], physics.upper_deg)
     found = []
     if numbers.reached_deg[0] > low + margin_deg:
         found.append(f"reaches {numbers.reached_deg[0]:+.1f} deg instead of {low:+.1f} deg")

@@ -44,7 +44,7 @@ _KNOWN = frozenset(
     {
         *("delay_s", "bandwidth_scale", "damping_scale", "torque_share", "rate_up_deg_s", "rate_down_deg_s"),
         *("follow_up_deg_s", "follow_down_deg_s", "lower_deg", "upper_deg", "gain", "bias_deg", "lag_s", "offset_s"),
-        *("frame_s", "frame_phase", "resonance_damping", "own_1", "own_2", "own_3", "own_4"),
+        *("frame_s", "frame_phase", "resonance_damping"),
     }
 )
 """What the script does as well, and what has no meaning without another effect."""
@@ -221,7 +221,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     if surface.measured is None:
         raise ConfigError("the aircraft file names no measured channel for it")
     output = _output(surface)
-    plan, physics = model.plan, model.plan.physics or Physics()
+    physics = model.physics
     strange = _beyond(physics)
     if strange:
         raise ConfigError(f"its servo has {', '.join(strange)}, which the script cannot simulate")
@@ -231,7 +231,10 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     modes = _modes(model, gain)
     if _cancellation(modes, generator, period_s) > _MOST_CANCELLATION:
         raise DesignError("its servo model loses all digits of a 32-bit number: use a model of lower order")
-    limit = (min(plan.rate_up_deg_s, physics.rate_up_deg_s), min(plan.rate_down_deg_s, physics.rate_down_deg_s))
+    limit = (
+        min(physics.follow_up_deg_s, physics.rate_up_deg_s),
+        min(physics.follow_down_deg_s, physics.rate_down_deg_s),
+    )
     weak = (1.0 - surface.tolerances.rate) * min(limit)
     scale, offset_deg = _straight(surface)
     width_deg = sum(share * getattr(physics, field) for field, share in _WIDTHS.items())
@@ -244,8 +247,8 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         command=_polynomial(surface),
         position=(scale, offset_deg - physics.bias_deg),
         saturation_deg=surface.command_saturation_deg,
-        stops_deg=(plan.lower_deg, plan.upper_deg) if math.isfinite(plan.upper_deg - plan.lower_deg) else None,
-        delay_s=plan.delay_s + physics.lag_s + physics.offset_s + 0.5 * physics.frame_s,
+        stops_deg=(physics.lower_deg, physics.upper_deg) if math.isfinite(physics.upper_deg - physics.lower_deg) else None,
+        delay_s=physics.delay_s + physics.lag_s + physics.offset_s + 0.5 * physics.frame_s,
         modes=modes,
         dc_gain=model.transfer.dc_gain,
         rates_deg_s=(gain * limit[0], gain * limit[1]) if math.isfinite(min(limit)) else None,
@@ -277,14 +280,14 @@ def _beyond(physics: Physics) -> list[str]:
     """Effects of a servo that the script can neither simulate nor allow for."""
     return [
         field.removesuffix("_deg")
-        for field, value, neutral in zip(Physics._fields, physics, Physics(), strict=True)
-        if field not in _KNOWN and field not in _WIDTHS and value != neutral
+        for field, _ in physics
+        if field not in _KNOWN and field not in _WIDTHS
     ]
 
 
 def _losses(aircraft: Aircraft, name: str) -> list[str]:
     """What of a surface's model the script leaves out."""
-    surface, physics, lost = aircraft.surfaces[name], aircraft.model(name).plan.physics, []
+    surface, physics, lost = aircraft.surfaces[name], aircraft.model(name).physics, []
     if surface.tolerance is None:
         lost.append(
             f"{name} is not calibrated: the script alarms at a constant {surface.threshold_deg:g} deg; "
@@ -292,7 +295,7 @@ def _losses(aircraft: Aircraft, name: str) -> list[str]:
             if surface.threshold == "constant"
             else f"{name} is not calibrated: its threshold is that of a fleet of HS-225BB"
         )
-    widths = {field: share * getattr(physics, field) for field, share in _WIDTHS.items()} if physics else {}
+    widths = {field: share * getattr(physics, field) for field, share in _WIDTHS.items()}
     wide = [field.removesuffix("_deg").replace("_", " ") for field, width in widths.items() if width > 0.0]
     if wide:
         lost.append(f"{name}: threshold {sum(widths.values()):.2g} deg higher, for {' and '.join(wide)}")

@@ -158,9 +158,9 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
     if surface.residuals is not None:
         model = aircraft.model(surface.surface)
         poles = ", ".join(f"{p:.4g}".replace("+0j", "").strip("()") for p in model.transfer.poles_rad_s)
-        limit = min(model.plan.rate_up_deg_s, model.plan.rate_down_deg_s)
+        limit = min(model.physics.follow_up_deg_s, model.physics.follow_down_deg_s)
         rate = f", rate limit {limit:.4g} deg/s" if limit < float("inf") else ""
-        delay = f"delay {1e3 * model.plan.delay_s:.3g} ms{rate}"
+        delay = f"delay {1e3 * model.delay_s:.3g} ms{rate}"
         numbers.append(Words(f"Model: servo {surface.servo}: poles {poles} rad/s, {delay}.", style="soft"))
     if surface.status in ("fault", "suspect"):
         lead = [

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import Explanation
     from servofd.identification.result import Identification
     from servofd.servo.catalogue import EffectTable
-    from servofd.servo.effects import MissingEffect
+    from servofd.servo.effects import Effect
 
 _WORTH_SAVING = 0.9
 """A model that leaves more of the error than this is no better."""
@@ -78,7 +78,7 @@ def _table(found: Explanation) -> EffectTable:
     final, known = found.selection.final, found.record.plant.neutral
     poles = next(each for each in OWN if each.fixed["slow_place"] == final.place)
     # Of a servo that nobody knew the poles are written as its own.
-    own: list[type[MissingEffect]] = [*([] if found.record.free_poles else [poles]), Gain, Delay, Bias]
+    own: list[type[Effect]] = [*([] if found.record.free_poles else [poles]), Gain, Delay, Bias]
     fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}
     beside = []
     for effect in own:

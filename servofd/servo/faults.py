@@ -15,13 +15,13 @@ import numpy as np
 
 from servofd.core.errors import ConfigError
 from servofd.servo.context import NO_CONTEXT, Context
-from servofd.servo.kernel import play
+from servofd.core.loops import play
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from servofd.core.types import FloatArray
-    from servofd.servo.motion import AnyServo, ExtendedMotion, PlainMotion
+    from servofd.servo.motion import AnyServo, Motion
     from servofd.servo.servo_model import ServoModel
 
 _LARGEST = 1e9
@@ -140,7 +140,7 @@ def failing_deflection(
     return deflection_deg
 
 
-def _during(fault: Fault, motion: PlainMotion | ExtendedMotion, at_s: FloatArray, *, passes: bool) -> FloatArray:
+def _during(fault: Fault, motion: Motion, at_s: FloatArray, *, passes: bool) -> FloatArray:
     """Deflection while a fault lasts; afterwards the servo is as before, wherever the fault has left it."""
     healthy = motion.servo
     motion.at(np.array([fault.start_s]))

@@ -1,61 +1,240 @@
 """A servo on its way: where it is, from one instant to the next, its state going along.
 
-A whole log and a single live sample go through the same `Motion.at`: a run in pieces is the run in one go. A servo
-without effects is moved by `servofd.servo.kernel`, one with effects by `servofd.servo.position_loop`, with which
-`servofd.discrepancy` fits as well, so that what was found is what an audit simulates.
+A whole log and a single live sample, a linear servo and one with effects, one servo and many side by side go through the
+same compiled stepper (`servofd.servo.stepper`): a run in pieces is the run in one go.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, TypeVar
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.types import BoolArray, FloatArray
+from servofd.core.errors import DesignError
+from servofd.servo.catalogue import everything
 from servofd.servo.context import NO_CONTEXT, Context
-from servofd.servo.kernel import ServoParameters, fixed, new_memory
-from servofd.servo.physics import LOOSE_FIELDS, RATE_FIELDS, Physics, Plant, longest_step_s
+from servofd.servo.effect import Effect, Slot
+from servofd.servo.effects.commands import Commands
+from servofd.servo.generate import INSIDE_LOOP, STEPPED, Stepper, stepper_of
+from servofd.servo.loop import Loop, loop_of
+from servofd.servo.physics import RATE_FIELDS, Physics
 
 if TYPE_CHECKING:
-    from servofd.servo.kernel import Memory
+    from collections.abc import Sequence
+
+    from servofd.core.types import BoolArray, FloatArray
+    from servofd.servo.transfer import TransferFunction
+
+_FASTEST_TIMES_STEP = 0.6
+"""Of the loop's natural frequency: longest step while something acts on it (as exact as `Effect.longest_s`)."""
+_SHORTEST_S = 5e-4
+"""Shorter steps would take minutes for a log."""
+_NOWHERE = np.zeros(0)
+_NEVER = np.zeros(0, dtype=bool)
+_NO_SURROUNDINGS = np.zeros((0, 5))
+_FIRST_ORDER = {
+    ("rate_up_deg_s", "speed_up_deg_s"),
+    ("rate_down_deg_s", "speed_down_deg_s"),
+    ("deg_s_per_v", "speed_deg_s_per_v"),
+}
+"""A servo of one pole has no speed of its own: its error is its speed, and what limits the one limits the other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExtendedServo:
-    """A servo with effects.
+class Machine:
+    """Servos side by side as the stepper takes them: V variants of one, under the same commands."""
 
-    Parameters
-    ----------
-    plant : Plant
-        Its linear part.
-    physics : Physics
-        Size of every effect; its delay is left to whoever delays the commands.
-    context : Context
-        Airspeed and supply.
+    stepper: Stepper
+    loops: tuple[Loop, ...]
+    sizes: FloatArray
+    """Of shape (V, fields)."""
+    acts: BoolArray
+    longest_s: float
+    _arrays: tuple[FloatArray, ...]
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether no step must be shorter than from event to event."""
+        return not self.acts[-1]
+
+    def new_state(self) -> State:
+        """Before the first instant."""
+        count, states = len(self.loops), self.loops[0].rest.size
+        return State(
+            np.array([math.nan, 0.0, 0.0, 0.0]), np.zeros((count, 3 * states)), np.zeros((count, self.stepper.memory))
+        )
+
+    def run(
+        self,
+        state: State,
+        commands: Commands,
+        at_s: FloatArray,
+        *,
+        anew: BoolArray = _NEVER,
+        measured_deg: FloatArray = _NOWHERE,
+        around: FloatArray = _NO_SURROUNDINGS,
+        speed_deg_s: FloatArray | None = None,
+    ) -> tuple[FloatArray, int]:
+        """Readings at the next instants [deg], shape (n, V), and how many of the commands have reached the servo.
+
+        The state is moved on. See `servofd.servo.stepper.run` for what the arrays hold.
+        """
+        read_deg = np.empty((at_s.size, len(self.loops)))
+        facts, a, b, steps, rest = self._arrays
+        used = self.stepper.run(
+            self.sizes, self.acts, facts, a, b, steps, rest, self.loops[0].grid_s, self.longest_s,
+            _plain(commands[0]), _plain(commands[1]), _plain(commands[2]), _plain(at_s), anew, _plain(measured_deg),
+            around, state.clock, state.states, state.memory, read_deg, _NOWHERE if speed_deg_s is None else speed_deg_s,
+        )  # fmt: skip
+        return read_deg, int(used)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Everything that changes from instant to instant; arrays, updated in place."""
+
+    clock: FloatArray
+    """Time [s], NaN at first; command in force [deg] and its slope; whether any came. Shape (4,)."""
+    states: FloatArray
+    memory: FloatArray
+
+    def copy(self) -> State:
+        """The same, to be moved on apart."""
+        return State(self.clock.copy(), self.states.copy(), self.memory.copy())
+
+
+def _plain(values: FloatArray) -> FloatArray:
+    """Values as all others lie in memory: what a log lends is read-only, for which everything is compiled once more."""
+    return values if values.flags.carray else np.array(values, dtype=float)
+
+
+def machine_of(transfer: TransferFunction, variants: Sequence[Physics], finer: float = 1.0) -> Machine:
+    """Variants of one servo, to be moved on side by side; `finer` divides the steps where something acts.
+
+    Raises
+    ------
+    DesignError
+        If something acts inside a servo with zeros or more than three poles.
+
+    Examples
+    --------
+    >>> from servofd.servo.library import servo_named
+    >>> machine = machine_of(servo_named("hs225bb-eq31").transfer, [Physics(), Physics(backlash_deg=1.0)])
+    >>> t = np.arange(0.0, 1.0, 0.1)
+    >>> read_deg, _ = machine.run(machine.new_state(), (t, 5.0 * t, 0.0 * t), t)
+    >>> (read_deg[-1, 0] - read_deg[-1, 1]).round(3)
+    0.5
+    """
+    return _machine(transfer, tuple(variants), finer, everything())
+
+
+@lru_cache(maxsize=256)
+def _machine(
+    transfer: TransferFunction, variants: tuple[Physics, ...], finer: float, effects: tuple[type[Effect], ...]
+) -> Machine:
+    order = len(transfer.denominator) - 1
+    if order == 1:
+        variants = tuple(_of_first_order(each) for each in variants)
+    acting = {name for each in variants for name, _ in each}
+    stepper = stepper_of(effects if acting & _stepped_fields(effects) else ())
+    loops = [loop_of(transfer, each.scales) for each in variants]
+    grid_s = min(loop.grid_s for loop in loops)
+    loops = [loop if loop.grid_s == grid_s else loop_of(transfer, v.scales, grid_s) for loop, v in zip(loops, variants, strict=True)]
+    sizes = np.tile(stepper.off, (len(variants), 1))
+    where = {field: k for k, field in enumerate(stepper.fields)}
+    for row, each in zip(sizes, variants, strict=True):
+        for name, value in each:
+            if name in where:
+                row[where[name]] = value
+    acts, longest_s = np.zeros(len(STEPPED) + 1, dtype=bool), math.inf
+    for act in stepper.acts:
+        if acting.isdisjoint(act.switches):
+            continue
+        if act.effect.slot in INSIDE_LOOP and not loops[0].is_physical:
+            raise DesignError(
+                f"a servo of order {order} with {len(transfer.numerator) - 1} zeros has no {act.effect.name}: "
+                "servos of one to three poles and no zeros can"
+            )
+        acts[STEPPED.index(act.effect.slot)] = True
+        if act.effect.slot in INSIDE_LOOP or act.effect.memory:
+            acts[-1], longest_s = True, min(longest_s, act.effect.longest_s)
+    if acts[: len(INSIDE_LOOP)].any():
+        fastest = max(loop.natural_rad_s for loop in loops)
+        longest_s = min(longest_s, max(_FASTEST_TIMES_STEP / fastest, _SHORTEST_S))
+    facts = np.array([[o.gain, o.error_s, o.per_error, float(o.leaves), float(o.filters)] for o in loops])
+    stacked = (np.stack([getattr(o, name) for o in loops]) for name in ("a", "b", "steps", "rest"))
+    return Machine(stepper, tuple(loops), sizes, acts, min(longest_s, 1.0) / finer, (facts, *stacked))
+
+
+@lru_cache(maxsize=4)
+def _stepped_fields(effects: tuple[type[Effect], ...]) -> frozenset[str]:
+    return frozenset(f for e in effects if e.slot in STEPPED for p in e.parameters if not p.aside for f in p.fields)
+
+
+def _of_first_order(physics: Physics) -> Physics:
+    """What of a servo of one pole acts on its error: friction is a dead band, and the shaft's speed the motor's."""
+    changes = {drive: min(getattr(physics, drive), getattr(physics, shaft)) for drive, shaft in _FIRST_ORDER}
+    return physics._replace(
+        **changes, **{shaft: math.inf for _, shaft in _FIRST_ORDER},
+        deadband_deg=physics.deadband_deg + 2.0 * physics.friction_deg, friction_deg=0.0,
+    )  # fmt: skip
+
+
+def around(context: Context, at_s: FloatArray, physics: Physics, power: FloatArray | None = None) -> FloatArray:
+    """What acts on a servo until each of some instants, shape (n, 5), as the stepper takes it.
+
+    Dynamic pressure [Pa], supply [V], supply over the usual one (1 if it is not given), current [A], load.
+    """
+    return np.column_stack(
+        [
+            context.pressure_pa(at_s),
+            context.supply_v(at_s),
+            np.ones(at_s.size) if power is None else power,
+            context.drawn_a(at_s),
+            context.pushed(at_s, physics.load_late_s),
+        ]
+    )
+
+
+def received(physics: Physics, commands: Commands) -> Commands:
+    """Commands as they reach a servo: delayed, in steps, in pulse frames; by every effect on them, in their order."""
+    acting = {name for name, _ in physics}
+    for effect in everything():
+        switches = {f for p in effect.parameters if not p.aside for f in p.fields}
+        if effect.slot is Slot.EVENTS and effect.act is not None and not acting.isdisjoint(switches):
+            commands = effect.act(commands, *(getattr(physics, name) for name in effect.sees))
+    return commands
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnyServo:
+    """A servo that is simulated: its linear loop, the sizes of its effects, and what is around it.
+
+    Its delay is left to whoever delays the commands.
     """
 
-    plant: Plant
+    transfer: TransferFunction
     physics: Physics
     context: Context = NO_CONTEXT
 
-    def slower(self, bandwidth_scale: float) -> ExtendedServo:
+    def slower(self, bandwidth_scale: float) -> AnyServo:
         """The servo with every pole scaled."""
         scale = bandwidth_scale * self.physics.bandwidth_scale
         return replace(self, physics=self.physics._replace(bandwidth_scale=scale))
 
-    def limited(self, rate_deg_s: float) -> ExtendedServo:
+    def limited(self, rate_deg_s: float) -> AnyServo:
         """The servo with a lower rate limit [deg/s], of the kind that it has."""
-        kind = ("follow_up_deg_s", "follow_down_deg_s") if self.physics.follow_up_deg_s < math.inf else RATE_FIELDS[:2]
+        motor = ("rate_up_deg_s", "rate_down_deg_s")
+        kind = motor if self.physics.rate_up_deg_s < math.inf else ("follow_up_deg_s", "follow_down_deg_s")
         lower = {name: min(rate_deg_s, getattr(self.physics, name)) for name in kind}
         return replace(self, physics=self.physics._replace(**lower))
 
-    def weaker(self, share: float) -> ExtendedServo:
+    def weaker(self, share: float) -> AnyServo:
         """The servo with every rate limit lower by a share."""
-        lower = {name: (1.0 - share) * getattr(self.physics, name) for name in RATE_FIELDS}
-        return replace(self, physics=self.physics._replace(**lower))
+        return replace(self, physics=weaker(self.physics, share))
 
     @property
     def rate_up_deg_s(self) -> float:
@@ -78,95 +257,25 @@ class ExtendedServo:
         return min(self.physics.upper_deg, self.physics.gain * self.physics.stop_upper_deg)
 
     @property
-    def play_deg(self) -> float:
-        """How far it may be from where its model believes it to be, after a start at an unknown point of its play."""
-        return float(sum(abs(getattr(self.physics, name)) * half for name, half in LOOSE_FIELDS.items()))
+    def is_linear(self) -> bool:
+        """Whether nothing acts inside its loop or is loose, so that its motion scales with its command."""
+        beside = {"follow_up_deg_s", "follow_down_deg_s", "lower_deg", "upper_deg"}
+        return {name for name, _ in self.physics} <= beside
 
 
-AnyServo = ServoParameters | ExtendedServo
-"""A servo without effects, or with."""
-_Commands = tuple[FloatArray, FloatArray, FloatArray]
-"""When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; of shape (n,)."""
-_NOTHING: _Commands = (fixed(np.zeros(0)), fixed(np.zeros(0)), fixed(np.zeros(0)))
-_ANEW, _GOING_ON = fixed(np.ones(1, dtype=bool)), (fixed(np.zeros(0, dtype=bool)), fixed(np.zeros(0)))
-"""At which instants a servo is at rest, and where it was measured there: at the only one, or at none."""
-
-
-def _joined(some: _Commands, more: _Commands) -> _Commands:
-    """Commands after commands; not copied where there were none."""
-    if not some[0].size:
-        return more
-    return np.append(some[0], more[0]), np.append(some[1], more[1]), np.append(some[2], more[2])
-
-
-def _cut(commands: _Commands, first: int, last: int | None = None) -> _Commands:
-    """A copy of some of them: whoever lent the others may use their memory again."""
-    effective_s, command_deg, slope_deg_s = (each[first:last].copy() for each in commands)
-    return effective_s, command_deg, slope_deg_s
-
-
-Kind = TypeVar("Kind", bound=AnyServo)
-
-
-class Motion(ABC, Generic[Kind]):
-    """Where a servo is, from one instant to the next, under commands that come in as time goes on.
-
-    Parameters
-    ----------
-    servo : ServoParameters or ExtendedServo
-        The servo.
-    start_deg : float
-        Where the surface was measured at the first instant [deg]; NaN: where its first command wants it.
-    """
-
-    def __init__(self, servo: Kind, start_deg: float = math.nan) -> None:
-        self.servo = servo
-        self.context = NO_CONTEXT
-        """Airspeed and supply; a monitor in flight replaces it as it learns more."""
-        self._start_deg = start_deg
-        self._waiting = _NOTHING
-
-    def receive(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
-        """Commands to come, shape (n,): when they reach the servo [s], what they ask for, and their slope."""
-        self._waiting = _joined(self._waiting, (effective_s, command_deg, slope_deg_s))
-
-    @abstractmethod
-    def at(self, at_s: FloatArray) -> FloatArray:
-        """Measured position at the next instants [deg], shape (m,); rising, and not before the last of them."""
-
-    @abstractmethod
-    def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:
-        """Go on from rest at a deflection [deg]; from where the command in force wants it, if that is NaN."""
-
-    def become(self, servo: AnyServo) -> None:
-        """Go on as another servo of the same kind, from where it is."""
-        if not isinstance(servo, type(self.servo)):
-            raise TypeError("a servo without effects becomes another one without, and one with effects one with")
-        self.servo = servo
-
-
-def swung(servo: AnyServo, commands: _Commands, at_s: FloatArray) -> FloatArray:
-    """Deflection at some instants after the first command [deg], from rest at that.
+def weaker(physics: Physics, share: float) -> Physics:
+    """The same with every rate limit lower by a share.
 
     Examples
     --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> servo = ServoModel.of(servo_named("s9254")).parameters()
-    >>> swung(servo, (np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)), np.array([0.1, 0.5])).round(3)
-    array([0., 5.])
+    >>> weaker(Physics(follow_up_deg_s=100.0), 0.2).follow_up_deg_s
+    80.0
     """
-    if isinstance(servo, ExtendedServo):
-        motion = on_its_way(servo)
-        motion.receive(*commands)
-        return motion.at(np.concatenate([commands[0][:1], at_s]))[1:]
-    from_first_s = np.concatenate([commands[0][:1], at_s])
-    begins = np.zeros(from_first_s.size, dtype=bool)
-    return started_anew(servo, commands, from_first_s, np.full(from_first_s.size, math.nan), begins)[1:]
+    return physics._replace(**{name: (1.0 - share) * getattr(physics, name) for name in RATE_FIELDS})
 
 
 def started_anew(
-    servo: ServoParameters, commands: _Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
+    servo: AnyServo, commands: Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
 ) -> FloatArray:
     """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked.
 
@@ -174,89 +283,63 @@ def started_anew(
     --------
     >>> from servofd.servo.servo_model import ServoModel
     >>> from servofd.servo.library import servo_named
-    >>> servo = ServoModel.of(servo_named("s9254")).parameters()
+    >>> servo = ServoModel.of(servo_named("s9254")).servo()
     >>> commands = np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)
     >>> at_s, measured_deg = np.array([0.1, 0.5, 0.6]), np.array([0.0, 4.0, 2.0])
     >>> started_anew(servo, commands, at_s, measured_deg, np.array([True, False, True])).round(3)
     array([0., 5., 2.])
     """
-    from servofd.servo.kernel import run
-
-    position_deg = np.empty(at_s.size)
     if not at_s.size:
-        return position_deg
-    if not anew[0]:
-        anew, measured_deg = anew.copy(), measured_deg.copy()
-        anew[0], measured_deg[0] = True, math.nan
-    heard = int(np.searchsorted(commands[0], at_s[-1], side="right"))
-    run(
-        servo,
-        new_memory(servo),
-        *(fixed(each[:heard]) for each in commands),
-        fixed(at_s),
-        fixed(anew),
-        fixed(measured_deg),
-        position_deg,
-    )
-    return position_deg
+        return np.zeros(0)
+    machine = machine_of(servo.transfer, (servo.physics,))
+    commands = received(servo.physics, commands) if commands[0].size else commands
+    beside = _around(servo, machine, at_s)
+    return machine.run(machine.new_state(), commands, at_s, anew=anew, measured_deg=measured_deg, around=beside)[0][:, 0]
 
 
-class PlainMotion(Motion[ServoParameters]):
-    """Of a servo without effects."""
-
-    _memory: Memory | None = None
-
-    def receive(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
-        """Commands to come, shape (n,), copied once for all the pieces in which they are used."""
-        effective_s, command_deg, slope_deg_s = (np.array(each) for each in (effective_s, command_deg, slope_deg_s))
-        super().receive(effective_s, command_deg, slope_deg_s)
-        for each in self._waiting:
-            each.setflags(write=False)  # as `fixed` makes it
-
-    def at(self, at_s: FloatArray) -> FloatArray:
-        """Measured position at the next instants [deg], shape (m,)."""
-        if at_s.size == 0:
-            return np.zeros(0)
-        if self._memory is None:
-            self.rest(float(at_s[0]), self._start_deg)
-        return self._moved(at_s, *_GOING_ON)
-
-    def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:
-        """Go on from rest; before its first command, what holds the surface can only have been an earlier one."""
-        if self._memory is None:
-            self._memory = new_memory(self.servo)
-        self._moved(np.array([now_s]), _ANEW, fixed(np.array([deflection_deg])))
-
-    def _moved(self, at_s: FloatArray, anew: BoolArray, measured_deg: FloatArray) -> FloatArray:
-        from servofd.servo.kernel import run
-
-        position_deg = np.empty(at_s.size)
-        effective_s, command_deg, slope_deg_s = self._waiting
-        done = run(self.servo, self._memory, *self._waiting, fixed(at_s), anew, measured_deg, position_deg)
-        self._waiting = effective_s[done:], command_deg[done:], slope_deg_s[done:]
-        return position_deg
-
-    def become(self, servo: AnyServo) -> None:
-        """Go on as another servo with as many modes; each mode starts where it is, so the position does not jump."""
-        if servo is not self.servo and self._memory is not None:
-            self._memory.slot_step_s[:] = -1.0  # what is kept there are exponentials of the servo that was
-            self._memory.motion[5] = math.nan
-        super().become(servo)
+def _around(servo: AnyServo, machine: Machine, at_s: FloatArray) -> FloatArray:
+    """What acts on a servo; nothing where nothing was logged, or it depends on nothing."""
+    if servo.context is NO_CONTEXT or not machine.acts.any():
+        return _NO_SURROUNDINGS
+    return around(servo.context, at_s, servo.physics)
 
 
-class ExtendedMotion(Motion[ExtendedServo]):
-    """Of a servo with effects.
+def swung(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
+    """Deflection at some instants after the first command [deg], from rest at that.
+
+    Examples
+    --------
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.servo.library import servo_named
+    >>> servo = ServoModel.of(servo_named("s9254")).servo()
+    >>> swung(servo, (np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)), np.array([0.1, 0.5])).round(3)
+    array([0., 5.])
+    """
+    from_first_s = np.concatenate([commands[0][:1], at_s])
+    return started_anew(servo, commands, from_first_s, _NOWHERE, _NEVER)[1:]
+
+
+@dataclass(slots=True, eq=False)
+class Motion:
+    """Where a servo is, from one instant to the next, under commands that come in as time goes on.
+
+    Parameters
+    ----------
+    servo : AnyServo
+        The servo; with what is around it, which a monitor in flight replaces as it learns more.
+    start_deg : float
+        Where the surface was measured at the first instant [deg]; NaN: where its first command wants it.
 
     Examples
     --------
     A sample at a time, or all at once:
 
-    >>> from servofd.servo.servo_model import ServoModel, plant_of
+    >>> from servofd.servo.servo_model import ServoModel
+    >>> from servofd.servo.effects.linkage import Backlash
     >>> from servofd.servo.library import servo_named
-    >>> plant = plant_of(ServoModel.of(servo_named("hs225bb-eq31")))
-    >>> servo = ExtendedServo(plant, Physics(backlash_deg=1.0))
+    >>> servo = (ServoModel.of(servo_named("hs225bb-eq31")) + Backlash(1.0)).servo()
     >>> t = np.arange(0.0, 1.0, 0.01)
-    >>> whole, pieces = ExtendedMotion(servo, 0.0), ExtendedMotion(servo, 0.0)
+    >>> whole, pieces = Motion(servo, 0.0), Motion(servo, 0.0)
     >>> whole.receive(t, 5.0 * t, 0.0 * t)
     >>> at_once = whole.at(t)
     >>> by_sample = []
@@ -267,84 +350,70 @@ class ExtendedMotion(Motion[ExtendedServo]):
     True
     """
 
-    def __init__(self, servo: ExtendedServo, start_deg: float = math.nan) -> None:
-        super().__init__(servo, start_deg)
-        self.context = servo.context
-        self._memory: FloatArray | None = None
-        self._in_force = _NOTHING
-        self._next_frame: int | None = None
+    servo: AnyServo
+    start_deg: float = math.nan
+    context: Context = field(init=False)
+    _machine: Machine = field(init=False)
+    _state: State = field(init=False)
+    _waiting: Commands = field(init=False, default=(_NOWHERE, _NOWHERE, _NOWHERE))
+    _next_frame: int | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self.context = self.servo.context
+        self._machine = machine_of(self.servo.transfer, (self.servo.physics,))
+        self._state = self._machine.new_state()
 
     def receive(self, effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray) -> None:
-        """Commands to come, shape (n,), in the steps in which the servo takes them."""
-        step_deg = self.servo.physics.command_step_deg
-        if step_deg > 0.0:
-            command_deg = step_deg * np.round(command_deg / step_deg)
-        super().receive(effective_s, command_deg, slope_deg_s)
+        """Commands to come, shape (n,): when they reach the servo [s], what they ask for, and their slope; copied."""
+        if not effective_s.size:
+            return
+        new = received(self.servo.physics._replace(frame_s=0.0, frame_phase=0.0), (effective_s, command_deg, slope_deg_s))
+        at, deg, slope = (np.concatenate([old, each]) for old, each in zip(self._waiting, new, strict=True))
+        self._waiting = at, deg, slope
 
     def at(self, at_s: FloatArray) -> FloatArray:
         """Measured position at the next instants [deg], shape (m,); rising, and not before the last of them."""
-        from servofd.servo.position_loop import new_memory, received, run
-
-        servo, physics = self.servo, self.servo.physics
         if at_s.size == 0:
             return np.zeros(0)
-        # Positions that are stamped too late show where the servo was before.
-        instants_s = at_s - physics.offset_s
-        if self._memory is None:
-            self._memory = new_memory(self._first_deg(float(instants_s[0])))
-        commands = self._framed(float(instants_s[-1])) if physics.frame_s > 0.0 else self._waiting
-        machine, loop = servo.plant.machine(physics)
-        position_deg: FloatArray = run(
-            machine,
-            loop,
-            servo.plant.dc_gain,
-            longest_step_s(machine),
-            commands[0],
-            commands[1],
-            commands[2],
-            instants_s,
-            self.context.pressure_pa(at_s),
-            self.context.supply_v(at_s),
-            self._memory,
-            self.context.pushed(at_s, physics.load_late_s),
-        )
-        if physics.deg_per_a != 0.0:
-            position_deg = position_deg + physics.deg_per_a * self.context.drawn_a(at_s)
-        if physics.frame_s <= 0.0:
-            done = received(self._memory)
-            self._in_force = _cut(self._waiting, done - 1, done) if done else self._in_force
-            self._waiting = _cut(self._waiting, done)
-        return position_deg
+        if math.isnan(self._state.clock[0]):
+            self.rest(float(at_s[0]), self.start_deg)
+        return self._moved(at_s, _NEVER, _NOWHERE)
 
     def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:
         """Go on from rest at a deflection [deg]; from where the command in force wants it, if that is NaN."""
-        self._memory, self._start_deg = None, deflection_deg
-        self._waiting = _joined(self._in_force, self._waiting)
-        self._next_frame = None
-        self.at(np.array([now_s]))
+        self._moved(np.array([now_s]), np.ones(1, dtype=bool), np.array([deflection_deg]))
+
+    def _moved(self, at_s: FloatArray, anew: BoolArray, measured_deg: FloatArray) -> FloatArray:
+        servo = self.servo if self.context is self.servo.context else replace(self.servo, context=self.context)
+        framed = servo.physics.frame_s > 0.0
+        commands = self._framed(float(at_s[-1])) if framed else self._waiting
+        read_deg, used = self._machine.run(
+            self._state, commands, at_s, anew=anew, measured_deg=measured_deg,
+            around=_around(servo, self._machine, at_s),
+        )  # fmt: skip
+        if not framed:
+            self._waiting = (self._waiting[0][used:], self._waiting[1][used:], self._waiting[2][used:])
+        return read_deg[:, 0]
 
     def become(self, servo: AnyServo) -> None:
-        """Go on as another servo with effects; a slower one, as if time had been stretched."""
-        from servofd.servo.position_loop import stretch
+        """Go on as another servo, from where it is; a slower one, as if time had been stretched."""
+        if servo is self.servo:
+            return
+        machine = machine_of(servo.transfer, (servo.physics,))
+        if machine.loops[0].rest.size != self._machine.loops[0].rest.size:
+            raise TypeError("a servo becomes another one with as many poles")
+        loop = machine.loops[0]
+        scale = servo.physics.bandwidth_scale / self.servo.physics.bandwidth_scale
+        self._state.states[:, : loop.rest.size] *= scale**loop.stretch
+        memory = machine.new_state().memory
+        if memory.shape == self._state.memory.shape:
+            memory = self._state.memory
+        elif not math.isnan(self._state.clock[0]):  # effects that it had not: all of them where the shaft is
+            memory[:] = self._state.states[0, loop.leaves] * loop.gain
+        self._state = State(self._state.clock, self._state.states, memory)
+        self.servo, self._machine = servo, machine
 
-        before = self.servo.physics.bandwidth_scale
-        super().become(servo)
-        physics = self.servo.physics
-        if self._memory is not None and physics.bandwidth_scale != before:
-            stretch(self._memory, self.servo.plant.loop(physics), physics.bandwidth_scale / before)
-
-    def _first_deg(self, now_s: float) -> float:
-        """Where the surface is at first [deg]."""
-        if math.isfinite(self._start_deg):
-            return self._start_deg
-        if not self._waiting[0].size:
-            return 0.0
-        received = int(np.searchsorted(self._waiting[0], now_s, side="right"))
-        wanted_deg = float(self._waiting[1][max(received - 1, 0)])
-        physics = self.servo.physics
-        return physics.gain * self.servo.plant.dc_gain * wanted_deg + physics.bias_deg
-
-    def _framed(self, until_s: float) -> _Commands:
+    def _framed(self, until_s: float) -> Commands:
         """Commands as the pulse frames until an instant carry them: the one in force when a frame begins."""
         period_s, phase = self.servo.physics.frame_s, self.servo.physics.frame_phase
         if not self._waiting[0].size:
@@ -358,11 +427,6 @@ class ExtendedMotion(Motion[ExtendedServo]):
         since_s = np.maximum(begin_s - self._waiting[0][held], 0.0)
         deg = self._waiting[1][held] + self._waiting[2][held] * since_s
         # The last command before now may be carried by frames to come.
-        done = int(np.searchsorted(self._waiting[0], until_s, side="right")) - 1
-        self._waiting = _cut(self._waiting, max(done, 0))
+        done = max(int(np.searchsorted(self._waiting[0], until_s, side="right")) - 1, 0)
+        self._waiting = (self._waiting[0][done:], self._waiting[1][done:], self._waiting[2][done:])
         return begin_s, deg, np.zeros(begin_s.size)
-
-
-def on_its_way(servo: AnyServo) -> PlainMotion | ExtendedMotion:
-    """The motion of a servo, from rest where its first command wants it."""
-    return PlainMotion(servo) if isinstance(servo, ServoParameters) else ExtendedMotion(servo)

@@ -1,25 +1,27 @@
-"""A servo model: effects in the order in which the command meets them."""
+"""A servo model: a linear servo and the sizes of its effects."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import reduce
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.errors import DesignError
-from servofd.servo.context import NO_CONTEXT
-from servofd.servo.effects import Delay, Effect, Extension, LinearDynamics, Plan, RateLimit, neutral_of
-from servofd.servo.physics import RATE_FIELDS, Physics, Plant
+from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
+from servofd.servo.loop import scaled
+from servofd.servo.motion import AnyServo, Motion, weaker
+from servofd.servo.physics import Physics, Plant
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.servo.context import Context
-    from servofd.servo.kernel import ServoParameters
+    from servofd.servo.effect import Effect
     from servofd.servo.library import Servo
-    from servofd.servo.motion import AnyServo, ExtendedMotion, ExtendedServo, PlainMotion
     from servofd.servo.transfer import TransferFunction
+
+_MOST_POLES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,115 +30,60 @@ class ServoModel:
 
     Parameters
     ----------
-    effects : tuple of Effect
-        Sorted by the place where they act.
-
-    Raises
-    ------
-    DesignError
-        If no effect gives the linear dynamics.
+    transfer : TransferFunction
+        The linear servo (thesis Eq. 3.1).
+    physics : Physics
+        Sizes of its effects, its delay among them.
 
     Examples
     --------
-    >>> from servofd.servo.effects import RateLimit
+    >>> from servofd.servo.effects.linkage import RateLimit
     >>> from servofd.servo.library import servo_named
-    >>> (ServoModel.of(servo_named("hs225bb-eq31")) + RateLimit(100.0)).plan.rate_up_deg_s
+    >>> (ServoModel.of(servo_named("hs225bb-eq31")) + RateLimit(100.0)).physics.follow_up_deg_s
     100.0
     """
 
-    effects: tuple[Effect, ...]
-    plan: Plan = field(init=False, repr=False, compare=False)
-    """All effects together."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "effects", tuple(sorted(self.effects, key=lambda effect: effect.place)))
-        object.__setattr__(self, "plan", reduce(lambda plan, effect: effect.install(plan), self.effects, Plan()))
-        if self.plan.transfer is None:
-            raise DesignError("a servo model needs linear dynamics")
+    transfer: TransferFunction
+    physics: Physics = field(default_factory=Physics)
 
     @classmethod
     def of(cls, servo: Servo) -> ServoModel:
-        """Model of a servo from its description: transport delay, linear dynamics, rate limit."""
-        effects: list[Effect] = [Delay(servo.transport_delay_s), LinearDynamics(servo.transfer)]
-        if servo.rate_limit_deg_s is not None:
-            effects.append(RateLimit(servo.rate_limit_deg_s))
-        return cls(tuple(effects))
+        """Model of a servo of the library, or of a file."""
+        model = cls(servo.transfer) + Delay(servo.transport_delay_s)
+        return model if servo.rate_limit_deg_s is None else model + RateLimit(servo.rate_limit_deg_s)
 
     def __add__(self, effect: Effect) -> ServoModel:
-        return ServoModel((*self.effects, effect))
+        return self.with_physics(self.physics._replace(**effect.sizes))
+
+    def with_physics(self, physics: Physics) -> ServoModel:
+        """The same servo with all effects, as ``servofd explain`` finds them: scaled poles become poles."""
+        as_it_is = physics._replace(bandwidth_scale=1.0, slow_scale=1.0, pair_scale=1.0, damping_scale=1.0)
+        return ServoModel(scaled(self.transfer, physics.scales), as_it_is)
 
     @property
-    def transfer(self) -> TransferFunction:
-        """Linear dynamics."""
-        transfer = self.plan.transfer
-        if transfer is None:
-            raise DesignError("a servo model needs linear dynamics")
-        return transfer
+    def delay_s(self) -> float:
+        """Transport delay [s]."""
+        return self.physics.delay_s
 
     def linear(self) -> ServoModel:
         """Only the delay and the linear dynamics, without limits."""
-        return ServoModel((Delay(self.plan.delay_s), LinearDynamics(self.transfer)))
-
-    def extended(self, context: Context = NO_CONTEXT) -> ExtendedServo | None:
-        """The servo with its effects, for commands that are delayed already; None if it has none.
-
-        Examples
-        --------
-        >>> from servofd.servo.physics import Physics
-        >>> from servofd.servo.library import servo_named
-        >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
-        >>> model.extended() is None, (model + Extension(Physics(backlash_deg=0.5))).extended().play_deg
-        (True, 0.25)
-        """
-        from servofd.servo.motion import ExtendedServo
-
-        physics = self.plan.physics
-        if physics is None:
-            return None
-        # Frames begin when they begin, and are received a delay later.
-        phase = physics.frame_phase + (physics.delay_s / physics.frame_s if physics.frame_s > 0.0 else 0.0)
-        return ExtendedServo(Plant(self.transfer, Physics()), physics._replace(delay_s=0.0, frame_phase=phase), context)
+        return ServoModel(self.transfer, Physics(delay_s=self.delay_s))
 
     def weaker(self, share: float) -> ServoModel:
         """The servo with every rate limit lower by a share; the same if it has none."""
-        plan = self.plan
-        if plan.physics is not None:
-            lower = {name: (1.0 - share) * getattr(plan.physics, name) for name in RATE_FIELDS}
-            return self + Extension(plan.physics._replace(**lower))
-        limit_deg_s = min(plan.rate_up_deg_s, plan.rate_down_deg_s)
-        return self + RateLimit((1.0 - share) * limit_deg_s) if limit_deg_s < float("inf") else self
+        return replace(self, physics=weaker(self.physics, share))
 
     @property
     def needs(self) -> frozenset[str]:
         """What of the servo's surroundings its effects depend on."""
-        physics = self.plan.physics
-        if physics is None:
-            return frozenset()
-        acts = {
-            "airspeed_m_s": physics.airload_per_pa != 0.0,
-            "servo_voltage_v": min(physics.deg_s_per_v, physics.speed_deg_s_per_v) < float("inf"),
-            "servo_current_a": physics.deg_per_a != 0.0,
-            "servo_load": physics.load_deg != 0.0,
-        }
-        return frozenset(name for name, does in acts.items() if does)
-
-    def parameters(self) -> ServoParameters:
-        """The model as the kernel sees it."""
-        from servofd.servo.kernel import ServoParameters
-
-        plan, modes = self.plan, self.transfer.modes()
-        return ServoParameters(
-            decay_rad_s=modes.decay_rad_s,
-            weight=modes.weight,
-            rate_down_deg_s=plan.rate_down_deg_s,
-            rate_up_deg_s=plan.rate_up_deg_s,
-            lower_deg=plan.lower_deg,
-            upper_deg=plan.upper_deg,
-        )
+        return self.physics.needs
 
     def servo(self, context: Context = NO_CONTEXT) -> AnyServo:
         """What is simulated, for commands that are delayed already."""
-        return self.extended(context) or self.parameters()
+        physics = self.physics
+        # Frames begin when they begin, and are received a delay later.
+        phase = physics.frame_phase + (physics.delay_s / physics.frame_s if physics.frame_s > 0.0 else 0.0)
+        return AnyServo(self.transfer, physics._replace(delay_s=0.0, frame_phase=phase), context)
 
     def simulate(self, command_s: FloatArray, command_deg: FloatArray, at_s: FloatArray) -> FloatArray:
         """Deflection at given times under a held command, exactly, whatever the spacing of the samples.
@@ -162,34 +109,29 @@ class ServoModel:
         """
         return self.motion(command_s, command_deg).at(np.asarray(at_s, dtype=float))
 
-    def motion(
-        self, command_s: FloatArray, command_deg: FloatArray, context: Context = NO_CONTEXT
-    ) -> PlainMotion | ExtendedMotion:
+    def motion(self, command_s: FloatArray, command_deg: FloatArray, context: Context = NO_CONTEXT) -> Motion:
         """The servo at rest at the first of its commands, to be simulated piece by piece."""
-        from servofd.servo.motion import on_its_way
-
         command_s, command_deg = np.asarray(command_s, dtype=float), np.asarray(command_deg, dtype=float)
-        motion = on_its_way(self.servo(context))
-        motion.receive(command_s + self.plan.delay_s, command_deg, np.zeros(command_s.size))
+        motion = Motion(self.servo(context))
+        motion.receive(command_s + self.delay_s, command_deg, np.zeros(command_s.size))
         if command_s.size:
             motion.rest(float(command_s[0]))
         return motion
 
 
 def plant_of(model: ServoModel) -> Plant:
-    """Position loop with the poles, the delay and the limits of a servo model.
+    """The linear servo of a model, and how its effects are known.
 
     Examples
     --------
     >>> from servofd.servo.library import servo_named
-    >>> plant = plant_of(ServoModel.of(servo_named("hs225bb-eq31")))
-    >>> round(plant.loop().error_per_rate_s, 5)  # 332 deg/s need 18.1 deg of error
-    0.05449
+    >>> plant_of(ServoModel.of(servo_named("hs225bb-eq31"))).neutral.delay_s
+    0.004
     """
     transfer = model.transfer
-    if len(transfer.numerator) != 1 or not 2 <= len(transfer.denominator) <= 4:
+    if len(transfer.numerator) != 1 or not 1 <= len(transfer.denominator) - 1 <= _MOST_POLES:
         raise DesignError(
             f"a servo of order {len(transfer.denominator) - 1} with {len(transfer.numerator) - 1} zeros cannot be "
             "explained: servos of one to three poles and no zeros can"
         )
-    return Plant(transfer, neutral_of(model.plan))
+    return Plant(transfer, model.physics)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import FloatArray, IntArray
-    from servofd.servo.effects import Effect
+    from servofd.servo.effect import Effect
     from servofd.servo.servo_model import ServoModel
     from servofd.simulation.pulses import Output
 
@@ -129,8 +129,7 @@ def simulate_flight(
         noise.append(noise_deg * rng.standard_normal(time_s.size))
     deflection_deg = np.column_stack(moved)
     context = _with_current(context, models, time_s, deflection_deg, seed)
-    sizes = [model.plan.physics for model in models.values()]
-    read_deg = np.column_stack([context.drawn_a(time_s) * (size.deg_per_a if size else 0.0) for size in sizes])
+    read_deg = np.column_stack([context.drawn_a(time_s) * model.physics.deg_per_a for model in models.values()])
     return SimulatedFlight(
         tuple(aircraft.surfaces),
         time_s,

@@ -25,8 +25,9 @@ from servofd.core.statistics import Estimate, descended, deviations, line, mean_
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.feedback.fitted import POLE_RAD_S
-from servofd.servo.effects import Delay, Effect, LinearDynamics, PositionLimit, RateLimit
-from servofd.servo.kernel import play
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import PositionLimit, RateLimit
+from servofd.core.loops import play
 from servofd.servo.library import Servo, second_order
 from servofd.servo.servo_model import ServoModel
 
@@ -111,12 +112,12 @@ class FlownServo:
     @property
     def model(self) -> ServoModel:
         """Healthy model with these numbers."""
-        effects: list[Effect] = [Delay(self.delay_s), LinearDynamics(self.transfer)]
+        model = ServoModel(self.transfer) + Delay(self.delay_s)
         if self.rate_limit_deg_s is not None:
-            effects.append(RateLimit(self.rate_limit_deg_s))
+            model += RateLimit(self.rate_limit_deg_s)
         if self.stops_deg is not None:
-            effects.append(PositionLimit(*self.stops_deg))
-        return ServoModel(tuple(effects))
+            model += PositionLimit(*self.stops_deg)
+        return model
 
     def vector(self, names: tuple[str, ...]) -> FloatArray:
         """Some numbers as they are fitted: logarithms of what must stay positive, delays in milliseconds."""

@@ -27,7 +27,7 @@ from servofd.servo.faults import (
     Slow,
     Stuck,
 )
-from servofd.servo.kernel import play
+from servofd.core.loops import play
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window

@@ -41,7 +41,7 @@ def window(seed: int, fault: Fault | None) -> Window:
     """Eight seconds that begin ten seconds after the fault, if that starts at 2 s."""
     time_s = np.arange(2400) / 100.0
     segment = Segment("x", time_s, command(seed, time_s), time_s, flown(seed, fault, time_s))
-    commands = commands_at_servo(segment, MODEL.plan.delay_s, GENERATOR.longest_gap_s(segment))
+    commands = commands_at_servo(segment, MODEL.delay_s, GENERATOR.longest_gap_s(segment))
     return Window.of(MODEL, Tolerance(), NOISE_DEG, GENERATOR.run(segment), commands, slice(1200, 2000))
 
 

@@ -8,14 +8,14 @@ from itertools import pairwise
 import pytest
 
 from servofd.servo.catalogue import CATALOGUE, installed
-from servofd.servo.effects import MissingEffect
+from servofd.servo.effects import Effect
 from servofd.servo.physics import Physics
 
 every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.key())
 
 
 @every_effect
-def test_a_search_begins_within_the_bounds_and_not_with_nothing(effect: type[MissingEffect]) -> None:
+def test_a_search_begins_within_the_bounds_and_not_with_nothing(effect: type[Effect]) -> None:
     for parameter in effect.parameters:
         assert parameter.low < parameter.high
         assert parameter.typical > 0.0
@@ -25,7 +25,7 @@ def test_a_search_begins_within_the_bounds_and_not_with_nothing(effect: type[Mis
 
 
 @every_effect
-def test_a_neutral_effect_is_none(effect: type[MissingEffect]) -> None:
+def test_a_neutral_effect_is_none(effect: type[Effect]) -> None:
     """Neutral is what a servo without the effect has; of what is then infinite, the end of the range stands for it."""
     for parameter in effect.parameters:
         for without in (getattr(Physics(), name) for name in parameter.fields):
@@ -36,7 +36,7 @@ def test_a_neutral_effect_is_none(effect: type[MissingEffect]) -> None:
 
 
 @every_effect
-def test_starting_values_rise_and_leave_no_hole(effect: type[MissingEffect]) -> None:
+def test_starting_values_rise_and_leave_no_hole(effect: type[Effect]) -> None:
     for parameter in effect.parameters:
         grid = sorted(parameter.grid)
         assert len(set(grid)) == len(grid)
@@ -48,7 +48,7 @@ def test_starting_values_rise_and_leave_no_hole(effect: type[MissingEffect]) -> 
 
 
 @every_effect
-def test_every_number_reaches_the_fields_that_it_names(effect: type[MissingEffect]) -> None:
+def test_every_number_reaches_the_fields_that_it_names(effect: type[Effect]) -> None:
     values = [parameter.grid[-1] if parameter.grid else parameter.typical for parameter in effect.parameters]
     physics = installed(Physics(), [effect], values)._asdict()
     expected = dict(effect.fixed)
@@ -60,7 +60,7 @@ def test_every_number_reaches_the_fields_that_it_names(effect: type[MissingEffec
 
 
 @every_effect
-def test_the_ends_of_a_range_are_no_answer_and_its_middle_is(effect: type[MissingEffect]) -> None:
+def test_the_ends_of_a_range_are_no_answer_and_its_middle_is(effect: type[Effect]) -> None:
     for parameter in effect.parameters:
         if math.isfinite(parameter.high - parameter.low):
             middle, margin = 0.5 * (parameter.low + parameter.high), 1e-2 * (parameter.high - parameter.low)

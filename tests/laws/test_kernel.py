@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from servofd.core.errors import DesignError
 from servofd.servo.effects import Delay, LinearDynamics, PositionLimit, RateLimit
-from servofd.servo.kernel import play
+from servofd.core.loops import play
 from servofd.servo.library import library, servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
@@ -52,7 +52,7 @@ def test_linear_motion_equals_the_reference_twin_on_irregular_samples(name: str)
     at_s = at_s + command_s[0]
     command_deg = rng.uniform(-10.0, 10.0, 150)
     model = ServoModel.of(servo_named(name)).linear()
-    twin = linear_deflection(model.transfer, model.plan.delay_s, command_s, command_deg, at_s)
+    twin = linear_deflection(model.transfer, model.delay_s, command_s, command_deg, at_s)
     assert np.max(np.abs(model.simulate(command_s, command_deg, at_s) - twin)) < NANODEGREE
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from servofd.core.errors import ConfigError
 from servofd.servo.catalogue import CATALOGUE, effects_installed, table_of
-from servofd.servo.effects import MissingEffect, Parameter
+from servofd.servo.effects import Effect, Parameter
 from servofd.servo.physics import Physics
 
 NUMBERS = [(effect, parameter) for effect in CATALOGUE for parameter in effect.parameters]
@@ -22,7 +22,7 @@ def named(value: object) -> str:
 each_number = pytest.mark.parametrize(("effect", "parameter"), NUMBERS, ids=named)
 
 
-def entry(effect: type[MissingEffect], parameter: Parameter, value: float) -> dict[str, dict[str, float | str]]:
+def entry(effect: type[Effect], parameter: Parameter, value: float) -> dict[str, dict[str, float | str]]:
     numbers: dict[str, float | str] = {p.name: p.typical + p.low * (p.low > 0.0) for p in effect.parameters}
     numbers |= {"lower_deg": -2.0, "upper_deg": 2.0} if "lower_deg" in numbers else {}
     form: dict[str, float | str] = {"form": effect.form} if effect.form else {}
@@ -30,7 +30,7 @@ def entry(effect: type[MissingEffect], parameter: Parameter, value: float) -> di
 
 
 @each_number
-def test_a_file_may_say_what_lies_in_its_range(effect: type[MissingEffect], parameter: Parameter) -> None:
+def test_a_file_may_say_what_lies_in_its_range(effect: type[Effect], parameter: Parameter) -> None:
     low, high = parameter.low, parameter.high
     margin = 1e-3 * (high - low)
     for inside in (low + margin, high - margin):

@@ -37,7 +37,7 @@ class TestHealthyServoIsSilent:
 
     def twin(self, name: str, time_s: FloatArray, command_deg: FloatArray) -> FloatArray:
         model = ServoModel.of(servo_named(name))
-        return linear_deflection(model.transfer, model.plan.delay_s, time_s, command_deg, time_s)
+        return linear_deflection(model.transfer, model.delay_s, time_s, command_deg, time_s)
 
     def generator(self, name: str, segment: Segment) -> ResidualGenerator:
         return ResidualGenerator.fitting(ServoModel.of(servo_named(name)).linear(), segment)

@@ -94,7 +94,7 @@ def test_a_run_in_pieces_is_the_run_in_one_go(name: str, size: dict[str, float |
     model = extended(name, size)
     servo = model.extended(CONTEXT)
     assert servo is not None
-    heard_s = TIME_S + model.plan.delay_s
+    heard_s = TIME_S + model.delay_s
     whole, pieces, samples = (ExtendedMotion(servo, 1.0) for _ in range(3))
     whole.receive(heard_s, COMMAND_DEG, np.zeros(TIME_S.size))
     expected = whole.at(TIME_S)
@@ -226,7 +226,7 @@ def test_the_audit_simulates_what_was_fitted(name: str, size: dict[str, float | 
     fitted = simulate(record, effects_installed(record.plant.neutral, {name: size}))
     model = extended(name, size)
     motion = ExtendedMotion(model.extended(CONTEXT), 1.0)  # type: ignore[arg-type]
-    motion.receive(record.commands.effective_s + model.plan.delay_s, record.commands.command_deg, np.zeros(TIME_S.size))
+    motion.receive(record.commands.effective_s + model.delay_s, record.commands.command_deg, np.zeros(TIME_S.size))
     # Poles that are scaled are another transfer function here, and scaled matrices there.
     assert np.abs(motion.at(TIME_S) - fitted).max() < 1e-6
 

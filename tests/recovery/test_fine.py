@@ -136,7 +136,7 @@ def test_an_output_that_follows_is_that_of_the_other_kernel(up_deg_s: float, dow
     rate_limited = KNOWN.linear() + RateLimit(up_deg_s, down_deg_s)
     expected_deg = rate_limited.simulate(TIME_S, COMMAND_DEG, TIME_S)
     sizes = {"follow_up_deg_s": up_deg_s, "follow_down_deg_s": down_deg_s}
-    found_deg = moved(Physics(delay_s=KNOWN.plan.delay_s, **sizes), SPEED_M_S, STEADY_V)
+    found_deg = moved(Physics(delay_s=KNOWN.delay_s, **sizes), SPEED_M_S, STEADY_V)
     assert np.abs(found_deg - expected_deg).max() < 6e-4
 
 

@@ -16,7 +16,7 @@ from servofd.discrepancy.record import Record, comb_step_deg, record_of, simulat
 from servofd.discrepancy.search import best_frame
 from servofd.discrepancy.select import select
 from servofd.servo.catalogue import Backlash, CurrentLimit, Delay, installed
-from servofd.servo.effects import MissingEffect
+from servofd.servo.effects import Effect
 from servofd.servo.library import servo_named
 from servofd.servo.physics import AFTER, BEFORE, Physics
 from servofd.servo.servo_model import ServoModel
@@ -27,7 +27,7 @@ CONVERTER_DEG = 180.0 / 4096.0
 
 
 def flown(
-    effects: tuple[type[MissingEffect], ...],
+    effects: tuple[type[Effect], ...],
     values: list[float],
     seed: int,
     command: str = "lively",
@@ -60,7 +60,7 @@ def test_a_comb_need_not_begin_at_zero_nor_be_written_exactly() -> None:
     assert comb_step_deg(np.round(0.013 + CONVERTER_DEG * steps, 3)) == pytest.approx(CONVERTER_DEG, rel=1e-4)
 
 
-def _deviations(effect: type[MissingEffect], values: list[float], command: str) -> FloatArray:
+def _deviations(effect: type[Effect], values: list[float], command: str) -> FloatArray:
     """Errors of the first parameter over many draws of the noise, in standard deviations that were claimed."""
     away = []
     for seed in range(16):
@@ -75,7 +75,7 @@ def _deviations(effect: type[MissingEffect], values: list[float], command: str) 
     ("effect", "values", "command"),
     [(CurrentLimit, [3.0], "lively"), (Backlash, [1.0], "chirp"), (Delay, [0.02], "chirp")],
 )
-def test_intervals_hold_the_truth(effect: type[MissingEffect], values: list[float], command: str) -> None:
+def test_intervals_hold_the_truth(effect: type[Effect], values: list[float], command: str) -> None:
     away = _deviations(effect, values, command)
     assert np.mean(np.abs(away) < 1.96) > 0.8
     assert 0.2 < np.std(away) < 1.5  # poles that may differ by 3 % widen it

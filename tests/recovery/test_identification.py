@@ -17,7 +17,7 @@ from servofd.identification.motion import LinearServo, ServoCandidate
 from servofd.identification.records import prepared
 from servofd.identification.response import average, estimate
 from servofd.identification.result import Identification
-from servofd.servo.kernel import play
+from servofd.core.loops import play
 from servofd.servo.library import Servo, servo_named
 from servofd.servo.servo_model import ServoModel
 from tests.recovery.bench import step, sweep

@@ -15,7 +15,7 @@ from hidden_score import ask, score
 from servofd.aircraft.segment import Segment
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.servo.catalogue import CurrentLimit, RateLimit, installed
-from servofd.servo.effects import MissingEffect
+from servofd.servo.effects import Effect
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
@@ -24,7 +24,7 @@ KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 NOISE_DEG = 0.1
 
 
-def swept(effects: tuple[type[MissingEffect], ...], values: list[float], seed: int) -> Record:
+def swept(effects: tuple[type[Effect], ...], values: list[float], seed: int) -> Record:
     """A servo with effects in a chirp of one amplitude, simulated by the kernel."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 60.0, 0.01)

@@ -28,7 +28,7 @@ def explained(slope: float = SLOPE) -> Explanation:
     for load_g in LOAD_G:
         command_deg = np.repeat(rng.choice(np.array([-20.0, -8.0, 8.0, 20.0]), 8), 50)
         limit_deg_s = AT_ZERO + slope * load_g
-        physics = Physics(delay_s=KNOWN.plan.delay_s, rate_up_deg_s=limit_deg_s, rate_down_deg_s=limit_deg_s)
+        physics = Physics(delay_s=KNOWN.delay_s, rate_up_deg_s=limit_deg_s, rate_down_deg_s=limit_deg_s)
         moved_deg = (KNOWN + Extension(physics)).simulate(time_s, command_deg, time_s)
         runs.append(Segment("servo", time_s, command_deg, time_s, moved_deg + NOISE_DEG * rng.standard_normal(400)))
     return explain_gap(runs, KNOWN, on_bench=True)

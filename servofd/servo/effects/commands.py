@@ -1,0 +1,105 @@
+"""Effects on the command: when it reaches the servo, and how fast the set point follows it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servofd.core.types import FloatArray
+from servofd.servo.effect import Effect, Now, Parameter, Slot
+
+RATES_DEG_S = (20.0, 30.0, 45.0, 60.0, 80.0, 105.0, 140.0, 180.0, 240.0, 320.0, 420.0, 600.0)
+"""Largest speeds from which a search starts: of hobby and industrial servos, each a third above the one before."""
+STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
+"""Steps of converters from which a search starts: of 10 and 12 bits a turn, and round numbers."""
+Commands = tuple[FloatArray, FloatArray, FloatArray]
+"""When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; each of shape (n,)."""
+
+
+class Delay(Effect):
+    """Total transport delay of the command."""
+
+    name, slot, family, rank = "delay", Slot.EVENTS, "lag", 3
+    parameters = (
+        Parameter("delay_s", ("delay_s",), 0.0, 0.5, 0.0, 0.003, (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)),
+    )
+
+    @staticmethod
+    def act(commands: Commands, delay_s: float) -> Commands:
+        return commands[0] + delay_s, commands[1], commands[2]
+
+
+class ClockOffset(Effect):
+    """Positions stamped too late (positive) or too early."""
+
+    name, slot, family, rank = "clock_offset", Slot.EVENTS, "lag", 4
+    parameters = (
+        Parameter(
+            "offset_s", ("offset_s",), -0.5, 0.5, 0.0, 0.003, (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2)
+        ),
+    )
+
+    @staticmethod
+    def act(commands: Commands, offset_s: float) -> Commands:
+        return commands[0] + offset_s, commands[1], commands[2]
+
+
+class CommandSteps(Effect):
+    """Steps of the command."""
+
+    name, slot, form, rank = "quantization", Slot.EVENTS, "command", 23
+    parameters = (Parameter("step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
+
+    @staticmethod
+    def act(commands: Commands, step_deg: float) -> Commands:
+        return commands[0], step_deg * np.round(commands[1] / step_deg), commands[2]
+
+
+class PwmFrame(Effect):
+    """Commands wait for the next pulse frame."""
+
+    name, slot, rank = "pwm_frame", Slot.EVENTS, 21
+    parameters = (
+        Parameter("period_s", ("frame_s",), 2e-3, 0.2, 0.0, 0.02, (), kinked=True, width=2e-6),
+        Parameter("phase", ("frame_phase",), -1.0, 2.0, 0.0, 0.5, (), kinked=True, width=0.06),
+    )
+
+    @staticmethod
+    def act(commands: Commands, period_s: float, phase: float) -> Commands:
+        sent_s, command_deg, slope_deg_s = commands
+        first = np.ceil(sent_s[0] / period_s - phase)
+        count = max(int(np.floor(sent_s[-1] / period_s - phase) - first) + 2, 1)
+        frame_s = (first + np.arange(count) + phase) * period_s
+        held = np.maximum(np.searchsorted(sent_s, frame_s, side="right") - 1, 0)
+        since_s = np.maximum(frame_s - sent_s[held], 0.0)
+        return frame_s, command_deg[held] + slope_deg_s[held] * since_s, np.zeros(count)
+
+
+class CommandGain(Effect):
+    """Scale of the command, before the dead band and the loads: what a calibration calls gain."""
+
+    name, slot, searched = "command_gain", Slot.COMMAND, False
+    parameters = (Parameter("gain", ("command_gain",), 0.05, 3.0, 1.0, 0.15),)
+
+    @staticmethod
+    def act(x: float, now: Now, gain: float) -> float:  # noqa: ARG004
+        return gain * x
+
+
+class SetPointRate(Effect):
+    """Largest speed of the set point: firmware that lets no step through to the position loop."""
+
+    name, slot, form, rank, memory = "rate_limit", Slot.COMMAND, "set point", 8, 1
+    longest_s = 2.5e-3
+    parameters = (
+        Parameter("rate_limit_deg_s", ("set_point_deg_s",), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=float("inf")),
+    )
+
+    @staticmethod
+    def act(x: float, now: Now, rate_deg_s: float, point: float) -> tuple[float, float]:
+        most = rate_deg_s * now.step_s
+        travel = x - point
+        if abs(travel) >= most:
+            step = most if travel > 0.0 else -most
+            return point + 0.5 * step, point + step
+        # Where it is on the average of a step in which it arrives.
+        return x - 0.5 * travel * abs(travel) / most, x

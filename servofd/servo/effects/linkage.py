@@ -1,0 +1,141 @@
+"""Effects of what hangs on the shaft, in the order in which they lie between servo and surface."""
+
+from __future__ import annotations
+
+import math
+
+from servofd.core.errors import ConfigError
+from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effects.commands import RATES_DEG_S
+from servofd.servo.effects.motor import WIDTHS_DEG
+
+_PUSH_PER_PA_S = 25.0 / 300.0
+"""How fast the air pushes a surface through its play: in 0.04 s at 300 Pa (22 m/s)."""
+_SURE_PER_DEG = 10.0
+"""A load of a tenth of a degree decides to which side of its play the air pushes a surface."""
+
+
+class RateLimit(Effect):
+    """Largest speed of the output, which follows what a faster servo would do."""
+
+    name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 1
+    parameters = (
+        Parameter(
+            "rate_limit_deg_s", ("follow_up_deg_s", "follow_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
+        ),
+    )
+
+    def __init__(self, rate_limit_deg_s: float = math.inf, rate_down_deg_s: float | None = None) -> None:
+        super().__init__(rate_limit_deg_s)
+        self.down_deg_s = rate_limit_deg_s if rate_down_deg_s is None else RateLimit(rate_down_deg_s).down_deg_s
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """As of any effect; the limit downwards may be another one."""
+        return {**super().sizes, "follow_down_deg_s": self.down_deg_s}
+
+    @staticmethod
+    def act(x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float) -> tuple[float, float]:
+        at += min(max(x - at, -down_deg_s * now.step_s), up_deg_s * now.step_s)
+        return at, at
+
+
+class Resonance(Effect):
+    """Flexible linkage between servo and surface."""
+
+    name, slot, rank, memory = "resonance", Slot.OUTPUT, 33, 3
+    longest_s = 2e-3
+    parameters = (
+        Parameter(
+            "frequency_hz",
+            ("resonance_hz",),
+            1.0,
+            80.0,
+            80.0,
+            30.0,
+            (3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.5, 16.0, 20.0, 26.0, 34.0),
+            off=0.0,
+        ),
+        Parameter("damping_ratio", ("resonance_damping",), 5e-3, 0.5, 0.05, 0.05, (0.03, 0.15)),
+    )
+
+    @staticmethod
+    def act(
+        x: float, now: Now, frequency_hz: float, damping: float, at: float, away: float, speed: float
+    ) -> tuple[float, float, float, float]:
+        """A tip on a spring, exactly, while its root moves on a straight line; remembered from there."""
+        if frequency_hz <= 0.0 or now.step_s <= 0.0:
+            return x + away, x, away, speed
+        natural = 2.0 * math.pi * frequency_hz
+        turn = natural * math.sqrt(1.0 - damping * damping)
+        rate = (x - at) / now.step_s
+        behind = -2.0 * damping * rate / natural  # of a root that goes on like this for ever
+        free, faster = away - behind, speed - rate
+        decay = math.exp(-damping * natural * now.step_s)
+        cosine, sine = decay * math.cos(turn * now.step_s), decay * math.sin(turn * now.step_s) / turn
+        after = behind + free * (cosine + damping * natural * sine) + faster * sine
+        speed = rate + faster * (cosine - damping * natural * sine) - natural * natural * free * sine
+        return x + after, x, after, speed
+
+
+class Backlash(Effect):
+    """Free play of gear and linkage, through which the air pushes a surface to its loaded side."""
+
+    name, slot, family, rank, memory = "backlash", Slot.OUTPUT, "hysteresis", 14, 1
+    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
+
+    @staticmethod
+    def act(x: float, now: Now, width_deg: float, at: float) -> tuple[float, float]:
+        half = 0.5 * width_deg
+        side = min(max(_SURE_PER_DEG * now.load_deg, -1.0), 1.0)
+        if side != 0.0:
+            pushed = _PUSH_PER_PA_S * now.pressure_pa * now.step_s
+            at += abs(side) * pushed / (1.0 + pushed) * (x - side * half - at)
+        at = max(min(at, x + half), x - half)
+        return at, at
+
+
+class LinkageNonlinearity(Effect):
+    """Geometry of horn and rod: the ratio changes with the deflection."""
+
+    name, slot, rank = "linkage_nonlinearity", Slot.OUTPUT, 32
+    parameters = (
+        Parameter(
+            "quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1
+        ),
+        Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4), travel_power=2),
+    )
+
+    @staticmethod
+    def act(x: float, now: Now, quadratic: float, cubic: float) -> float:  # noqa: ARG004
+        return x * (1.0 + x * (quadratic + x * cubic))
+
+
+class Gain(Effect):
+    """Horn or linkage of another ratio, or a sensor's scale."""
+
+    name, slot, rank = "gain", Slot.OUTPUT, 2
+    parameters = (Parameter("gain", ("gain",), 0.2, 2.0, 1.0, 0.03, (0.8, 0.95, 1.05, 1.2)),)
+
+    @staticmethod
+    def act(x: float, now: Now, gain: float) -> float:  # noqa: ARG004
+        return gain * x
+
+
+class PositionLimit(Effect):
+    """Stops of the linkage: the surface waits there while the servo goes on."""
+
+    name, slot, form, rank = "position_limit", Slot.OUTPUT, "linkage", 10
+    parameters = (
+        Parameter("lower_deg", ("lower_deg",), -90.0, 0.0, -90.0, 2.0, (-15.0, -10.0, -6.0, -4.0, -2.0), -math.inf),
+        Parameter("upper_deg", ("upper_deg",), 0.0, 90.0, 90.0, 2.0, (2.0, 4.0, 6.0, 10.0, 15.0), math.inf),
+    )
+
+    def __init__(self, lower_deg: float, upper_deg: float) -> None:
+        if not lower_deg < upper_deg:
+            raise ConfigError(f"position_limit: lower_deg {lower_deg:g} must be below upper_deg {upper_deg:g}")
+        self.values = (float(lower_deg), float(upper_deg))
+
+    @staticmethod
+    def act(x: float, now: Now, lower_deg: float, upper_deg: float) -> float:  # noqa: ARG004
+        return min(max(x, lower_deg), upper_deg)

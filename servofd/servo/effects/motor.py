@@ -1,0 +1,108 @@
+"""Effects on the position error that drives the motor."""
+
+from __future__ import annotations
+
+import math
+
+from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effects.commands import RATES_DEG_S
+
+WIDTHS_DEG = (0.1, 0.2, 0.4, 0.8, 1.4, 2.2, 3.5, 6.0)
+"""Widths of dead bands and play from which a search starts."""
+UNFOLLOWED = {"follow_up_deg_s": math.inf, "follow_down_deg_s": math.inf}
+"""The limit of an output that follows, replaced by another kind of limit."""
+RATES_DEG_S_PER_V = (1.4, 2.5, 4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0)
+"""Largest speeds per volt from which a search starts."""
+_UP_DOWN_DEG_S = (20.0, 40.0, 90.0, 180.0, 350.0)
+
+
+class DeadBand(Effect):
+    """Position error that the servo's controller ignores, counted from the edge."""
+
+    name, slot, form, family, rank = "deadband", Slot.ERROR, "error from the edge", "hysteresis", 12
+    parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
+
+    @staticmethod
+    def act(x: float, now: Now, width_deg: float) -> float:  # noqa: ARG004
+        return max(x - 0.5 * width_deg, 0.0) + min(x + 0.5 * width_deg, 0.0)
+
+
+class InsensitiveBand(Effect):
+    """Position error below which the motor is off, and above which it sees all of it."""
+
+    name, slot, form, family, rank = "deadband", Slot.ERROR, "whole error", "hysteresis", 13
+    longest_s = 1.25e-3
+    parameters = (Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
+
+    @staticmethod
+    def act(x: float, now: Now, width_deg: float) -> float:  # noqa: ARG004
+        return 0.0 if abs(x) < 0.5 * width_deg else x
+
+
+class CurrentLimit(Effect):
+    """Supply that cannot give more current: the torque grows with the root of large position errors.
+
+    The duty cycle is proportional to the error, and what the bridge draws from a limited supply to its square
+    (Rhoban's bam notes the same law for XL330 servos); linear well below the knee.
+    """
+
+    name, slot, rank = "current_limit", Slot.ERROR, 30
+    parameters = (
+        Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0), off=math.inf),
+    )
+
+    @staticmethod
+    def act(x: float, now: Now, knee_deg: float) -> float:  # noqa: ARG004
+        return x / math.sqrt(1.0 + abs(x) / knee_deg)
+
+
+class MotorRate(Effect):
+    """Largest speed of the motor: the position error saturates, the loop waits."""
+
+    name, slot, form, fixed, rank = "rate_limit", Slot.ERROR, "motor", UNFOLLOWED, 6
+    parameters = (
+        Parameter(
+            "rate_limit_deg_s", ("rate_up_deg_s", "rate_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
+        ),
+    )
+
+    @staticmethod
+    def act(x: float, now: Now, up_deg_s: float, down_deg_s: float) -> float:
+        return min(max(x, -down_deg_s * now.error_s), up_deg_s * now.error_s)
+
+
+class AsymmetricRate(Effect):
+    """Largest speed of the motor, different in the two directions: a load that pulls one way."""
+
+    name, slot, form, fixed, rank = "rate_limit", Slot.ERROR, "motor, asymmetric", UNFOLLOWED, 31
+    parameters = (
+        Parameter("rate_up_deg_s", ("rate_up_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
+        Parameter("rate_down_deg_s", ("rate_down_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
+    )
+    act = MotorRate.act
+
+
+class VoltageRate(Effect):
+    """Largest speed of the motor in proportion to its supply."""
+
+    name, slot, fixed, rank = "voltage_rate", Slot.ERROR, UNFOLLOWED, 19
+    needs = ("servo_voltage_v",)
+    parameters = (
+        Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),
+    )
+
+    @staticmethod
+    def act(x: float, now: Now, deg_s_per_v: float) -> float:
+        most = deg_s_per_v * now.supply_v * now.error_s
+        return min(max(x, -most), most)
+
+
+class Torque(Effect):
+    """Torque of the motor beside its usual one, in proportion to its supply."""
+
+    name, slot, searched = "torque", Slot.ERROR, False
+    parameters = (Parameter("share", ("torque",), 0.05, 2.0, 1.0, 0.1),)
+
+    @staticmethod
+    def act(x: float, now: Now, share: float) -> float:
+        return share * now.power * x

@@ -1,0 +1,50 @@
+"""Changes of the servo's own linear loop: they have no step of their own, for the loop's matrices hold them."""
+
+from __future__ import annotations
+
+from servofd.servo.effect import Effect, Parameter, Slot
+from servofd.servo.loop import AFTER, BEFORE, INSIDE
+
+
+class SlowDynamics(Effect):
+    """All poles scaled: a weak battery, a heavy surface."""
+
+    name, slot, rank = "slow_dynamics", Slot.OWN, 5
+    parameters = (
+        Parameter("bandwidth_scale", ("bandwidth_scale",), 0.1, 4.0, 1.0, 0.1, (0.3, 0.45, 0.6, 0.75, 0.9, 1.15, 1.5)),
+    )
+
+
+class Damping(Effect):
+    """Damping of the fast pair of poles scaled."""
+
+    name, slot, rank = "damping", Slot.OWN, 25
+    parameters = (Parameter("damping_scale", ("damping_scale",), 0.1, 6.0, 1.0, 0.1, (0.4, 0.7, 1.4, 2.2)),)
+
+
+_POLES = (
+    Parameter("slow_scale", ("slow_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
+    Parameter("pair_scale", ("pair_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
+    Parameter("damping_scale", ("damping_scale",), 0.02, 50.0, 1.0, 0.06, (1.0,)),
+)
+
+
+class Poles(Effect):
+    """How a servo's poles differ from those of its type, the slow one in the loop: part of a model, no effect."""
+
+    name, slot, form, searched, parameters = "poles", Slot.OWN, "inside", False, _POLES
+    fixed = {"slow_place": INSIDE}
+
+
+class PolesBefore(Effect):
+    """The same of a servo whose slow pole filters the command."""
+
+    name, slot, form, searched, parameters = "poles", Slot.OWN, "before", False, _POLES
+    fixed = {"slow_place": BEFORE}
+
+
+class PolesAfter(Effect):
+    """The same of a servo whose slow pole filters what the loop moves."""
+
+    name, slot, form, searched, parameters = "poles", Slot.OWN, "after", False, _POLES
+    fixed = {"slow_place": AFTER}

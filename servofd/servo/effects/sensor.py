@@ -1,0 +1,63 @@
+"""Effects of the position sensor."""
+
+from __future__ import annotations
+
+import math
+
+from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effects.commands import STEPS_DEG
+
+
+class SensorLag(Effect):
+    """First-order filter of the position sensor."""
+
+    name, slot, rank, memory = "sensor_lag", Slot.OUTPUT, 17, 2
+    longest_s = 2.5e-3
+    parameters = (
+        Parameter(
+            "time_constant_s", ("lag_s",), 0.0, 1.0, 0.0, 0.01, (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25)
+        ),
+    )
+
+    @staticmethod
+    def act(x: float, now: Now, constant_s: float, at: float, ahead: float) -> tuple[float, float, float]:
+        """A low pass, exactly, while the surface moves on a straight line; remembered by how far it is ahead of it."""
+        if now.step_s <= 0.0:
+            return x + ahead, x, ahead
+        behind = -constant_s * (x - at) / now.step_s
+        ahead = behind + math.exp(-now.step_s / constant_s) * (ahead - behind)
+        return x + ahead, x, ahead
+
+
+class Bias(Effect):
+    """Trim that was lost, or a sensor's zero."""
+
+    name, slot, rank = "bias", Slot.READING, 1
+    parameters = (Parameter("bias_deg", ("bias_deg",), -30.0, 30.0, 0.0, 0.3, (-1.0, 1.0)),)
+
+    @staticmethod
+    def act(x: float, now: Now, bias_deg: float) -> float:  # noqa: ARG004
+        return x + bias_deg
+
+
+class SupplyCoupling(Effect):
+    """Reading that moves with the servo's current, because both hang on one supply: nothing has moved."""
+
+    name, slot, rank = "supply_coupling", Slot.READING, 24
+    needs = ("servo_current_a",)
+    parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
+
+    @staticmethod
+    def act(x: float, now: Now, deg_per_a: float) -> float:
+        return x + deg_per_a * now.current_a
+
+
+class Quantization(Effect):
+    """Steps of the position sensor."""
+
+    name, slot, form, rank = "quantization", Slot.READING, "position", 22
+    parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
+
+    @staticmethod
+    def act(x: float, now: Now, step_deg: float) -> float:  # noqa: ARG004
+        return step_deg * math.floor(x / step_deg + 0.5)

@@ -1,0 +1,274 @@
+r"""The linear loop of a servo as matrices: what its states are after any step.
+
+With k = ωn², c = 2ζωn of the fast pair and the slow pole a of a servo of three, the states are the shaft y, its speed v
+and a third one, w; docs/explain.md, equations E1 to E4:
+
+==========  ==================================================================================================
+before      y' = v,  v' = −k y − c v + k w,  w' = a (u − w): the slow pole filters the command
+inside      y' = v,  v' = −(a₂ − q) v + w,  w' = −K y − (a₁ − (a₂ − q) q) v − q w + K u: w is the motor's torque
+after       y' = v,  v' = −k y − c v + k u,  w' = a (y − w): it filters what the loop moves
+==========  ==================================================================================================
+
+A constant `push` adds to the error that drives the loop, a constant `pull` to the acceleration. A servo with zeros or
+more poles is a chain of integrators (observable canonical form) whose first state is the deflection.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from logparsers import compiled as compiler
+from servofd.servo.transfer import TransferFunction
+
+if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
+
+BEFORE, INSIDE, AFTER = -1.0, 0.0, 1.0
+"""Places of a servo's slow pole: a filter of the command, a part of the position loop, a filter of what it moves."""
+
+_TIED = 1e-9
+_COARSEST_S = 2.5e-4
+"""Grid of the steps whose matrices are kept; what is left of a step is a series in at most half of it."""
+_FASTEST_TIMES_GRID = 0.05
+"""Of the fastest pole: seven terms of the series in half a step of the grid then leave 1e-16."""
+_LONGEST_S, _MOST = 0.02, 256
+"""Longest step that is kept, and how many."""
+_PHYSICAL = 3
+"""States of a servo on which effects can act, and most of its poles."""
+_FINER, _TERMS, _SQUARINGS = 16.0, 9, 4
+
+
+class Loop(NamedTuple):
+    """One linear servo, as the stepper needs it."""
+
+    a: FloatArray
+    """Derivatives of the states over the states, shape (n * n,), row by row."""
+    b: FloatArray
+    """The same over command, push and pull, shape (n * 3,)."""
+    steps: FloatArray
+    """States after 0..k steps of the grid, shape (k + 1, n * (n + 4)), from states, command, its slope, push and pull."""
+    grid_s: float
+    rest: FloatArray
+    """States of a shaft at rest at 1, shape (n,)."""
+    gain: float
+    """Deflection at rest for each degree of command."""
+    error_s: float
+    """Position error that drives a steady speed: deg for each deg/s of deflection."""
+    per_error: float
+    """Deceleration that balances an error [1/s^2]."""
+    leaves: int
+    """Which of the states leaves the servo."""
+    filters: bool
+    """Whether the third state is the command that a slow pole lets through."""
+    stretch: FloatArray
+    """Power of a scale of time by which each state grows, shape (n,)."""
+    natural_rad_s: float
+    """Of the loop: how fast what acts on it matters."""
+    is_physical: bool
+    """Whether effects can act inside."""
+
+
+class Scales(NamedTuple):
+    """How the poles of a servo differ from those of its type, and where the slow one of three acts."""
+
+    bandwidth: float = 1.0
+    slow: float = 1.0
+    pair: float = 1.0
+    damping: float = 1.0
+    place: float = INSIDE
+    torque_share: float = 0.8
+    """Share of the damping that acts on the torque; it matters for loads and friction alone."""
+
+
+def scaled(transfer: TransferFunction, scales: Scales) -> TransferFunction:
+    """The servo with its poles scaled; the dc gain stays.
+
+    Examples
+    --------
+    >>> from servofd.servo.library import servo_named
+    >>> slow = scaled(servo_named("hs225bb-eq31").transfer, Scales(bandwidth=0.5))
+    >>> round(slow.bandwidth_rad_s, 2), round(slow.dc_gain, 9)
+    (14.24, 1.0)
+    """
+    if scales[:4] == (1.0, 1.0, 1.0, 1.0):
+        return transfer
+    if len(transfer.numerator) > 1:
+        return transfer.with_bandwidth_scaled(scales.bandwidth)
+    polynomial = _polynomial(transfer.denominator, scales)
+    return TransferFunction((transfer.dc_gain * float(polynomial[-1]),), tuple(polynomial.tolist()))
+
+
+def _polynomial(denominator: tuple[float, ...], scales: Scales) -> FloatArray:
+    """Monic characteristic polynomial with its poles scaled."""
+    monic = np.array(denominator) / denominator[0]
+    if monic.size == _PHYSICAL:
+        monic[1] *= scales.damping * scales.pair
+        monic[2] *= scales.pair**2
+    else:
+        monic = _damped(monic, scales.damping)
+        if monic.size == _PHYSICAL + 1 and (scales.slow != 1.0 or scales.pair != 1.0):
+            slow, (total, product) = split(monic)
+            monic = np.polymul([1.0, scales.slow * slow], [1.0, scales.pair * total, scales.pair**2 * product])
+        elif monic.size <= _PHYSICAL:
+            monic = monic * scales.pair ** np.arange(monic.size)
+    polynomial: FloatArray = monic * scales.bandwidth ** np.arange(monic.size)
+    return polynomial
+
+
+def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
+    """Slow pole of a monic polynomial of three [rad/s], and what the other two leave: s^2 + sum s + product."""
+    roots = np.roots(monic)
+    real = roots[np.abs(roots.imag) <= _TIED * np.abs(roots)].real
+    slow = float(-real[np.argmin(np.abs(real))])
+    # Deflated, not multiplied from roots: the polynomial stays what it was.
+    total = float(monic[1]) - slow
+    return slow, (total, float(monic[3]) / slow)
+
+
+def _damped(monic: FloatArray, scale: float) -> FloatArray:
+    """Characteristic polynomial with the damping of its fastest two poles scaled."""
+    if scale == 1.0 or monic.size <= _PHYSICAL:
+        return monic
+    roots = np.roots(monic)
+    pair = np.argsort(np.abs(roots))[-2:]
+    if monic.size == _PHYSICAL + 1 and abs(roots[pair].sum().imag) > _TIED * abs(roots[pair[0]]):
+        pair = np.flatnonzero(roots.imag != 0.0)
+    rest = np.delete(roots, pair)
+    quadratic = np.array([1.0, -scale * roots[pair].sum().real, np.prod(roots[pair]).real])
+    damped: FloatArray = np.polymul(np.poly(rest).real, quadratic)
+    return damped
+
+
+@lru_cache(maxsize=128)  # of many runs each asks for the same
+def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSEST_S) -> Loop:
+    """Matrices of a servo with its poles scaled, on a grid of steps [s] or a finer one.
+
+    Examples
+    --------
+    >>> from servofd.servo.library import servo_named
+    >>> loop = loop_of(servo_named("hs225bb-eq31").transfer, Scales())
+    >>> round(loop.error_s, 5)  # 332 deg/s need 18.1 deg of error
+    0.05449
+    """
+    order = len(transfer.denominator) - 1
+    is_physical = len(transfer.numerator) == 1 and 1 <= order <= _PHYSICAL
+    fastest = float(np.abs(scaled(transfer, scales).poles_rad_s).max())
+    # Halved until it is fine enough, so that servos whose poles differ a little share one grid.
+    grid_s *= 0.5 ** max(math.ceil(math.log2(grid_s * fastest / _FASTEST_TIMES_GRID)), 0)
+    rest: FloatArray
+    if is_physical:
+        a, b, facts = _physical(_polynomial(transfer.denominator, scales), scales)
+        rest = np.array([1.0, 0.0, float(facts.leaves == 2 or facts.filters)])
+    else:
+        a, b, facts = _canonical(scaled(transfer, scales))
+        # The companion's states at rest: each is what the one before it and the command leave of the balance.
+        rest = -np.linalg.solve(a, b[:, 0]) / transfer.dc_gain
+        b = b / transfer.dc_gain
+    count = min(round(_LONGEST_S / grid_s), _MOST)
+    return Loop(
+        a.ravel(), b.ravel(), _steps(a, b, grid_s, count), grid_s, rest, transfer.dc_gain, facts.error_s / transfer.dc_gain,
+        facts.per_error, facts.leaves, facts.filters, facts.stretch, facts.natural_rad_s, is_physical,
+    )  # fmt: skip
+
+
+class _Facts(NamedTuple):
+    error_s: float
+    per_error: float
+    leaves: int
+    filters: bool
+    stretch: FloatArray
+    natural_rad_s: float
+
+
+def _physical(monic: FloatArray, scales: Scales) -> tuple[FloatArray, FloatArray, _Facts]:
+    """Derivatives of shaft, speed and third state."""
+    a, b = np.zeros((3, 3)), np.zeros((3, 3))
+    order, stiffness, error_s = monic.size - 1, float(monic[-1]), float(monic[-2] / monic[-1])
+    stretch = np.array([0.0, 1.0, 0.0])
+    if order == 1:
+        a[0, 0], b[0] = -stiffness, (stiffness, stiffness, 1.0)
+        return a, b, _Facts(1.0 / stiffness, stiffness, 0, False, stretch, stiffness)
+    a[0, 1] = 1.0
+    if order == 2 or scales.place != INSIDE:
+        slow, pair = (0.0, (float(monic[1]), stiffness)) if order == 2 else split(monic)
+        damping, stiffness = pair
+        a[1, :2], b[1] = (-stiffness, -damping), (stiffness, stiffness, 1.0)
+        filters = order == _PHYSICAL and scales.place == BEFORE
+        if filters:
+            a[1, 2], b[1, 0], a[2, 2], b[2, 0] = stiffness, 0.0, -slow, slow
+        elif order == _PHYSICAL:
+            a[2, 0], a[2, 2] = slow, -slow
+        leaves = 2 if order == _PHYSICAL and not filters else 0
+        return a, b, _Facts(damping / stiffness, stiffness, leaves, filters, stretch, math.sqrt(stiffness))
+    q = scales.torque_share * float(monic[1])
+    p = float(monic[1]) - q
+    a[1, 1:], a[2] = (-p, 1.0), (-stiffness, -(float(monic[2]) - p * q), -q)
+    b[1, 2], b[2, :2] = 1.0, stiffness
+    natural = float(np.abs(np.roots(monic)).max())
+    return a, b, _Facts(error_s, stiffness / q, 0, False, np.array([0.0, 1.0, 2.0]), natural)
+
+
+def _canonical(transfer: TransferFunction) -> tuple[FloatArray, FloatArray, _Facts]:
+    """Derivatives of a chain of integrators whose first state is the deflection."""
+    bottom = np.array(transfer.denominator) / transfer.denominator[0]
+    n = bottom.size - 1
+    top = np.zeros(n)
+    top[n - len(transfer.numerator) :] = np.array(transfer.numerator) / transfer.denominator[0]
+    a = np.eye(n, k=1)
+    a[:, 0] = -bottom[1:]
+    b = np.zeros((n, 3))
+    b[:, 0] = top
+    fastest = float(np.abs(transfer.poles_rad_s).max())
+    return a, b, _Facts(float(bottom[-2] / bottom[-1]), float(bottom[-1]), 0, False, np.arange(n) * 1.0, fastest)
+
+
+@compiler.compiled
+def _steps(a: FloatArray, b: FloatArray, grid_s: float, count: int) -> FloatArray:
+    """States after 0..count steps of the grid, from states and inputs: Taylor's series of a small step, squared."""
+    n = a.shape[0]
+    size = n + 4
+    whole, one, term = np.zeros((size, size)), np.eye(size), np.eye(size)
+    for i in range(n):
+        for j in range(n):
+            whole[i, j] = a[i, j]
+        whole[i, n], whole[i, n + 2], whole[i, n + 3] = b[i, 0], b[i, 1], b[i, 2]
+    whole[n, n + 1] = 1.0  # the command runs on at its slope
+    fine = grid_s / _FINER
+    other = np.zeros((size, size))
+    for k in range(1, _TERMS):
+        for i in range(size):
+            for j in range(size):
+                total = 0.0
+                for m in range(size):
+                    total += term[i, m] * whole[m, j]
+                other[i, j] = total * (fine / k)
+        for i in range(size):
+            for j in range(size):
+                term[i, j] = other[i, j]
+                one[i, j] += term[i, j]
+    for _ in range(_SQUARINGS):
+        for i in range(size):
+            for j in range(size):
+                total = 0.0
+                for m in range(size):
+                    total += one[i, m] * one[m, j]
+                other[i, j] = total
+        for i in range(size):
+            for j in range(size):
+                one[i, j] = other[i, j]
+    steps = np.zeros((count + 1, n, size))
+    for i in range(n):
+        steps[0, i, i] = 1.0
+    for k in range(1, count + 1):
+        for i in range(n):
+            for j in range(size):
+                total = one[i, j] if j >= n else 0.0
+                for m in range(n):
+                    total += one[i, m] * steps[k - 1, m, j]
+                steps[k, i, j] = total
+            steps[k, i, n + 1] += one[i, n] * (k - 1) * grid_s
+    return steps.reshape((count + 1, n * size))
