@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit as SurfaceAudit
     from servofd.discrepancy.explanation import Explanation as Explanation
     from servofd.discrepancy.explanation import explain_gap as explain_gap
-    from servofd.discrepancy.own import OwnEffect as OwnEffect
-    from servofd.discrepancy.own import OwnParameter as OwnParameter
+    from servofd.servo.effect import Effect as Effect
+    from servofd.servo.effect import Parameter as Parameter
+    from servofd.servo.effect import Slot as Slot
     from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.result import Identification as Identification
     from servofd.jobs.explaining import explain_logs as explain_logs
@@ -52,8 +53,9 @@ _HOME = {
     "Explanation": "discrepancy.explanation",
     "Identification": "identification.result",
     "LogAudit": "detection.verdict",
-    "OwnEffect": "discrepancy.own",
-    "OwnParameter": "discrepancy.own",
+    "Effect": "servo.effect",
+    "Parameter": "servo.effect",
+    "Slot": "servo.effect",
     "ResidualGenerator": "detection.residual",
     "Segment": "aircraft.segment",
     "Servo": "servo.library",

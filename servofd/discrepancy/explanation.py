@@ -19,20 +19,19 @@ from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, places_of, step_size_
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.validity import check, clear_of, driven, share_followed
-from servofd.servo.catalogue import CATALOGUE, plain, told_apart
-from servofd.servo.effects import Extension
-from servofd.servo.physics import AFTER, BEFORE, scaled_transfer, split
+from servofd.servo.catalogue import is_built_in, plain, told_apart
+from servofd.servo.loop import AFTER, BEFORE, split
+from servofd.servo.loop import scaled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.fit import Fit
-    from servofd.discrepancy.own import OwnEffect
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.validity import Undriven
     from servofd.discrepancy.varying import Varying
-    from servofd.servo.effects import Effect
+    from servofd.servo.effect import Effect
     from servofd.servo.physics import Physics
     from servofd.servo.servo_model import ServoModel
 
@@ -125,16 +124,14 @@ class Elsewhere:
 
 
 def judged_elsewhere(
-    path: str, segment: Segment, model: ServoModel, physics: Physics, own: OwnEffect | None = None
+    path: str, segment: Segment, model: ServoModel, physics: Physics
 ) -> Elsewhere:
     """Errors of the servo as it was known, and with the effects that were found in another flight.
 
     Parameters
     ----------
-    own : OwnEffect, optional
-        An effect of the user's own that is among them.
     """
-    record = record_of(segment, model, own=own)
+    record = record_of(segment, model)
     before, after = (record.measured_deg - simulate(record, each) for each in (record.plant.neutral, physics))
     floor_deg = noise_floor_deg(record, after)
     before_deg, after_deg = rms(before[record.counts]), rms(after[record.counts])
@@ -222,12 +219,12 @@ class Explanation:
     @property
     def is_simulated_by_audit(self) -> bool:
         """Whether an audit can run the servo as it was found: not if an effect of the user's own is part of it."""
-        return all(plain(effect) in CATALOGUE for effect in self.selection.final.effects)
+        return all(is_built_in(plain(effect)) for effect in self.selection.final.effects)
 
     @property
     def better_model(self) -> ServoModel:
         """The model with what was missing, for an audit."""
-        return self.model + Extension(self.physics)
+        return self.model.with_physics(self.physics)
 
     def rms_deg(self, fit: Fit) -> dict[str, float]:
         """Error of a fit on the fitted and on the held-out samples [deg]."""
@@ -288,7 +285,6 @@ def explain_gap(
     *,
     on_bench: bool = False,
     free_poles: bool = False,
-    own: OwnEffect | None = None,
     off: Sequence[Undriven] = (),
     conditions: Mapping[str, FloatArray] | None = None,
     progress: Callable[[str], None] = lambda _step: None,
@@ -306,8 +302,6 @@ def explain_gap(
         Whether each run begins at rest, so that all of it counts.
     free_poles : bool
         Whether the poles of the model are only where the search for them starts.
-    own : OwnEffect, optional
-        An effect of the user's own, tried beside those of the catalogue.
     off : sequence of Undriven
         Where the log itself says that the servo was not driven.
     conditions : mapping of str to ndarray, shape (r,), optional
@@ -324,7 +318,7 @@ def explain_gap(
 
     Examples
     --------
-    >>> from servofd.servo.effects import Delay
+    >>> from servofd.servo.effects.commands import Delay
     >>> from servofd.servo.servo_model import ServoModel
     >>> from servofd.aircraft.segment import Segment
     >>> from servofd.servo.library import servo_named
@@ -340,7 +334,7 @@ def explain_gap(
     0.024
     """
     segments = [segment] if isinstance(segment, Segment) else list(segment)
-    records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles, own=own) for each in segments]
+    records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles) for each in segments]
     known = told_apart(conditions or {})
     records = [
         replace(each, conditions=tuple(float(of[k]) for of in known.values()), condition_names=tuple(known))
@@ -378,7 +372,7 @@ def explain_gap(
     )
     gain = None
     if selection.rungs and found.is_simulated_by_audit and record.side is None:
-        before = model + Extension(selection.nominal.physics) if free_poles else model
+        before = model.with_physics(selection.nominal.physics) if free_poles else model
         gain = audit_gain(segments, before, found.better_model, fault_s or float("inf"))
     # Manoeuvres are simulated, and how the servo moves must be known for that.
     return replace(found, separating=() if record.side is not None else separations(selection), gain=gain)
@@ -529,7 +523,7 @@ def linear_sentence(record: Record, selection: Selection) -> str:
     """Which linear servo was fitted, as nobody knew one."""
     said = []
     for fit in (selection.nominal, selection.final):
-        transfer = scaled_transfer(record.plant.transfer, fit.physics)
+        transfer = scaled(record.plant.transfer, fit.physics.scales)
         monic = np.array(transfer.denominator) / transfer.denominator[0]
         words = []
         if record.plant.has_places:

@@ -29,10 +29,11 @@ from servofd.discrepancy.noise import (
 )
 from servofd.discrepancy.record import Record, simulate, thinned
 from servofd.servo.catalogue import Bias, Gain, Quantization, installed
-from servofd.servo.physics import Physics, split
+from servofd.servo.loop import split
+from servofd.servo.physics import Physics
 
 if TYPE_CHECKING:
-    from servofd.servo.effects import Effect, Parameter
+    from servofd.servo.effect import Effect, Parameter
 
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""

@@ -14,7 +14,7 @@ from servofd.servo.catalogue import Backlash, Bias, DeadBand, Friction, Gain, In
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.effects import Effect
+    from servofd.servo.effect import Effect
 
 _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""

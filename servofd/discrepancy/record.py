@@ -10,7 +10,8 @@ import numpy as np
 from servofd.detection.residual import Commands, commands_at_servo, rhythm
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
-from servofd.servo.physics import LOOSE_FIELDS, Physics, Plant, longest_step_s
+from servofd.servo.motion import machine_of, received
+from servofd.servo.physics import Physics, Plant, loose_shares
 from servofd.servo.servo_model import plant_of
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.segment import Segment
     from servofd.core.types import BoolArray, FloatArray, IntArray
-    from servofd.discrepancy.own import OwnEffect
     from servofd.servo.servo_model import ServoModel
 
 _DOUBTFUL = 1.45
@@ -189,8 +189,6 @@ class Record:
     """Separate experiments with one servo that this record is the sequence of; none if it is one itself."""
     free_poles: bool = False
     """Whether the poles of the servo are not known, and are fitted along with every effect."""
-    own: OwnEffect | None = None
-    """An effect of the user's own."""
     side: FloatArray | None = None
     """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to
     show more than where it rests."""
@@ -236,7 +234,6 @@ def record_of(
     *,
     at_rest: bool = False,
     free_poles: bool = False,
-    own: OwnEffect | None = None,
 ) -> Record:
     """Prepare a segment for comparison."""
     time_s, measured_deg = segment.measured_s, segment.measured_deg
@@ -277,7 +274,6 @@ def record_of(
         pushed,
         comb_step_deg(measured_deg),
         free_poles=free_poles,
-        own=own,
     )
 
 
@@ -404,7 +400,7 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     """
     if not record.runs:
         physics = at_run(physics, record.conditions)
-    loose_deg = _loose_deg(physics)
+    loose_deg = physics.loose_deg
     if record.runs and loose_deg > 0.0 and record.side is None and record.is_zeroed:
         return np.concatenate(
             [_from_where_it_lay(each, at_run(physics, each.conditions), finer) for each in record.runs]
@@ -413,16 +409,10 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
         return np.concatenate([simulate(each, physics, finer) for each in record.runs])
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
-        tight = physics._replace(**dict.fromkeys(LOOSE_FIELDS, 0.0))
+        tight = physics._replace(**dict.fromkeys(loose_shares(), 0.0))
         lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
         return lying_deg
-    moved_deg: FloatArray = _moved_from(record, physics, finer, [_first_deg(record)])[0]
-    return moved_deg
-
-
-def _loose_deg(physics: Physics) -> float:
-    """How far a surface may rest from where it is asked to be [deg]."""
-    return float(sum(getattr(physics, name) * share for name, share in LOOSE_FIELDS.items()))
+    return _moved_from(record, physics, finer, _first_deg(record))
 
 
 def _first_deg(record: Record) -> float:
@@ -431,43 +421,33 @@ def _first_deg(record: Record) -> float:
     return float(record.measured_deg[known[0]]) if known.size else 0.0
 
 
-def _moved_from(record: Record, physics: Physics, finer: float, starts_deg: Sequence[float]) -> FloatArray:
-    """Positions of one run from rest at each of several places [deg], shape (p, n)."""
-    from servofd.servo.position_loop import framed, new_memory, run
-
-    commands, plant = record.commands, record.plant
-    sent_s, deg, slope = commands.effective_s, commands.command_deg, commands.slope_deg_s
-    if record.own is not None:
-        deg = record.own.changed("command", physics, sent_s, deg)
-    if physics.command_step_deg > 0.0:
-        deg = physics.command_step_deg * np.round(deg / physics.command_step_deg)
-    if physics.frame_s > 0.0:
-        sent_s, deg = framed(sent_s, deg, slope, physics.frame_s, physics.frame_phase)
-        slope = np.zeros(deg.size)
-    nothing = np.zeros(record.time_s.size)
-    machine, loop = plant.machine(physics)
-    positions_deg = run(
-        machine,
-        loop,
-        plant.dc_gain,
-        longest_step_s(machine) / finer,
-        sent_s + physics.delay_s,
-        deg,
-        slope,
-        record.time_s - physics.offset_s,
-        nothing if record.pressure_pa is None else record.pressure_pa,
-        nothing if record.voltage_v is None else record.voltage_v,
-        np.array([new_memory(start_deg) for start_deg in starts_deg]),
-        None if record.pushed is None else record.pushed.pushed(record.time_s, physics.load_late_s),
-    )
-    if physics.deg_per_a != 0.0 and record.current_a is not None:
-        positions_deg = positions_deg + physics.deg_per_a * record.current_a
-    if record.own is not None:
-        changed = [record.own.changed("deflection", physics, record.time_s, each) for each in positions_deg]
-        positions_deg = np.array(changed)
+def _moved_from(record: Record, physics: Physics, finer: float, start_deg: float) -> FloatArray:
+    """Positions of one run from rest at a place [deg], shape (n,)."""
+    commands = record.commands.effective_s, record.commands.command_deg, record.commands.slope_deg_s
+    machine = machine_of(record.plant.transfer, (physics,), finer)
+    moved_deg = machine.run(
+        machine.new_state(), received(physics, commands), record.time_s,
+        anew=_FIRST_ALONE, measured_deg=np.array([start_deg]), around=_around(record, physics),
+    )[0][:, 0]  # fmt: skip
     # A load that pushes harder the further it has pushed runs away from a motor at its limit.
-    bounded: FloatArray = np.fmax(np.fmin(positions_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
+    bounded: FloatArray = np.fmax(np.fmin(moved_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
     return bounded
+
+
+_FIRST_ALONE = np.ones(1, dtype=bool)
+
+
+def _around(record: Record, physics: Physics) -> FloatArray:
+    """What was logged beside the servo, as the stepper takes it."""
+    count = record.time_s.size
+    columns = (
+        np.zeros(count) if record.pressure_pa is None else record.pressure_pa,
+        np.full(count, np.inf) if record.voltage_v is None else record.voltage_v,
+        np.ones(count),
+        np.zeros(count) if record.current_a is None else record.current_a,
+        np.zeros(count) if record.pushed is None else record.pushed.pushed(record.time_s, physics.load_late_s),
+    )
+    return np.column_stack(columns)
 
 
 def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArray:
@@ -475,8 +455,10 @@ def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArra
 
     Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
     """
-    places_deg = _loose_deg(physics) * _PLACES
-    readings = _moved_from(run, physics, finer, (_first_deg(run) + places_deg).tolist()) - places_deg[:, None]
+    places_deg = physics.loose_deg * _PLACES
+    begins_deg = _first_deg(run) + places_deg
+    moved = np.array([_moved_from(run, physics, finer, begin_deg) for begin_deg in begins_deg.tolist()])
+    readings = moved - places_deg[:, None]
     errors = (run.measured_deg - readings)[:, run.counts]
     best_deg: FloatArray = readings[int(np.argmin(np.sum(errors * errors, axis=1)))]
     return best_deg

@@ -13,7 +13,6 @@ from servofd.discrepancy.noise import AT_REST, COARSE_STEP_DEG
 from servofd.discrepancy.record import liveliest, only, simulate
 from servofd.servo import catalogue
 from servofd.servo.catalogue import (
-    CATALOGUE,
     ClockOffset,
     Delay,
     PwmFrame,
@@ -23,14 +22,15 @@ from servofd.servo.catalogue import (
     installed,
     plain,
 )
-from servofd.servo.physics import AFTER, BEFORE, INSIDE, RATE_FIELDS
+from servofd.servo.loop import AFTER, BEFORE, INSIDE
+from servofd.servo.physics import RATE_FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.effects import Effect
+    from servofd.servo.effect import Effect
     from servofd.servo.physics import Physics
 
 _PLACES: dict[type[Effect], tuple[float, ...]] = {
@@ -38,7 +38,7 @@ _PLACES: dict[type[Effect], tuple[float, ...]] = {
     catalogue.InsensitiveBand: (BEFORE, INSIDE),
     catalogue.Friction: (BEFORE, INSIDE, AFTER),
     catalogue.StribeckFriction: (BEFORE, INSIDE, AFTER),
-    catalogue.RateLimit: (BEFORE, INSIDE, AFTER),
+    catalogue.MotorRate: (BEFORE, INSIDE, AFTER),
     catalogue.AsymmetricRate: (BEFORE, INSIDE),
     catalogue.ShaftSpeed: (BEFORE, AFTER, INSIDE),
     catalogue.VoltageRate: (BEFORE, INSIDE, AFTER),
@@ -135,10 +135,9 @@ def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
         if values is not None
     }
     if record.side is not None:
-        return list(AT_REST), [effect for effect in CATALOGUE if effect not in AT_REST]
-    own = (record.own.missing_effect(),) if record.own else ()
-    able = [effect for effect in (*CATALOGUE, *own) if set(effect.needs) <= held]
-    unable = [effect for effect in CATALOGUE if effect not in able and effect is not catalogue.ExternalLoad]
+        return list(AT_REST), [effect for effect in catalogue.catalogue() if effect not in AT_REST]
+    able = [effect for effect in catalogue.catalogue() if set(effect.needs) <= held]
+    unable = [effect for effect in catalogue.catalogue() if effect not in able and effect is not catalogue.ExternalLoad]
     linear: set[type[Effect]] = {
         catalogue.SlowDynamics,
         catalogue.Damping,

@@ -35,7 +35,7 @@ from servofd.servo.catalogue import (
     Bias,
     Gain,
     GravityLoad,
-    RateLimit,
+    MotorRate,
     SlowDynamics,
     TiltedLoad,
     by_condition,
@@ -43,14 +43,14 @@ from servofd.servo.catalogue import (
     is_law,
     plain,
 )
-from servofd.servo.physics import INSIDE
+from servofd.servo.loop import INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.effects import Effect
+    from servofd.servo.effect import Effect
 
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""
@@ -573,7 +573,7 @@ def _or_slow(
         return ties, tied
     rest = tuple(effect for effect in best.effects if effect is not mine)
     if mine.name == slow:
-        theirs, effects = RateLimit.name, (*rest, RateLimit)
+        theirs, effects = MotorRate.name, (*rest, MotorRate)
         visited = [fit for fit in search.visited.values() if set(fit.effects) == set(effects)]
         rival = min(visited, key=lambda fit: fit.misfit, default=None)
     else:

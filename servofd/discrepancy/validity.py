@@ -109,7 +109,7 @@ def _check_order(record: Record, error_deg: FloatArray) -> None:
     """
     known, command_deg = np.isfinite(record.measured_deg), record.commands.at(record.time_s)
     given = Commands(record.time_s[known], record.measured_deg[known], np.zeros(int(known.sum())))
-    swapped = replace(record, commands=given, measured_deg=command_deg, own=None)
+    swapped = replace(record, commands=given, measured_deg=command_deg)
     wrong_deg = command_deg - simulate(swapped, record.plant.neutral)
     asked, measured = command_deg[record.counts], record.measured_deg[record.counts]
     shift = min(max(round(_SHIFT_S / record.period_s), 1), asked.size // 4)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.servo.effects import Effect, Parameter
+    from servofd.servo.effect import Effect, Parameter
 
 _LEAST_SHARE, _SIGMAS = 0.5, 3.0
 """Of the value that is common to all runs, the least that a run may have, and the inverse of the most; a run tells its

@@ -14,14 +14,14 @@ from servofd.core.errors import ConfigError, DesignError, NoMeasurement, Unknown
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
-from servofd.discrepancy.own import OwnEffect, load_own_effect
+from servofd.discrepancy.own import load_own_effect
 from servofd.discrepancy.record import without_held
 from servofd.discrepancy.validity import Undriven, without_torque
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.jobs.bench import bench_aircraft, label_of
 from servofd.servo.library import Servo
-from servofd.servo.physics import scaled_transfer
+from servofd.servo.loop import scaled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -71,7 +71,7 @@ def explain_logs(
     surfaces: tuple[str, ...] = (),
     servo: str | None = None,
     also: Sequence[str | Path] = (),
-    own: OwnEffect | str | Path | None = None,
+    own: type[Effect] | str | Path | None = None,
     alone: bool = False,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> ExplainedLogs:
@@ -90,8 +90,8 @@ def explain_logs(
         fitted as well. A bench record whose aircraft file names no servo is of an unknown one.
     also : sequence of str or Path
         Further logs of the same aircraft, on which the model that was found is only judged.
-    own : OwnEffect, str or Path, optional
-        An effect of the user's own, or the file that makes it, tried beside those of the catalogue.
+    own : class of Effect, str or Path, optional
+        An effect of the user's own, or the file that defines it; every verb knows it from now on.
     alone : bool
         Whether more than one surface is an error.
     progress : callable
@@ -110,7 +110,8 @@ def explain_logs(
         If the aircraft is not what it should be, a name is unknown, or a log of `also` does not hold the surfaces.
 
     """
-    effect = load_own_effect(own) if isinstance(own, str | Path) else own
+    if own is not None:
+        load_own_effect(own) if isinstance(own, str | Path) else include(own)
     flown = _opened(paths, aircraft, servo)
     for name in surfaces:
         if name not in flown.aircraft.surfaces:
@@ -120,7 +121,7 @@ def explain_logs(
         raise UnknownName(f"{flown.source}: choose a surface: {', '.join(wanted)}")
     others = list(logs_of(also, flown.aircraft)) if also else []
     judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
-    return _explained(flown, wanted, judged, effect, progress)
+    return _explained(flown, wanted, judged, progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +172,6 @@ def _explained(
     flown: _Flown,
     surfaces: Sequence[str],
     also: Sequence[tuple[str, dict[str, Segment]]],
-    own: OwnEffect | None,
     progress: Callable[[str], None],
 ) -> ExplainedLogs:
     aircraft, found, failures = flown.aircraft, [], []
@@ -179,7 +179,7 @@ def _explained(
         if name not in aircraft.surfaces:
             raise UnknownName(f"{flown.source}: {suggest('surface', name, aircraft.surfaces)}")
         try:
-            one = _surface(flown, name, also, own, progress)
+            one = _surface(flown, name, also, progress)
         except (NoMeasurement, DesignError) as error:
             failures.append(f"{flown.source}: {name}: {error}")
             continue
@@ -193,7 +193,6 @@ def _surface(
     flown: _Flown,
     name: str,
     also: Sequence[tuple[str, dict[str, Segment]]],
-    own: OwnEffect | None,
     progress: Callable[[str], None],
 ) -> Explanation:
     free_poles = flown.has_unknown_servo(name)
@@ -214,7 +213,6 @@ def _surface(
         model,
         on_bench=flown.on_bench,
         free_poles=free_poles,
-        own=own,
         off=off,
         conditions=conditions,
         progress=progress,
@@ -225,7 +223,7 @@ def _surface(
         found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))
     if found.fault_s is not None and len(flown.logs) == 1:
         found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
-    judged = tuple(judged_elsewhere(label, there[name], model, found.physics, own) for label, there in also)
+    judged = tuple(judged_elsewhere(label, there[name], model, found.physics) for label, there in also)
     worse = [
         f"{Path(there.path).name}: the model does worse there than without what was found: is it the same servo?"
         for there in judged
@@ -299,7 +297,7 @@ def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = UNKNOWN
 
 def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> Aircraft:
     """The aircraft with the servo whose poles were found, for an audit."""
-    transfer = scaled_transfer(found.record.plant.transfer, found.selection.final.physics)
+    transfer = scaled(found.record.plant.transfer, found.selection.final.physics.scales)
     servo = Servo(
         title=UNKNOWN_SERVO.title,
         numerator=transfer.numerator,

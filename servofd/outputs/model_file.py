@@ -10,9 +10,9 @@ import numpy as np
 from servofd.core.errors import CalibrationError
 from servofd.core.toml_text import toml_key, toml_lines
 from servofd.feedback.fitted import good_levels, levels_of
-from servofd.servo.catalogue import CATALOGUE, OWN, Bias, Delay, Gain, plain, table_of
+from servofd.servo.catalogue import OWN, Bias, Delay, Gain, is_built_in, plain, table_of
 from servofd.servo.library import Servo
-from servofd.servo.physics import INSIDE
+from servofd.servo.loop import INSIDE
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import Explanation
     from servofd.identification.result import Identification
     from servofd.servo.catalogue import EffectTable
-    from servofd.servo.effects import Effect
+    from servofd.servo.effect import Effect
 
 _WORTH_SAVING = 0.9
 """A model that leaves more of the error than this is no better."""
@@ -97,7 +97,7 @@ def _why_not(found: Explanation) -> str:
         return "the log shows only where it rests, not how it moves"
     if not final.effects:
         return "no effect was found, so there is no better model"
-    own = [effect.name for effect in final.effects if plain(effect) not in CATALOGUE]
+    own = [effect.name for effect in final.effects if not is_built_in(plain(effect))]
     if own:
         return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
     before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, final))

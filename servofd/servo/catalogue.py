@@ -13,12 +13,54 @@ import numpy as np
 import servofd.servo.effects as _modules
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.servo.effect import Effect, Parameter
-from servofd.servo.effects.commands import Delay, SetPointRate
-from servofd.servo.effects.linkage import Backlash, Gain, RateLimit
-from servofd.servo.effects.motor import CurrentLimit, DeadBand, MotorRate
-from servofd.servo.effects.own import Poles, PolesAfter, PolesBefore
-from servofd.servo.effects.sensor import Bias
-from servofd.servo.effects.shaft import Friction, GravityLoad, ShaftSpeed, StribeckFriction
+from servofd.servo.effects.commands import (
+    ClockOffset as ClockOffset,
+    CommandSteps as CommandSteps,
+    Delay as Delay,
+    PwmFrame as PwmFrame,
+    SetPointRate as SetPointRate,
+)
+from servofd.servo.effects.linkage import (
+    Backlash as Backlash,
+    Gain as Gain,
+    LinkageNonlinearity as LinkageNonlinearity,
+    PositionLimit as PositionLimit,
+    RateLimit as RateLimit,
+    Resonance as Resonance,
+)
+from servofd.servo.effects.motor import (
+    AsymmetricRate as AsymmetricRate,
+    CurrentLimit as CurrentLimit,
+    DeadBand as DeadBand,
+    InsensitiveBand as InsensitiveBand,
+    MotorRate as MotorRate,
+    VoltageRate as VoltageRate,
+)
+from servofd.servo.effects.own import (
+    Damping as Damping,
+    Poles as Poles,
+    PolesAfter as PolesAfter,
+    PolesBefore as PolesBefore,
+    SlowDynamics as SlowDynamics,
+)
+from servofd.servo.effects.sensor import (
+    Bias as Bias,
+    Quantization as Quantization,
+    SensorLag as SensorLag,
+    SupplyCoupling as SupplyCoupling,
+)
+from servofd.servo.effects.shaft import (
+    AirLoad as AirLoad,
+    ExternalLoad as ExternalLoad,
+    Friction as Friction,
+    GravityLoad as GravityLoad,
+    LoadFriction as LoadFriction,
+    ServoStop as ServoStop,
+    ShaftSpeed as ShaftSpeed,
+    ShaftSpeedBySupply as ShaftSpeedBySupply,
+    StribeckFriction as StribeckFriction,
+    TiltedLoad as TiltedLoad,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,27 +102,36 @@ def catalogue() -> tuple[type[Effect], ...]:
     return tuple(sorted((e for e in everything() if e.searched), key=lambda effect: effect.rank))
 
 
-@contextmanager
-def including(*effects: type[Effect]) -> Iterator[None]:
-    """Know these effects as well, as if they stood in the package.
+def is_built_in(effect: type[Effect]) -> bool:
+    """Whether an effect stands in the package, and not in a file of the user's own."""
+    return effect in _built_in()
+
+
+def include(effect: type[Effect]) -> None:
+    """Know an effect as well, as if it stood in the package; one of the same name and form from before goes.
 
     Raises
     ------
     ConfigError
-        If one of them has the name and form of an effect that is known.
+        If the package has an effect of this name and form.
     """
     global _added  # noqa: PLW0603 - one set of effects is known at a time
+    if effect.key() in {known.key() for known in _built_in()}:
+        raise ConfigError(f"effect {effect.key()}: the catalogue has one of this name")
+    fields_of((*_built_in(), effect))
+    _added = (*(each for each in _added if each.key() != effect.key()), effect)
+
+
+@contextmanager
+def including(effect: type[Effect]) -> Iterator[None]:
+    """Know an effect for a while."""
+    global _added  # noqa: PLW0603
     before = _added
-    for effect in effects:
-        if effect.key() in {known.key() for known in everything()}:
-            raise ConfigError(f"effect {effect.key()}: there is one of this name already")
-    _added = (*before, *effects)
-    fields_of.cache_clear()
+    include(effect)
     try:
         yield
     finally:
         _added = before
-        fields_of.cache_clear()
 
 
 @lru_cache(maxsize=8)

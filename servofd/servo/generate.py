@@ -26,7 +26,7 @@ import numpy as np
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
 from servofd.servo.catalogue import fields_of
-from servofd.servo.effect import Effect, Slot
+from servofd.servo.effect import Effect, Now, Slot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -104,6 +104,31 @@ def stepper_of(effects: tuple[type[Effect], ...], *, is_compiled: bool = True) -
     text = text_of(acts, off)
     module = _module(text) if is_compiled else _executed(text)
     return Stepper(fields, np.array([off[f] for f in fields]), acts, memory, module.run)
+
+
+def check(effect: type[Effect]) -> None:
+    """Refuse an effect that cannot be simulated, in one sentence.
+
+    Raises
+    ------
+    ConfigError
+        If its source cannot be compiled, or it does not return finite numbers at its typical size.
+    """
+    acts, _ = _acts_of([effect])
+    for act in acts:
+        source = _function(0, act)
+        space: dict[str, Any] = {"math": math}
+        sizes = {f: p.neutral + p.typical for p in effect.parameters for f in p.fields}
+        now = Now(1.0, 1e-3, 1.0, 1.0, 0.05, 1.0, 0.0, 300.0, 5.0, 1.0, 0.1, 0.0)
+        try:
+            exec(source, space)  # noqa: S102 - the user asked for this effect
+            result = space["act_0"](1.0, now, *(sizes[f] for f in effect.sees), *([0.0] * effect.memory))
+        except Exception as error:
+            raise ConfigError(f"effect {effect.name}: act: {type(error).__name__}: {error}") from None
+        made = result if isinstance(result, tuple) else (result,)
+        if len(made) != 1 + effect.memory or not all(isinstance(v, int | float) and math.isfinite(v) for v in made):
+            what = f"{1 + effect.memory} finite numbers" if effect.memory else "a finite number"
+            raise ConfigError(f"effect {effect.name}: act must return {what}, not {result!r}")
 
 
 def text_of(acts: Sequence[Act], off: Mapping[str, float]) -> str:
