@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 STEPPED = (Slot.COMMAND, Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED, Slot.STOP, Slot.OUTPUT, Slot.READING)
 """Slots whose effects are compiled, in their order."""
 INSIDE_LOOP = STEPPED[:6]
+_ADVANCE, _ADVANCE_ANY, _RUN = "def advance(", "def advance_any(", "def run("
 _COMPILED = {"nudge": "inlined", "advance": "inlined", "advance_any": "inner", "run": "outer"}
 _BEGIN, _END = "# Slots begin here.\n", "# Slots end here.\n"
 _SEEN_FROM_OUTSIDE = "GAIN = BIAS = -1"
@@ -87,8 +88,10 @@ def _acts_of(effects: Sequence[type[Effect]]) -> tuple[tuple[Act, ...], int]:
 
 
 @lru_cache(maxsize=8)
-def stepper_of(effects: tuple[type[Effect], ...], *, is_compiled: bool = True) -> Stepper:
-    """The stepper for some effects; for none, linear servos alone.
+def stepper_of(
+    effects: tuple[type[Effect], ...], *, any_order: bool = False, is_compiled: bool = True
+) -> Stepper:
+    """The stepper for some effects, and servos of three states or of any number.
 
     It is compiled, and the machine code kept in the user's cache folder; without a compiler, or where `is_compiled` is
     false, it is plain Python with the same numbers.
@@ -101,7 +104,7 @@ def stepper_of(effects: tuple[type[Effect], ...], *, is_compiled: bool = True) -
     off = fields_of(effects)
     acts, memory = _acts_of(effects)
     fields = tuple(off)
-    text = text_of(acts, off)
+    text = text_of(acts, off, any_order=any_order)
     module = _module(text) if is_compiled else _executed(text)
     return Stepper(fields, np.array([off[f] for f in fields]), acts, memory, module.run)
 
@@ -114,14 +117,13 @@ def check(effect: type[Effect]) -> None:
     ConfigError
         If its source cannot be compiled, or it does not return finite numbers at its typical size.
     """
-    acts, _ = _acts_of([effect])
-    for act in acts:
-        source = _function(0, act)
+    for act in _acts_of([effect])[0]:
+        source = _Source.of(act, 0)
         space: dict[str, Any] = {"math": math}
         sizes = {f: p.neutral + p.typical for p in effect.parameters for f in p.fields}
         now = Now(1.0, 1e-3, 1.0, 1.0, 0.05, 1.0, 0.0, 300.0, 5.0, 1.0, 0.1, 0.0)
         try:
-            exec(source, space)  # noqa: S102 - the user asked for this effect
+            exec(source.function, space)  # noqa: S102 - the user asked for this effect
             result = space["act_0"](1.0, now, *(sizes[f] for f in effect.sees), *([0.0] * effect.memory))
         except Exception as error:
             raise ConfigError(f"effect {effect.name}: act: {type(error).__name__}: {error}") from None
@@ -131,8 +133,99 @@ def check(effect: type[Effect]) -> None:
             raise ConfigError(f"effect {effect.name}: act must return {what}, not {result!r}")
 
 
-def text_of(acts: Sequence[Act], off: Mapping[str, float]) -> str:
-    """Source of the stepper with the functions of its slots.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """What an effect does, as text."""
+
+    act: Act
+    number: int
+    tree: ast.FunctionDef
+    """Its names are those of no other effect."""
+
+    @classmethod
+    def of(cls, act: Act, number: int) -> _Source:
+        function, name = act.effect.act, act.effect.name
+        try:
+            tree = ast.parse(textwrap.dedent(inspect.getsource(function)))  # type: ignore[arg-type]
+        except (OSError, TypeError, SyntaxError):
+            raise ConfigError(f"effect {name}: the source of its act cannot be read; define it in a file") from None
+        define = tree.body[0]
+        if not isinstance(define, ast.FunctionDef):
+            raise ConfigError(f"effect {name}: act must be a function, a static method of its class")
+        if len(define.args.args) != 2 + len(act.effect.sees) + act.effect.memory:
+            given = ", ".join(["x", "now", *act.effect.sees, *["memory"] * act.effect.memory])
+            raise ConfigError(f"effect {name}: act is called with ({given})")
+        define.name, define.decorator_list, define.returns = f"act_{number}", [], None
+        if ast.get_docstring(define) is not None:
+            del define.body[0]
+        _rename(define, number, getattr(function, "__globals__", {}), name)
+        return cls(act, number, define)
+
+    @property
+    def function(self) -> str:
+        """As a function of its own."""
+        return ast.unparse(self.tree) + "\n"
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it returns at its end alone, so that it can stand where it is called: to compile a function costs
+        0.1 s, whatever it does."""
+        returns = [node for node in ast.walk(self.tree) if isinstance(node, ast.Return)]
+        return len(returns) == 1 and self.tree.body[-1] is returns[0]
+
+    def lines(self, off: Mapping[str, float]) -> list[str]:
+        """Where it acts: its condition, and what becomes of the value that passes and of its memory."""
+        effect, fields = self.act.effect, list(off)
+        where = " or ".join(f"p[v, {fields.index(f)}] != {_number(off[f])}" for f in self.act.switches)
+        kept = [f"m[v, {self.act.first + k}]" for k in range(effect.memory)]
+        given = ["x", "now", *(f"p[v, {fields.index(f)}]" for f in effect.sees), *kept]
+        into = ", ".join(["x", *kept])
+        if not self.is_plain:
+            return [f"    if {where}:", f"        {into} = act_{self.number}({', '.join(given)})"]
+        names = [argument.arg for argument in self.tree.args.args]
+        taken = [f"{name} = {value}" for name, value in zip(names, given, strict=True) if name != value]
+        body = [ast.unparse(line) for line in self.tree.body[:-1]]
+        last = self.tree.body[-1]
+        result = ast.unparse(last.value) if isinstance(last, ast.Return) and last.value is not None else "x"
+        inside = textwrap.indent("\n".join([*taken, *body, f"{into} = {result}"]), 8 * " ")
+        return [f"    if {where}:", inside]
+
+
+_BUILT_IN = ("math", "abs", "min", "max", "int", "float", "bool", "range", "round")
+
+
+def _rename(define: ast.FunctionDef, number: int, given: Mapping[str, Any], effect: str) -> None:
+    """Give the names of a function a number of its own, and put numbers of its module in place of theirs."""
+    arguments = define.args.args
+    local = {n.id for n in ast.walk(define) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    local |= {argument.arg for argument in arguments}
+    # The value that passes and the step keep their names in every slot.
+    new = {arguments[0].arg: "x", arguments[1].arg: "now"}
+    new = {**{name: f"{name}_{number}" for name in local}, **new}
+    for argument in arguments:
+        argument.annotation, argument.arg = None, new[argument.arg]
+    for node in ast.walk(define):
+        for name, value in ast.iter_fields(node):
+            if isinstance(value, list):
+                setattr(node, name, [_constant(v, new, given, effect) for v in value])
+            elif isinstance(value, ast.AST):
+                setattr(node, name, _constant(value, new, given, effect))
+
+
+def _constant(node: Any, new: Mapping[str, str], given: Mapping[str, Any], effect: str) -> Any:  # noqa: ANN401
+    """A name as it is called now, or the number that it stands for."""
+    if not isinstance(node, ast.Name) or node.id in _BUILT_IN or node.id in new.values():
+        return node
+    if node.id in new:
+        return ast.copy_location(ast.Name(new[node.id], node.ctx), node)
+    value = given.get(node.id)
+    if not isinstance(value, int | float):
+        raise ConfigError(f"effect {effect}: act may use math and numbers of its module, not {node.id}")
+    return ast.copy_location(ast.Constant(value), node)
+
+
+def text_of(acts: Sequence[Act], off: Mapping[str, float], *, any_order: bool = False) -> str:
+    """Source of the stepper with the functions of its slots; for servos of three states, or of any number.
 
     Examples
     --------
@@ -145,83 +238,43 @@ def text_of(acts: Sequence[Act], off: Mapping[str, float]) -> str:
     fields = list(off)
     where = {name: fields.index(field) if field in fields else -1 for name, field in (("GAIN", "gain"), ("BIAS", "bias_deg"))}
     before = before.replace(_SEEN_FROM_OUTSIDE, "\n".join(f"{name} = {k}" for name, k in where.items()))
-    slots = "\n\n".join([*(_function(n, act) for n, act in enumerate(acts)), *(_slot(s, acts, off) for s in STEPPED)])
-    slots += "\n\n" + _rest(acts, off)
-    names = [*(f"act_{n}" for n in range(len(acts))), *(slot.name.lower() for slot in STEPPED), "rest"]
-    header = "from logparsers.compiled import compile_steps\n"
-    before = before.replace("from servofd.core.types", header + "from servofd.core.types")
-    for name in names:
-        slots = slots.replace(f"def {name}(", f"@compile_steps(kind='inlined')\ndef {name}(")
+    before = before.replace("from servofd.core.types", "from logparsers.compiled import compile_steps\nfrom servofd.core.types")
+    sources = [_Source.of(act, number) for number, act in enumerate(acts)]
+    functions = [each.function for each in sources if not each.is_plain]
+    functions += [_slot(slot, sources, off) for slot in STEPPED]
+    functions.append(_rest(sources, off))
+    slots = "\n\n".join(f"@compile_steps(kind='inlined')\n{each}" for each in functions)
+    begin, end = (_ADVANCE, _ADVANCE_ANY) if any_order else (_ADVANCE_ANY, _RUN)
+    unused = after[after.index(begin) : after.index(end)]
+    after = after.replace(unused, "")
+    if any_order:
+        after = after.replace("advance(x, v,", "advance_any(x, v,")
     for name, kind in _COMPILED.items():
         after = after.replace(f"\ndef {name}(", f"\n@compile_steps(kind={kind!r})\ndef {name}(")
     return f"{before}{slots}\n{after}"
-
-
-def _function(number: int, act: Act) -> str:
-    """Source of what an effect does, by its number."""
-    function, name = act.effect.act, act.effect.name
-    try:
-        tree = ast.parse(textwrap.dedent(inspect.getsource(function)))  # type: ignore[arg-type]
-    except (OSError, TypeError, SyntaxError):
-        raise ConfigError(f"effect {name}: the source of its act cannot be read; define it in a file") from None
-    define = tree.body[0]
-    if not isinstance(define, ast.FunctionDef):
-        raise ConfigError(f"effect {name}: act must be a function, a static method of its class")
-    define.name, define.decorator_list, define.returns = f"act_{number}", [], None
-    for argument in define.args.args:
-        argument.annotation = None
-    local = {n.id for n in ast.walk(define) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
-    local |= {argument.arg for argument in define.args.args}
-    given = getattr(function, "__globals__", {})
-    constants = []
-    for used in sorted({n.id for n in ast.walk(define) if isinstance(n, ast.Name)} - local):
-        if used in ("math", "abs", "min", "max", "int", "float", "bool", "range", "round"):
-            continue
-        value = given.get(used)
-        if not isinstance(value, int | float):
-            raise ConfigError(f"effect {name}: act may use math and numbers of its module, not {used}")
-        constants.append(f"{used}_{number} = {value!r}")
-        for node in ast.walk(define):
-            if isinstance(node, ast.Name) and node.id == used:
-                node.id = f"{used}_{number}"
-    return "\n".join([*constants, ast.unparse(define)]) + "\n"
 
 
 def _number(value: float) -> str:
     return repr(value) if math.isfinite(value) else "math.inf" if value > 0.0 else "-math.inf"
 
 
-def _called(number: int, act: Act, off: Mapping[str, float]) -> tuple[str, str, str]:
-    """Condition under which an effect acts, what its function is given, and where its memory goes."""
-    effect, fields = act.effect, list(off)
-    where = " or ".join(f"p[v, {fields.index(f)}] != {_number(off[f])}" for f in act.switches)
-    kept = [f"m[v, {act.first + k}]" for k in range(effect.memory)]
-    given = ", ".join(["x", "now", *(f"p[v, {fields.index(f)}]" for f in effect.sees), *kept])
-    return where, f"act_{number}({given})", ", ".join(["x", *kept])
-
-
-def _slot(slot: Slot, acts: Sequence[Act], off: Mapping[str, float]) -> str:
+def _slot(slot: Slot, sources: Sequence[_Source], off: Mapping[str, float]) -> str:
     """Source of a slot: all its effects one after the other."""
-    lines = [f"def {slot.name.lower()}(x, now, p, v, m):"]
-    for number, act in enumerate(acts):
-        if act.effect.slot is slot:
-            where, call, into = _called(number, act, off)
-            lines += [f"    if {where}:", f"        {into} = {call}"]
-    return "\n".join([*lines, "    return x", ""])
+    lines = [line for each in sources if each.act.effect.slot is slot for line in each.lines(off)]
+    return "\n".join([f"def {slot.name.lower()}(x, now, p, v, m):", *lines, "    return x", ""])
 
 
-def _rest(acts: Sequence[Act], off: Mapping[str, float]) -> str:
-    """Source of what rests: every memory, and the reading of a shaft at rest."""
+def _rest(sources: Sequence[_Source], off: Mapping[str, float]) -> str:
+    """Source of what rests: every memory, and the deflection of a shaft at rest."""
     lines = ["def rest(x, u, now, p, v, m):"]
-    for number, act in enumerate(acts):
-        effect = act.effect
+    for each in sources:
+        effect = each.act.effect
         if effect.slot not in (Slot.COMMAND, Slot.OUTPUT):
             continue
         passes = "u" if effect.slot is Slot.COMMAND else "x"
-        lines += [f"    m[v, {act.first + k}] = {passes if k == 0 else '0.0'}" for k in range(effect.memory)]
+        lines += [f"    m[v, {each.act.first + k}] = {passes if k == 0 else '0.0'}" for k in range(effect.memory)]
         if effect.slot is Slot.OUTPUT and not effect.memory:
-            where, call, into = _called(number, act, off)
-            lines += [f"    if {where}:", f"        {into} = {call}"]
+            lines += each.lines(off)
     return "\n".join([*lines, "    m[v, 0] = x", ""])
 
 

@@ -139,8 +139,8 @@ def _machine(
     if order == 1:
         variants = tuple(_of_first_order(each) for each in variants)
     acting = {name for each in variants for name, _ in each}
-    stepper = stepper_of(effects if acting & _stepped_fields(effects) else ())
     loops = [loop_of(transfer, each.scales) for each in variants]
+    stepper = stepper_of(effects, any_order=loops[0].rest.size != 3)  # noqa: PLR2004 - states
     grid_s = min(loop.grid_s for loop in loops)
     loops = [loop if loop.grid_s == grid_s else loop_of(transfer, v.scales, grid_s) for loop, v in zip(loops, variants, strict=True)]
     sizes = np.tile(stepper.off, (len(variants), 1))
@@ -167,11 +167,6 @@ def _machine(
     facts = np.array([[o.gain, o.error_s, o.per_error, float(o.leaves), float(o.filters)] for o in loops])
     stacked = (np.stack([getattr(o, name) for o in loops]) for name in ("a", "b", "steps", "rest"))
     return Machine(stepper, tuple(loops), sizes, acts, min(longest_s, 1.0) / finer, (facts, *stacked))
-
-
-@lru_cache(maxsize=4)
-def _stepped_fields(effects: tuple[type[Effect], ...]) -> frozenset[str]:
-    return frozenset(f for e in effects if e.slot in STEPPED for p in e.parameters if not p.aside for f in p.fields)
 
 
 def _of_first_order(physics: Physics) -> Physics:

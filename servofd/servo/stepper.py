@@ -270,10 +270,7 @@ def run(
                     gain, error_s, per_error = facts[v, 0], facts[v, 1], facts[v, 2]
                     away = 0.0
                     if not inside:
-                        if x.shape[1] == 9:
-                            advance(x, v, a, b, steps, grid_s, h, come, s)
-                        else:
-                            advance_any(x, v, a, b, steps, grid_s, h, come, s)
+                        advance(x, v, a, b, steps, grid_s, h, come, s)
                         y1, v1 = x[v, 0], 0.0
                         shaft = x[v, int(facts[v, 3])]
                     else:

@@ -95,7 +95,7 @@ class Friction(Effect):
     """Coulomb friction and stiction, as the position error that breaks it."""
 
     name, slot, family, rank = "friction", Slot.GRIP, "hysteresis", 15
-    longest_s = 2.5e-3
+    longest_s = 3e-3
     sees = ("friction_deg", "stribeck")
     parameters = (
         Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0),
@@ -112,7 +112,7 @@ class StribeckFriction(Effect):
     """Friction that is larger at rest than at speed (Stribeck): usual of grease and bushings."""
 
     name, slot, form, family, rank = "friction", Slot.GRIP, "Stribeck", "hysteresis", 16
-    longest_s = 2.5e-3
+    longest_s = 3e-3
     sees = ("friction_deg", "stribeck")
     parameters = (
         Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0),
