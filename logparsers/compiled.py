@@ -38,6 +38,18 @@ def cache_folder() -> Path:
     return Path(os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_path("servofd")).absolute()
 
 
+def has_compiler() -> bool:
+    """Whether there is one; without, everything runs as plain Python, slowly."""
+    return numba is not None
+
+
+def made_by() -> str:
+    """Compiler and processor that kept machine code is for."""
+    from llvmlite.binding import get_host_cpu_name
+
+    return f"numba {numba.__version__}, Python {sys.version_info[:3]}, {get_host_cpu_name()}"
+
+
 def _keep_in_cache_folder() -> None:
     """Have the compiler keep its code there; where nobody can write, it finds another place by itself."""
     with suppress(OSError):

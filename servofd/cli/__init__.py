@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = ["build_parser", "interruptible", "main", "parsed"]
 
+_SIMULATING = frozenset(
+    ("audit", "calibrate", "explain", "fleet", "identify", "monitor", "odds", "onboard", "serve", "simulate", "sweep", "trend")
+)
+"""Verbs that simulate servos."""
 _INTERRUPTED = 128 + signal.SIGINT
 _OBJECTS_BETWEEN_SEARCHES = 100_000
 _AGAIN_S = 0.01
@@ -66,6 +70,8 @@ def _main(arguments: Sequence[str] | None) -> int:
 
     try:
         with interruptible():
+            if options.verb in _SIMULATING:
+                _prepare()
             verb = _show_help if options.verb == "help" else import_module(f"servofd.cli.{options.verb}").run
             code: int = verb(options)
             if sys.stdout is not None:
@@ -91,6 +97,13 @@ def _main(arguments: Sequence[str] | None) -> int:
         _silence()
         return COULD_NOT_TELL
     return code
+
+
+def _prepare() -> None:
+    """Have compiled what a fresh machine compiles once."""
+    from servofd.servo.prepare import compile_ahead
+
+    compile_ahead(lambda sentence: print(sentence, file=sys.stderr, flush=True))  # noqa: T201 - to who waits
 
 
 def parsed(words: Sequence[str]) -> Options:

@@ -12,9 +12,11 @@ import importlib.util
 import inspect
 import math
 import os
+import subprocess
 import sys
 import tempfile
 import textwrap
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -25,7 +27,7 @@ import numpy as np
 
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
-from servofd.servo.catalogue import fields_of
+from servofd.servo.catalogue import everything, fields_of
 from servofd.servo.effect import Effect, Now, Slot
 
 if TYPE_CHECKING:
@@ -287,9 +289,47 @@ def _executed(text: str) -> Any:  # noqa: ANN401 - a module
     return module
 
 
+def _named(text: str) -> str:
+    return f"servofd_stepper_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+def path_of() -> Path | None:
+    """File of the stepper for all effects; None where nothing is compiled."""
+    if not compiler.has_compiler():
+        return None
+    effects = everything()
+    text = text_of(_acts_of(effects)[0], fields_of(effects))
+    return _written(compiler.cache_folder(), _named(text), text)
+
+
+def is_kept(path: Path) -> bool:
+    """Whether machine code of a stepper is kept that this processor and this compiler made."""
+    try:
+        return path.with_suffix(".kept").read_text(encoding="utf-8") == compiler.made_by()
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def mark_kept(path: Path) -> None:
+    """Note that it is."""
+    with suppress(OSError):
+        path.with_suffix(".kept").write_text(compiler.made_by(), encoding="utf-8")
+
+
+_compiling: subprocess.Popen[bytes] | None = None
+
+
+def wait_for(process: subprocess.Popen[bytes]) -> None:
+    """Have the first that needs the stepper wait for a process that compiles it."""
+    global _compiling  # noqa: PLW0603 - one process compiles
+    _compiling = process
+
+
 def _module(text: str) -> Any:  # noqa: ANN401 - a module
     """The text as a module in the cache folder, beside which the compiler keeps what it made."""
-    name = f"servofd_stepper_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    if _compiling is not None:
+        _compiling.wait()
+    name = _named(text)
     path = _written(compiler.cache_folder(), name, text)
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:

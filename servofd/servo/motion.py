@@ -86,7 +86,7 @@ class Machine:
         facts, a, b, steps, rest = self._arrays
         used = self.stepper.run(
             self.sizes, self.acts, facts, a, b, steps, rest, self.loops[0].grid_s, self.longest_s,
-            _plain(commands[0]), _plain(commands[1]), _plain(commands[2]), _plain(at_s), anew, _plain(measured_deg),
+            _plain(commands[0]), _plain(commands[1]), _plain(commands[2]), _plain(at_s), anew if anew.flags.carray else np.array(anew), _plain(measured_deg),
             around, state.clock, state.states, state.memory, read_deg, _NOWHERE if speed_deg_s is None else speed_deg_s,
         )  # fmt: skip
         return read_deg, int(used)
