@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from servofd.aircraft.schema import Surface
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.detection.threshold import Episode
@@ -373,7 +373,7 @@ class Judgement(NamedTuple):
 
 
 def judge(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface, *, dismiss: bool = True
+    generator: ResidualGenerator, segment: Series, residuals: Residuals, surface: Surface, *, dismiss: bool = True
 ) -> Judgement:
     """Compare the residual with its threshold, and name each alarm.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.segment import (
+from servofd.aircraft.series import (
     OUTAGE_S,
     SAME_PACE,
     SLOWEST_LEFT_HZ,
@@ -359,7 +359,7 @@ class SurfaceMonitor:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What acts on its servo beside the command, by the names of `servofd.aircraft.segment.SURROUNDINGS`."""
+        """What acts on its servo beside the command, by the names of `servofd.aircraft.series.SURROUNDINGS`."""
         known = self.surface.calibrated
         if known is None or not self.surface.is_calibrated:
             return self.model.needs

@@ -16,7 +16,7 @@ from servofd.servo.servo_model import plant_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.own import OwnEffect
     from servofd.servo.servo_model import ServoModel
@@ -80,18 +80,18 @@ _REGULAR = 0.6
 """Share of the jumps that follow the one before at the usual time, to a third of it or a multiple."""
 
 
-def without_held(segment: Segment) -> tuple[Segment, str | None]:
+def without_held(segment: Series) -> tuple[Series, str | None]:
     """A segment with each reading once, and a sentence about it if readings were held.
 
     Examples
     --------
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> t = np.arange(0.0, 10.0, 0.01)
     >>> moved = np.sin(3.0 * t)
     >>> held = moved[5 * (np.arange(t.size) // 5)]
-    >>> without_held(Segment("x", t, moved, t, held))[1]
+    >>> without_held(Series("x", t, moved, t, held))[1]
     'positions are refreshed every 0.05 s and held in between: each is judged once (200 of 1000 rows)'
-    >>> without_held(Segment("x", t, moved, t, np.round(moved, 1)))[1] is None
+    >>> without_held(Series("x", t, moved, t, np.round(moved, 1)))[1] is None
     True
     """
     known = np.isfinite(segment.measured_deg)
@@ -231,7 +231,7 @@ class Record:
 
 
 def record_of(
-    segment: Segment,
+    segment: Series,
     model: ServoModel,
     *,
     at_rest: bool = False,

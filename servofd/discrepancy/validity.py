@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers import FlightLog
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.servo.physics import Physics
@@ -157,7 +157,7 @@ class Undriven:
         return asdict(self)
 
 
-def without_torque(log: FlightLog, segment: Segment, run: int) -> tuple[Segment, list[Undriven]]:
+def without_torque(log: FlightLog, segment: Series, run: int) -> tuple[Series, list[Undriven]]:
     """A segment without what was measured while a column says that the torque was off."""
     names = [name for name in log.channels if _TORQUE.search(name.rsplit(".", 1)[-1])]
     found: list[Undriven] = []

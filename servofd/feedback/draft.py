@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.outputs import Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.segment import Segment, cut
+from servofd.aircraft.series import Series, cut
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.feedback.fitted import (
@@ -195,7 +195,7 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
     return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment, until_s=fit.until_s))
 
 
-def _cut(log: FlightLog, pair: Pair, command: dict[str, Any], measured: dict[str, Any]) -> Segment:
+def _cut(log: FlightLog, pair: Pair, command: dict[str, Any], measured: dict[str, Any]) -> Series:
     entry = {"command": command, "measured": measured, "alive": pair.position.alive}
     aircraft = Aircraft.model_validate({"surfaces": {pair.surface: entry}})
     return cut(log, pair.surface, aircraft.surfaces[pair.surface])

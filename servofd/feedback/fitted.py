@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.segment import Segment, cut
+from servofd.aircraft.series import Series, cut
 from servofd.core.errors import CalibrationError, DesignError, NoMeasurement
 from servofd.core.evidence import ModelOrigin
 from servofd.core.statistics import line
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.servo.servo_model import ServoModel
 
@@ -113,7 +113,7 @@ anything (`sample_logs/hidden/hidden_11.csv`: in half of it the command moves 0.
 oscillations that an autopilot answers 0.77 times or more)."""
 
 
-def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
+def fit_roughly(segment: Series, *, free_scale: bool) -> RoughFit:
     """Fit bandwidth, delay and rate limit, and the scale if it is free, to most of a log.
 
     Blocks of motion from all over the log are fitted and held out by turns, then all of them are fitted. Where the
@@ -139,7 +139,7 @@ def fit_roughly(segment: Segment, *, free_scale: bool) -> RoughFit:
     return whole
 
 
-def _until(segment: Segment, end_s: float) -> Segment:
+def _until(segment: Series, end_s: float) -> Series:
     """What of a segment comes before a time [s]."""
     commands, positions = segment.command_s < end_s, segment.measured_s < end_s
     return replace(
@@ -151,7 +151,7 @@ def _until(segment: Segment, end_s: float) -> Segment:
     )
 
 
-def _briskest_deg_s(segment: Segment) -> float:
+def _briskest_deg_s(segment: Series) -> float:
     """How fast the command moves where it is fastest [deg/s]; how long it moves like that does not count."""
     if segment.command_s.size < 2:
         return 0.0
@@ -159,7 +159,7 @@ def _briskest_deg_s(segment: Segment) -> float:
     return float(np.percentile(rate_deg_s, 99.0))
 
 
-def _of_its_own(beginning: Segment, whole: RoughFit, *, free_scale: bool) -> RoughFit | None:
+def _of_its_own(beginning: Series, whole: RoughFit, *, free_scale: bool) -> RoughFit | None:
     """The servo of a beginning, if that is far better there than the one that suits the whole log."""
     simulator = _simulator(_busy_blocks(beginning))
     moving = _moving_rows(simulator)
@@ -180,7 +180,7 @@ def _off_deg(fit: RoughFit, simulator: Simulator, moving: BoolArray) -> float:
     return float(np.std(error_deg[moving]))
 
 
-def _fitted(segment: Segment, *, free_scale: bool) -> RoughFit:
+def _fitted(segment: Series, *, free_scale: bool) -> RoughFit:
     """One servo for all of a segment."""
     part = _busy_blocks(segment)
     simulator = _simulator(part)
@@ -295,7 +295,7 @@ def _error(fit: RoughFit) -> float:
     return fit.error_deg
 
 
-def _busy_blocks(segment: Segment) -> Segment:
+def _busy_blocks(segment: Series) -> Series:
     """Blocks of the log with most motion of the command, from all parts of it, few enough to be simulated often."""
     time_s = segment.measured_s
     if time_s.size <= _MOST_SAMPLES:
@@ -343,7 +343,7 @@ def _jammed_rows(simulator: Simulator) -> BoolArray:
     return jammed
 
 
-def _simulator(segment: Segment) -> Simulator:
+def _simulator(segment: Series) -> Simulator:
     return Simulator.of(ResidualGenerator(_ORDINARY.model, POLE_RAD_S), segment)
 
 
@@ -483,7 +483,7 @@ def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dic
     return levels_of(aircraft.model(name), segments)
 
 
-def levels_of(model: ServoModel, segments: Iterable[Segment]) -> dict[str, Any]:
+def levels_of(model: ServoModel, segments: Iterable[Series]) -> dict[str, Any]:
     """Entries of a surface that this servo turns, under which good runs are healthy; empty if none can be judged.
 
     Raises
@@ -526,7 +526,7 @@ def levels_of(model: ServoModel, segments: Iterable[Segment]) -> dict[str, Any]:
 
 
 def draft_tolerance(
-    model: ServoModel, segment: Segment, *, all_of_it: bool = False, until_s: float = np.inf
+    model: ServoModel, segment: Series, *, all_of_it: bool = False, until_s: float = np.inf
 ) -> Drafted | None:
     """Tolerances drafted from a log; None if nothing of it can be judged.
 

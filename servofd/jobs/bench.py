@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.schema import load_aircraft
-from servofd.aircraft.segment import Segment, cut
+from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import beginning
 from servofd.feedback.flown import log_files, logs_of, surfaces_of
@@ -38,7 +38,7 @@ _LONGEST_HEADER = 4096
 class BenchTest:
     """One test, and where it comes from."""
 
-    segment: Segment
+    segment: Series
     source: str
     """Channels and how they were read, in words."""
     pulse_us: FloatArray | None = None
@@ -66,7 +66,7 @@ def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | 
 
 
 def identify(
-    tests: Log | Sequence[Log] | Segment | Sequence[Sequence[Segment]],
+    tests: Log | Sequence[Log] | Series | Sequence[Sequence[Series]],
     aircraft: Aircraft | None = None,
     *,
     surface: str | None = None,
@@ -78,7 +78,7 @@ def identify(
 
     Parameters
     ----------
-    tests : str, Path, DataFrame, Segment, or sequence of them
+    tests : str, Path, DataFrame, Series, or sequence of them
         Logs of bench tests, or what was asked of a servo and what it did: of one, or of each servo a sequence.
     aircraft : Aircraft, optional
         Which channels they are, of logs that do not say.
@@ -98,7 +98,7 @@ def identify(
     >>> found.servo.linear.order, abs(found.servo.linear.transfer.bandwidth_rad_s / 28.49 - 1.0) < 0.05
     (3, True)
     """
-    if isinstance(tests, Segment) or _are_segments(tests):
+    if isinstance(tests, Series) or _are_segments(tests):
         return identify_records(tests, method=method, order=order, progress=progress)
     paths = log_files(tests)
     found = [bench_tests(path, aircraft, surface) for path in paths]
@@ -116,7 +116,7 @@ def identify(
     return replace(result, notes=(*sources, scale, *result.notes))
 
 
-def _are_segments(tests: object) -> TypeIs[Sequence[Sequence[Segment]]]:
+def _are_segments(tests: object) -> TypeIs[Sequence[Sequence[Series]]]:
     return isinstance(tests, list | tuple) and bool(tests) and all(isinstance(one, list | tuple) for one in tests)
 
 
@@ -140,7 +140,7 @@ def bench_aircraft(path: object) -> Aircraft | None:
 def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> BenchTest:
     if surface is not None:
         aircraft.check_names([surface], log.label)
-    segments: dict[str, Segment] = {}
+    segments: dict[str, Series] = {}
     reasons: dict[str, str] = {}
     for name in [surface] if surface is not None else aircraft.surfaces:
         try:
@@ -176,7 +176,7 @@ def _chirp_script(log: FlightLog) -> BenchTest:
     command_deg = slope * (command.values - float(np.mean(command.values)))
     rate_hz = np.count_nonzero(fresh) / max(log.duration_s, 1e-9)
     return BenchTest(
-        Segment(_CHIRP_SURFACE, command.time_s, command_deg, position.time_s[fresh], measured_deg),
+        Series(_CHIRP_SURFACE, command.time_s, command_deg, position.time_s[fresh], measured_deg),
         f"command from {_CHIRP_COMMAND} [us], position from {_CHIRP_POSITION} (ArduPilot actuator_chirp.lua); rows "
         f"that repeat a position were left out, which leaves {rate_hz:.0f} Hz",
         pulse_us=command.values,
@@ -190,5 +190,5 @@ def _slope_deg_per_us(test: BenchTest) -> float:
     return float(np.polyfit(test.pulse_us, test.segment.command_deg, 1)[0])
 
 
-def _rescaled(segment: Segment, gain: float, offset_deg: float) -> Segment:
+def _rescaled(segment: Series, gain: float, offset_deg: float) -> Series:
     return replace(segment, command_deg=gain * segment.command_deg + offset_deg)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.schema import Aircraft, Surface
-from servofd.aircraft.segment import cut
+from servofd.aircraft.series import cut
 from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import describe
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from logparsers import FlightLog, LogFile
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
 
 _SAME_FAULT_S = 3.0
@@ -170,7 +170,7 @@ def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, se
 def _explained(
     flown: _Flown,
     surfaces: Sequence[str],
-    also: Sequence[tuple[str, dict[str, Segment]]],
+    also: Sequence[tuple[str, dict[str, Series]]],
     own: OwnEffect | None,
     progress: Callable[[str], None],
 ) -> ExplainedLogs:
@@ -192,7 +192,7 @@ def _explained(
 def _surface(
     flown: _Flown,
     name: str,
-    also: Sequence[tuple[str, dict[str, Segment]]],
+    also: Sequence[tuple[str, dict[str, Series]]],
     own: OwnEffect | None,
     progress: Callable[[str], None],
 ) -> Explanation:
@@ -234,7 +234,7 @@ def _surface(
     return replace(found, also=judged, notes=(*found.notes, *worse))
 
 
-def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:
+def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Series:
     """A surface in another log of the same aircraft."""
     try:
         return cut(log, name, surfaces_of(log, aircraft).surfaces[name])
@@ -251,7 +251,7 @@ def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Air
     return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
 
 
-def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Segment]]:
+def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Series]]:
     """The runs in which the surface was commanded and measured, and it in each of them."""
     used, segments, reasons = [], [], []
     for log in logs:

@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
+from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import what_to_log
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from logparsers import LogError
-from servofd.aircraft.segment import cut
+from servofd.aircraft.series import cut
 from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
 from servofd.detection.audit import audit_log

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from servofd.aircraft.segment import WARM_UP_STEPS
+from servofd.aircraft.series import WARM_UP_STEPS
 from servofd.core.statistics import Estimate
 from servofd.detection.audit import _odds
 from servofd.detection.bank import BANK, COLOUR, Explanation, _cycle, _with_interval

@@ -10,7 +10,7 @@ import logparsers
 import servofd
 from servofd.aircraft.outputs import resolved, streamed
 from servofd.aircraft.schema import Surface, load_aircraft
-from servofd.aircraft.segment import cut
+from servofd.aircraft.series import cut
 from servofd.cli import main
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from logparsers.records import FlightLog
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
@@ -75,13 +75,13 @@ class Trace:
             segment.context,
         )
 
-    def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Segment:
-        """What an audit starts from, see `Segment`: as of a log, without commands that are no numbers or come again."""
-        from servofd.aircraft.segment import WARM_UP_STEPS, Segment, sent_period_s
+    def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Series:
+        """What an audit starts from, see `Series`: as of a log, without commands that are no numbers or come again."""
+        from servofd.aircraft.series import WARM_UP_STEPS, Series, sent_period_s
 
         given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
         seen = _rising(self.time_s)
-        return Segment(
+        return Series(
             surface,
             self.asked_s[given],
             self.asked_deg[given],

@@ -61,7 +61,7 @@ TOO_MANY_LOST = "more than half of all commands and positions are lost; a servo 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Segment:
+class Series:
     """Command and measured deflection of one surface over one log.
 
     Parameters
@@ -78,7 +78,7 @@ class Segment:
 
     Examples
     --------
-    >>> Segment("rudder", np.arange(3.0), np.zeros(3), np.arange(3.0), np.zeros(3)).duration_s
+    >>> Series("rudder", np.arange(3.0), np.zeros(3), np.arange(3.0), np.zeros(3)).duration_s
     2.0
     """
 
@@ -159,13 +159,13 @@ def sent_period_s(time_s: FloatArray) -> float | None:
     return shortest_s if all(np.median(half) > _WHOLE * shortest_s for half in halves) else None
 
 
-def too_far(segment: Segment) -> str:
+def too_far(segment: Series) -> str:
     """Which angle no servo reaches, or nothing: of a log `cut` refuses it, a damaged recording may hold it.
 
     Examples
     --------
     >>> t = np.arange(3) / 50.0
-    >>> too_far(Segment("x", t, 1e9 * t, t, t))
+    >>> too_far(Series("x", t, 1e9 * t, t, t))
     'the command reaches 4e+07 deg: no servo turns so far'
     """
     for which, values_deg in (("command", segment.command_deg), ("position", segment.measured_deg)):
@@ -175,7 +175,7 @@ def too_far(segment: Segment) -> str:
     return ""
 
 
-def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
+def cut(log: FlightLog, name: str, surface: Surface) -> Series:
     """Take one surface out of a log, in degrees.
 
     Parameters
@@ -215,7 +215,7 @@ def cut(log: FlightLog, name: str, surface: Surface) -> Segment:
             )
     if _is_echo(command, measured, surface.command.to_deg(command.values), measured_deg):
         raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
-    segment = Segment(
+    segment = Series(
         name,
         command.time_s[given],
         command_deg,
@@ -268,7 +268,7 @@ def _signal(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, F
     return np.zeros(0), np.zeros(0)
 
 
-def _without_dead_telemetry(segment: Segment, measured: Channel, log: FlightLog, surface: Surface) -> Segment:
+def _without_dead_telemetry(segment: Series, measured: Channel, log: FlightLog, surface: Surface) -> Series:
     """Take out the rows that only repeat what was said before."""
     siblings = [
         channel.values
