@@ -49,7 +49,7 @@ def cropped(segment: Series, spans: tuple[Span, ...]) -> Series:
     inside = np.zeros(segment.measured_s.size, dtype=bool)
     for from_s, to_s in spans:
         inside |= (segment.measured_s >= from_s) & (segment.measured_s <= to_s)
-    return replace(segment, measured_s=segment.measured_s[inside], measured_deg=segment.measured_deg[inside])
+    return segment.at(inside)
 
 
 def busiest(flight: Flight, most_samples: int) -> list[Flight]:
@@ -88,13 +88,7 @@ def _piece(flight: Flight, first: int, last: int) -> Flight:
     commands = slice(max(begin - 1, 0), max(end, 1))
     return Flight(
         flight.label,
-        replace(
-            segment,
-            command_s=segment.command_s[commands],
-            command_deg=segment.command_deg[commands],
-            measured_s=segment.measured_s[first:last],
-            measured_deg=segment.measured_deg[first:last],
-        ),
+        segment.at(slice(first, last), commands),
     )
 
 

@@ -18,6 +18,7 @@ from servofd.aircraft.series import (
     TOO_MANY_LOST,
     WARM_UP_STEPS,
     Series,
+    bus_of,
     cut,
     sent_period_s,
     too_far,
@@ -92,11 +93,13 @@ def audit_log(
     """
     chosen = surfaces or tuple(aircraft.surfaces)
 
+    bus = bus_of(log, aircraft)
+
     def one(name: str) -> SurfaceAudit:
         expected = _is_expected(log, aircraft, name)
         surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
         try:
-            segment = cut(log, name, surface)
+            segment = cut(log, name, aircraft, bus)
         except NoMeasurement as reason:
             verdict = _verdict_on(name, surface, expected=expected)(status="no_data", reason=str(reason))
         else:

@@ -345,6 +345,7 @@ class Simulator:
             segment.measured_deg,
             (gap_s, rhythm(segment.command_s).longest_s, generator.blanking_s),
         )
+        starts = starts._replace(settled=starts.settled & segment.counts)
         return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
 
     def with_commands(self, command_deg: FloatArray) -> Simulator:

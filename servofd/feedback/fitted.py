@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.series import Series, cut
+from servofd.aircraft.series import Series, bus_of, cut
 from servofd.core.errors import CalibrationError, DesignError, NoMeasurement
 from servofd.core.evidence import ModelOrigin
 from servofd.core.statistics import line
@@ -24,7 +24,7 @@ from servofd.servo.library import Servo, second_order
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
@@ -142,13 +142,7 @@ def fit_roughly(segment: Series, *, free_scale: bool) -> RoughFit:
 def _until(segment: Series, end_s: float) -> Series:
     """What of a segment comes before a time [s]."""
     commands, positions = segment.command_s < end_s, segment.measured_s < end_s
-    return replace(
-        segment,
-        command_s=segment.command_s[commands],
-        command_deg=segment.command_deg[commands],
-        measured_s=segment.measured_s[positions],
-        measured_deg=segment.measured_deg[positions],
-    )
+    return segment.at(positions, commands)
 
 
 def _briskest_deg_s(segment: Series) -> float:
@@ -313,13 +307,7 @@ def _busy_blocks(segment: Series) -> Series:
     chosen = names[order[np.cumsum(size[order]) <= max(_MOST_SAMPLES, int(size[order[0]]))]]
     rows = np.isin(block, chosen)
     commands = np.isin(np.floor(segment.command_s / _BLOCK_S).astype(np.int64), chosen)
-    return replace(
-        segment,
-        command_s=segment.command_s[commands],
-        command_deg=segment.command_deg[commands],
-        measured_s=time_s[rows],
-        measured_deg=segment.measured_deg[rows],
-    )
+    return segment.at(rows, commands)
 
 
 def _jammed_rows(simulator: Simulator) -> BoolArray:
@@ -419,10 +407,10 @@ class Drafted(NamedTuple):
 
 def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | None = None) -> Aircraft:
     """Return the same aircraft with servos fitted to a log."""
-    surfaces, servos = dict(aircraft.surfaces), {}
+    surfaces, servos, bus = dict(aircraft.surfaces), {}, bus_of(log, aircraft)
     for name in aircraft.surfaces if only is None else only:
         key = f"{name}-fitted"
-        surfaces[name], servos[key] = _fitted_surface(log, name, aircraft.surfaces[name], key)
+        surfaces[name], servos[key] = _fitted_surface(log, name, aircraft, key, bus)
     return aircraft.model_copy(update={"surfaces": surfaces, "servos": {**aircraft.servos, **servos}})
 
 
@@ -439,13 +427,16 @@ def fitted_servo(fit: RoughFit, title: str) -> Servo:
     )
 
 
-def _fitted_surface(log: FlightLog, name: str, surface: Surface, key: str) -> tuple[Surface, Servo]:
+def _fitted_surface(
+    log: FlightLog, name: str, aircraft: Aircraft, key: str, bus: Mapping[str, BoolArray]
+) -> tuple[Surface, Servo]:
     """One surface with the servo that was fitted to it."""
+    surface = aircraft.surfaces[name]
     plain = surface.model_copy(update={"servo": key, "effects": {}, "model": ModelOrigin(origin="none")})
     title = f"fitted to {name} of this log"
     unfit = fitted_servo(RoughFit(), title)
     try:
-        segment = cut(log, name, surface)
+        segment = cut(log, name, aircraft, bus)
     except NoMeasurement:
         return plain, unfit
     if not SHORTEST_PERIOD_S < segment.period_s < LONGEST_PERIOD_S:
@@ -461,7 +452,8 @@ def _fitted_surface(log: FlightLog, name: str, surface: Surface, key: str) -> tu
             change["command_saturation_deg"] = ends
         fit = fit.of_position
     fitted = plain.model_copy(update=change)
-    drafted = draft_tolerance(fit.model, cut(log, name, fitted), until_s=fit.until_s)
+    aircraft = aircraft.model_copy(update={"surfaces": {**aircraft.surfaces, name: fitted}})
+    drafted = draft_tolerance(fit.model, cut(log, name, aircraft, bus), until_s=fit.until_s)
     if drafted is None:
         return plain, unfit
     servo = fitted_servo(fit, title)
@@ -479,7 +471,7 @@ def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dic
     segments = []
     for log in logs:
         with suppress(NoMeasurement):
-            segments.append(cut(log, name, aircraft.surfaces[name]))
+            segments.append(cut(log, name, aircraft))
     return levels_of(aircraft.model(name), segments)
 
 

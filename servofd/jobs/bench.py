@@ -144,7 +144,7 @@ def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> Benc
     reasons: dict[str, str] = {}
     for name in [surface] if surface is not None else aircraft.surfaces:
         try:
-            segments[name] = cut(log, name, aircraft.surfaces[name])
+            segments[name] = cut(log, name, aircraft)
         except NoMeasurement as error:
             reasons[name] = str(error)
     if not segments:

@@ -15,8 +15,7 @@ from servofd.detection.audit import audit_log
 from servofd.detection.verdict import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
 from servofd.discrepancy.own import OwnEffect, load_own_effect
-from servofd.discrepancy.record import without_held
-from servofd.discrepancy.validity import Undriven, without_torque
+from servofd.discrepancy.validity import Undriven, undriven
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.jobs.bench import bench_aircraft, label_of
@@ -203,10 +202,8 @@ def _surface(
     off: list[Undriven] = []
     said: dict[str, None] = {}
     for k, (log, segment) in enumerate(zip(logs, segments, strict=True)):
-        each, held = without_held(segment)
-        segments[k], stood = without_torque(log, each, k)
-        off += stood
-        said |= dict.fromkeys([held] if held else []) | dict.fromkeys(damage.note for damage in log.damage)
+        off += undriven(segment, k)
+        said |= dict.fromkeys(filter(None, (segment.refreshed,))) | dict.fromkeys(damage.note for damage in log.damage)
     conditions = _conditions(logs, aircraft.surfaces[name])
     said |= dict.fromkeys(_same_loads(logs))
     found = explain_gap(
@@ -237,7 +234,7 @@ def _surface(
 def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Series:
     """A surface in another log of the same aircraft."""
     try:
-        return cut(log, name, surfaces_of(log, aircraft).surfaces[name])
+        return cut(log, name, surfaces_of(log, aircraft))
     except NoMeasurement as error:
         raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
 
@@ -256,7 +253,7 @@ def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tu
     used, segments, reasons = [], [], []
     for log in logs:
         try:
-            segments.append(cut(log, surface, surfaces_of(log, aircraft).surfaces[surface]))
+            segments.append(cut(log, surface, surfaces_of(log, aircraft)))
             used.append(log)
         except NoMeasurement as error:
             reasons.append(str(error))

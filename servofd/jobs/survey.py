@@ -134,7 +134,7 @@ def _surface(log: FlightLog, aircraft: Aircraft, name: str) -> SurfaceSurvey:
     surface = aircraft.surfaces[name]
     position = surface.measured.channel if surface.measured else "-"
     try:
-        segment = cut(log, name, surface)
+        segment = cut(log, name, aircraft)
     except NoMeasurement as reason:
         return SurfaceSurvey(name, surface.command.channel, position, None, None, f"no: {reason}")
     command_hz, position_hz = (

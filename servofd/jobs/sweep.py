@@ -154,7 +154,7 @@ def check_sweep(log: FlightLog, aircraft: Aircraft, surfaces: tuple[str, ...] = 
     for name in surfaces or tuple(aircraft.surfaces):
         surface = aircraft.surfaces[name]
         try:
-            segment = cut(log, name, surface)
+            segment = cut(log, name, aircraft)
         except NoMeasurement as reason:
             found.append(SurfaceSweep(name, "unknown", (str(reason),), expected=surface.measured is not None))
             continue
