@@ -83,7 +83,7 @@ _FEWEST_REPEATS: Final = 3.0
 """The same where the reading has never repeated."""
 _DEAD_S: Final = 0.5
 """A servo whose position, voltage and current all repeat for so long while it is asked to move has no telemetry."""
-_TINY_DEG: Final = 1e-6
+TINY_DEG: Final = 1e-6
 """Smaller differences are rounding of text and of single precision."""
 
 
@@ -142,7 +142,7 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
             m[_LONGEST] = max(m[_LONGEST], m[_REPEATS])
         m[_STOOD] = 0.0
         m[_CHANGED], m[_REPEATS], m[_THEN], m[_BEFORE] = time_s, 0.0, asked_deg, m[_LAG]
-        if moved_deg > _TINY_DEG:
+        if moved_deg > TINY_DEG:
             m[_STEP] = min(m[_STEP], moved_deg)
     else:
         m[_REPEATS] += 1.0
@@ -183,7 +183,7 @@ def _all_stand(memory: FloatArray, time_s: float) -> bool:
         asked += is_asked
         if is_asked or _owes(m[_ROWS], m[_LONGEST], m[_REPEATS], _OWED):
             witnesses += 1
-    return reporting >= 2 and asked >= 1 and witnesses >= 2 and time_s - latest_s >= FROZEN_S - _TINY_DEG
+    return reporting >= 2 and asked >= 1 and witnesses >= 2 and time_s - latest_s >= FROZEN_S - TINY_DEG
 
 
 @compiled
@@ -272,7 +272,7 @@ def _repeats(rows: Rows, why: Marks) -> int:
     lasts = np.append(firsts[1:], size) - 1
     age_s = time_s - time_s[firsts[run]]
     left_deg = np.append(moved_deg[firsts[1:]], np.nan)  # by how much the reading moves in the end
-    steps = np.where((moved_deg > _TINY_DEG) & np.isfinite(moved_deg), moved_deg, np.inf)
+    steps = np.where((moved_deg > TINY_DEG) & np.isfinite(moved_deg), moved_deg, np.inf)
     least_deg = _STEPS * np.minimum(np.minimum.accumulate(steps)[lasts], rows.step_deg)
     over = np.arange(lasts.size) < lasts.size - 1
     clear = over & (left_deg > least_deg)
@@ -280,20 +280,23 @@ def _repeats(rows: Rows, why: Marks) -> int:
     span_s = age_s[lasts]
     asked = np.abs(rows.asked_deg[lasts] - rows.asked_deg[firsts]) >= ASKED_DEG
     silent = over & (rows.other[lasts] == 0)
-    again = (clear | silent) & (span_s < DUPLICATE_S - _TINY_DEG)
-    late = clear & asked & (left_deg >= ASKED_DEG) & (span_s <= WAIT_S + _TINY_DEG) & ~again
+    again = (clear | silent) & (span_s < DUPLICATE_S - TINY_DEG)
+    late = clear & asked & (left_deg >= ASKED_DEG) & (span_s <= WAIT_S + TINY_DEG) & ~again
     why[same & again[run]] = Why.DUPLICATE
     why[same & late[run]] = Why.HELD
     if rows.refresh_s > 0.0:
-        due = np.floor((age_s + _TINY_DEG) / rows.refresh_s)
+        due = np.floor((age_s + TINY_DEG) / rows.refresh_s)
         why[same & (np.diff(due, prepend=0.0) <= 0.0)] = Why.DUPLICATE
     # What waits is decided with the first row that is old enough; the rows after that each by itself.
-    early = age_s < WAIT_S - _TINY_DEG
+    early = age_s < WAIT_S - TINY_DEG
     until = np.minimum(firsts + np.add.reduceat(early, firsts), lasts)
     stood = np.concatenate([[0], np.cumsum(rows.stands)])
     at_first = stood[until + 1] > stood[firsts + 1]
     why[same & np.where(early, at_first[run], rows.stands)] = Why.FROZEN
-    return int(firsts[-1]) + 1 if span_s[-1] < WAIT_S - _TINY_DEG else size
+    # Where voltage and current stand still as well, the telemetry was dead from the first of them on.
+    dead = (stood[lasts + 1] > stood[firsts + 1]) & (rows.other[lasts] >= 0)
+    why[same & dead[run]] = Why.FROZEN
+    return int(firsts[-1]) + 1 if span_s[-1] < WAIT_S - TINY_DEG else size
 
 
 def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
@@ -323,14 +326,14 @@ def _spikes(rows: Rows, why: Marks) -> int:
     """Mark readings that jump away and back; the first row that is not decided yet."""
     time_s, position_deg = rows.time_s, rows.position_deg
     jump_deg = np.abs(np.diff(position_deg))
-    step_deg = np.minimum.accumulate(np.append(rows.step_deg, np.where(jump_deg > _TINY_DEG, jump_deg, np.inf)))
+    step_deg = np.minimum.accumulate(np.append(rows.step_deg, np.where(jump_deg > TINY_DEG, jump_deg, np.inf)))
     least_deg = np.maximum(_LEAST_SPIKE_DEG, np.where(np.isinf(step_deg[:-1]), 0.0, _STEPS * step_deg[:-1]))
     undecided, taken = time_s.size, _FEWEST_BEFORE
     for k in (1 + np.flatnonzero(jump_deg > least_deg)).tolist():
         if k < taken:
             continue
         away_deg = (position_deg[k:] - position_deg[k - 1]) * np.sign(position_deg[k] - position_deg[k - 1])
-        within = max(int(np.searchsorted(time_s, time_s[k] + _SPIKE_S + _TINY_DEG, side="right")) - k - 1, 1)
+        within = max(int(np.searchsorted(time_s, time_s[k] + _SPIKE_S + TINY_DEG, side="right")) - k - 1, 1)
         near = np.flatnonzero(np.abs(away_deg[1 : within + 1]) <= _BACK * away_deg[0])
         is_open = not near.size and k + within >= time_s.size
         back = k + 1 + int(near[0]) if near.size else time_s.size - 1
@@ -350,9 +353,13 @@ def _is_unasked(rows: Rows, first: int, back: int, size_deg: float) -> bool:
     if size_deg <= _SPIKE_OF_NOISE * float(np.median(np.abs(np.diff(before, 2)))):
         return False
     begin = int(np.searchsorted(rows.time_s, rows.time_s[first] - _ASKED_BEFORE_S))
-    asked_deg, width = rows.asked_deg[begin : back + 1], back - first + 1
-    swing_deg = np.abs(asked_deg[min(width, asked_deg.size - 1) :] - asked_deg[: max(asked_deg.size - width, 1)])
-    return float(swing_deg.max(initial=0.0)) < _ASKED_FOR * size_deg
+    return _swing_deg(rows.asked_deg[begin : back + 1], back - first + 1) < _ASKED_FOR * size_deg
+
+
+def _swing_deg(values_deg: FloatArray, width: int) -> float:
+    """By how much values differ at most that are so many samples apart."""
+    width = min(width, values_deg.size - 1)
+    return float(np.abs(values_deg[width:] - values_deg[: values_deg.size - width]).max(initial=0.0))
 
 
 _ECHOES: Final = 3
@@ -362,8 +369,8 @@ _ECHOES: Final = 3
 def _echoes(rows: Rows, why: Marks) -> int:
     """Mark positions that equal a moving command; the first row that is not decided yet."""
     asked_deg = rows.asked_deg
-    equal = np.abs(rows.position_deg - asked_deg) <= _TINY_DEG * np.maximum(1.0, np.abs(asked_deg))
-    new = equal & (np.abs(np.diff(asked_deg, prepend=asked_deg[0])) > _TINY_DEG)
+    equal = np.abs(rows.position_deg - asked_deg) <= TINY_DEG * np.maximum(1.0, np.abs(asked_deg))
+    new = equal & (np.abs(np.diff(asked_deg, prepend=asked_deg[0])) > TINY_DEG)
     if not new.any():
         return equal.size
     run = np.cumsum(~equal)  # rows of one stretch of equality have the same number
@@ -384,7 +391,7 @@ in 60 ms, and the slowest lag of the library is 0.16 s."""
 
 
 def unanswered(command_s: FloatArray, command_deg: FloatArray, rows: Rows) -> BoolArray:
-    """Commands that jump away and back within 60 ms while the position does not answer, shape (m,).
+    """Commands that jump away and back within 60 ms, once, while the position does not answer, shape (m,).
 
     Examples
     --------
@@ -400,23 +407,25 @@ def unanswered(command_s: FloatArray, command_deg: FloatArray, rows: Rows) -> Bo
     jump_deg = np.diff(command_deg)
     for k in (1 + np.flatnonzero(np.abs(jump_deg) > _LEAST_COMMAND_SPIKE_DEG)).tolist():
         until = int(np.searchsorted(command_s, command_s[k] + _COMMAND_SPIKE_S, side="right"))
-        away_deg = (command_deg[k:until] - command_deg[k - 1]) * np.sign(jump_deg[k - 1])
+        side = np.sign(jump_deg[k - 1])
+        away_deg = (command_deg[k:until] - command_deg[k - 1]) * side
         near = np.flatnonzero(np.abs(away_deg[1:]) <= _BACK * away_deg[0])
         if found[k - 1] or not near.size:
             continue
         back = k + 1 + int(near[0])
+        begin, end = np.searchsorted(command_s, (command_s[k] - _ASKED_BEFORE_S, command_s[k] + _ASKED_BEFORE_S))
+        around_deg = np.append(command_deg[begin:k], command_deg[back:end])
         first, last = np.searchsorted(rows.time_s, (command_s[k], command_s[k] + _ANSWER_S)).tolist()
-        seen_deg = (rows.position_deg[max(first - 1, 0) : last] - rows.position_deg[max(first - 1, 0)]) * np.sign(
-            jump_deg[k - 1]
-        )
-        if last - first >= 2 and float(seen_deg.max()) < _ANSWER * away_deg[0]:
+        seen_deg = rows.position_deg[max(first - 1, 0) : last]
+        answer_deg = float(((seen_deg - seen_deg[0]) * side).max()) if last - first >= 2 else np.inf
+        if answer_deg < _ANSWER * away_deg[0] and _swing_deg(around_deg, back - k + 1) < _ASKED_FOR * away_deg[0]:
             found[k:back] = True
     return found
 
 
 def is_mostly_echo(rows: Rows, why: Marks) -> bool:
     """Whether a position is the command wherever that moves, and so no measurement at all."""
-    new = np.abs(np.diff(rows.asked_deg, prepend=rows.asked_deg[:1])) > _TINY_DEG
+    new = np.abs(np.diff(rows.asked_deg, prepend=rows.asked_deg[:1])) > TINY_DEG
     return bool(new.any() and np.all(why[new] == Why.ECHO))
 
 
@@ -475,7 +484,7 @@ def bus_stands(servos: Sequence[Reported]) -> list[BoolArray]:
     ...     none = np.full(time_s.size, -1, dtype=np.int8)
     ...     return Reported(time_s, position_deg, time_s, 9.0 * np.sin(2.0 * time_s + phase + 0.1), none)
     >>> rows, _ = bus_stands([servo(0.0), servo(1.0)])
-    >>> time_s[rows].min() < 3.2, time_s[rows].max().round(2)
+    >>> float(time_s[rows].min()) < 3.2, float(time_s[rows].max())
     (True, 3.48)
     """
     sizes = [servo.time_s.size for servo in servos]

@@ -307,6 +307,19 @@ _TORQUE = re.compile(r"(torque|servo|motor).*(enabled?|_on|power(ed)?)$|^powered
 _STANDS_STILL = "all servos stopped reporting anything new while they were asked to move: look at the servo bus"
 
 
+def is_unsettled(command_s: FloatArray, measured_s: FloatArray, at_s: FloatArray) -> BoolArray:
+    """Whether instants are so early that nobody knows what moved the servo before, of shape (n,).
+
+    Examples
+    --------
+    >>> t = np.arange(5.0)
+    >>> is_unsettled(t + 0.5, t, t)
+    array([ True,  True, False, False, False])
+    """
+    early: BoolArray = at_s <= max(float(command_s[0]), float(measured_s[0])) + UNSETTLED_S
+    return early
+
+
 def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, BoolArray]:
     """When the telemetry of an aircraft stood still, by surface, for each row of its position channel that has a value.
 
@@ -433,9 +446,8 @@ def _marks(
     why = np.full(time_s.size, Why.MISSING, dtype=np.int8)
     why[known], _ = marked(rows)
     last = np.searchsorted(command_s, time_s, side="right") - 1
-    begun_s = max(float(command_s[0]), float(rows.time_s[0]))
     reasons = (
-        (Why.UNSETTLED, (time_s <= begun_s + UNSETTLED_S)),
+        (Why.UNSETTLED, is_unsettled(command_s, rows.time_s, time_s)),
         (Why.GAP, (last < 0) | (time_s - command_s[np.maximum(last, 0)] > OUTAGE_S)),
         (Why.TORQUE_OFF, _without_torque(log, name, time_s)),
         (Why.BOOT, _of_another_boot(log, time_s)),

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.schema import load_aircraft
 from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.core.files import beginning
 from servofd.feedback.flown import log_files, logs_of, surfaces_of
 from servofd.identification.identify import Method
 from servofd.identification.identify import identify as identify_records
@@ -31,7 +29,6 @@ _CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
 _NO_POSITION = -1.0
 """What the applet writes while the servo has sent none."""
 _CHIRP_SURFACE = "servo"
-_LONGEST_HEADER = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,18 +120,6 @@ def _are_segments(tests: object) -> TypeIs[Sequence[Sequence[Series]]]:
 def label_of(log: object) -> str:
     """Path of a log; of an open one its name."""
     return str(log if isinstance(log, str | Path) else getattr(log, "name", "log"))
-
-
-def bench_aircraft(path: object) -> Aircraft | None:
-    """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file."""
-    if not isinstance(path, str | Path):
-        return None
-    try:
-        first = beginning(Path(path), _LONGEST_HEADER).split(b"\n", 1)[0]
-    except OSError:
-        return None
-    header = first.decode("utf-8", "replace").strip().split(",")
-    return load_aircraft("bench") if {"run", "t_s", "cmd", "meas"} <= set(header) else None
 
 
 def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> BenchTest:

@@ -18,7 +18,7 @@ from servofd.discrepancy.own import OwnEffect, load_own_effect
 from servofd.discrepancy.validity import Undriven, undriven
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
-from servofd.jobs.bench import bench_aircraft, label_of
+from servofd.jobs.bench import label_of
 from servofd.servo.library import Servo
 from servofd.servo.physics import scaled_transfer
 
@@ -128,8 +128,6 @@ class _Flown:
 
     logs: tuple[FlightLog, ...]
     aircraft: Aircraft
-    described: bool
-    """Whether an aircraft file came with them."""
     servo: str | None
     label: str
 
@@ -147,7 +145,7 @@ class _Flown:
     @property
     def on_bench(self) -> bool:
         """Whether these are experiments that begin at rest."""
-        return self.described and self.aircraft.table is not None and bool(self.aircraft.table.run)
+        return self.aircraft.table is not None and bool(self.aircraft.table.run)
 
     def has_unknown_servo(self, surface: str) -> bool:
         """Whether the poles have to be found as well."""
@@ -157,13 +155,13 @@ class _Flown:
 
 
 def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
-    known = known_aircraft(aircraft) or bench_aircraft(paths[0])
+    known = known_aircraft(aircraft)
     logs = tuple(logs_of(paths, known))
     # The servo of a plain table is fitted along with what it may lack.
     flown = surfaces_of(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
-    return _Flown(logs, flown, known is not None, servo, ", ".join(map(label_of, paths)))
+    return _Flown(logs, flown, servo, ", ".join(map(label_of, paths)))
 
 
 def _explained(

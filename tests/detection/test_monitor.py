@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servofd.aircraft.schema import Surface, plain_aircraft
-from servofd.aircraft.series import Series
+from servofd.aircraft.marks import Why
+from servofd.aircraft.series import Series, is_unsettled
 from servofd.detection.judge import judge
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
 from servofd.detection.residual import (
@@ -55,7 +56,8 @@ def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float
     measured_deg[1200:1230] = np.nan
     asked, seen = rng.random(TIME_S.size) >= lost, rng.random(TIME_S.size) >= lost
     asked[1000:1040] = False
-    return Series("x", TIME_S[asked], COMMAND_DEG[asked], TIME_S[seen], measured_deg[seen])
+    why = is_unsettled(TIME_S[asked], TIME_S[seen], TIME_S[seen]) * np.int8(Why.UNSETTLED)
+    return Series("x", TIME_S[asked], COMMAND_DEG[asked], TIME_S[seen], measured_deg[seen], why=why)
 
 
 def in_order(segment: Series) -> list[tuple[float, int, float]]:

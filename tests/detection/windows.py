@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.series import Series
+from servofd.aircraft.marks import Why
+from servofd.aircraft.series import Series, is_unsettled
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.bank import Window
@@ -57,7 +58,8 @@ def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
     measured_deg[520:] += 3.0
     asked, seen = rng.random(time_s.size) > 0.1, rng.random(time_s.size) > 0.1
     seen[250:280] = asked[330:350] = False
-    segment = Series("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen])
+    why = is_unsettled(time_s[asked], time_s[seen], time_s[seen]) * np.int8(Why.UNSETTLED)
+    segment = Series("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen], why=why)
     return ResidualGenerator.fitting(model, segment), segment
 
 

@@ -54,7 +54,7 @@ def test_the_log_of_an_autopilot_tells_airspeed_and_supply(suffix: str, supply: 
     path = str(tmp_path / f"flown.{suffix}")
     assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "20"]) == 0
     log = logparsers.read(path)
-    context = cut(log, "rudder", resolved(log, load_aircraft("simulated")).surfaces["rudder"]).context
+    context = cut(log, "rudder", resolved(log, load_aircraft("simulated"))).context
     assert 5.0 < float(context.airspeed_m_s.mean()) < 60.0
     assert context.voltage_v.size == 0 or 4.0 < float(context.voltage_v.mean()) < 9.0
     assert bool(context.voltage_v.size) is supply

@@ -22,7 +22,6 @@ from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.calibrating.result import Calibration
 from servofd.core.errors import CalibrationError
-from servofd.core.frozen import republished_rows
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_segment
 from servofd.detection.monitor import SurfaceMonitor
@@ -315,8 +314,7 @@ def test_a_stream_finds_what_an_audit_finds() -> None:
     aircraft = stranger(3)
     known = calibrated(of_stranger(aircraft, 1, "mixed", "rudder")).aircraft
     segment = of_stranger(aircraft, 4, "turbulence", "rudder", Failure("bias", "rudder", 60.0, 2.0))
-    fresh = ~republished_rows(segment.measured_s, segment.measured_deg, [])  # which a log leaves out of its segment
-    segment = replace(segment, measured_s=segment.measured_s[fresh], measured_deg=segment.measured_deg[fresh])
+
     verdict = judged(known, segment)
     faults, streamed = followed(known, segment)
     assert verdict.residuals is not None
