@@ -15,7 +15,7 @@ import numpy as np
 
 from fleet import KINDS, flight
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.tolerance import Tolerance
 from servofd.detection.bank import Onset, Window
 from servofd.detection.judge import judge, name_fault
@@ -68,7 +68,7 @@ def measure(duration_s: float = _DURATION_S) -> Cost:
         rng = np.random.default_rng(seed)
         command_deg = COMMANDS["lively"](time_s, rng)
         measured_deg = model.simulate(time_s, command_deg, time_s) + _NOISE_DEG * rng.standard_normal(time_s.size)
-        segments.append(Segment("x", time_s, command_deg, time_s, measured_deg))
+        segments.append(Series("x", time_s, command_deg, time_s, measured_deg))
     generator = ResidualGenerator.fitting(model, segments[0])
 
     def alarms() -> int:

@@ -20,7 +20,7 @@ import numpy as np
 from strangers import SIZES, SURFACES, draw_failure, fly, stranger
 
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.core.errors import CalibrationError
@@ -64,11 +64,11 @@ stands beside it.
 """
 
 
-def segment_of(flown: Flown, surface: str) -> Segment:
+def segment_of(flown: Flown, surface: str) -> Series:
     """One surface of a flight."""
     place = flown.surfaces.index(surface)
     context = Context(flown.command_s, flown.airspeed_m_s, flown.command_s, flown.supply_v)
-    return Segment(
+    return Series(
         surface, flown.command_s, flown.command_deg[:, place], flown.position_s, flown.position_deg[:, place],
         context=context,
     )  # fmt: skip
@@ -93,7 +93,7 @@ def verdicts(aircraft: Aircraft, flown: Flown) -> dict[str, SurfaceAudit]:
         segment = segment_of(flown, name)
         if surface.measured is None:
             continue
-        read = Segment(
+        read = Series(
             name, segment.command_s, segment.command_deg, segment.measured_s,
             surface.measured.to_deg(segment.measured_deg), context=segment.context,
         )  # fmt: skip

@@ -17,7 +17,7 @@ from typing import Any
 import control
 import numpy as np
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import ComplexArray
 from servofd.identification.identify import identify
 from servofd.servo.library import servo_named
@@ -58,14 +58,14 @@ def main() -> None:
     print(f"  Markov+ERA hs225bb-eq31   {seconds:6.2f} s CPU   dominant pole {pole:5.2f} %")
 
 
-def record(name: str, seed: int) -> Segment:
+def record(name: str, seed: int) -> Series:
     rng = np.random.default_rng(seed)
     time_s = np.round(np.arange(12000) / 100.0, 9)
     command_deg = chirp(time_s, rng)
     measured_deg = ServoModel.of(servo_named(name)).simulate(time_s, command_deg, time_s)
     measured_deg += NOISE_DEG * rng.standard_normal(time_s.size)
     step_deg = 180.0 / 2**BITS
-    return Segment(name, time_s, command_deg, time_s, np.round(measured_deg / step_deg) * step_deg)
+    return Series(name, time_s, command_deg, time_s, np.round(measured_deg / step_deg) * step_deg)
 
 
 def realisation() -> ComplexArray:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import control
 import numpy as np
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.servo.library import servo_named
@@ -40,10 +40,10 @@ def main() -> None:
     for seed in range(SURFACES):
         command_deg = flight(time_s, np.random.default_rng(seed))
         measured_deg = model.simulate(time_s, command_deg, time_s)
-        segments.append(Segment(str(seed), time_s, command_deg, time_s, measured_deg))
+        segments.append(Series(str(seed), time_s, command_deg, time_s, measured_deg))
     samples = SURFACES * time_s.size
 
-    def last(segment: Segment) -> float:
+    def last(segment: Series) -> float:
         """Last residual; the rest is given back, so that fresh memory is not what is measured."""
         return float(generator.run(segment).residual_deg[-1])
 
@@ -74,7 +74,7 @@ def timed(action: object, clock: Callable[[], float] = time.thread_time) -> floa
     return clock() - begin
 
 
-def peer(segment: Segment, generator: ResidualGenerator) -> tuple[float, float]:
+def peer(segment: Series, generator: ResidualGenerator) -> tuple[float, float]:
     """Processor time of python-control for the first samples, and how far its residual is from ours."""
     plan = generator.model.plan
     design = design_pulse_filter(generator.model.transfer, plan.delay_s, 1.0 / RATE_HZ, POLE_RAD_S)
@@ -95,11 +95,11 @@ def peer(segment: Segment, generator: ResidualGenerator) -> tuple[float, float]:
     return elapsed, float(np.max(np.abs(np.ravel(response.outputs) - ours)))
 
 
-def jittered(segment: Segment, model: ServoModel, generator: ResidualGenerator) -> float:
+def jittered(segment: Series, model: ServoModel, generator: ResidualGenerator) -> float:
     """Seconds per sample when every interval differs and nothing can be kept."""
     time_s = segment.command_s + np.random.default_rng(0).uniform(-0.003, 0.003, segment.command_s.size)
     measured_deg = model.simulate(time_s, segment.command_deg, time_s)
-    irregular = Segment("jittered", time_s, segment.command_deg, time_s, measured_deg)
+    irregular = Series("jittered", time_s, segment.command_deg, time_s, measured_deg)
     return min(timed(lambda: generator.run(irregular)) for _ in range(REPEATS)) / time_s.size
 
 

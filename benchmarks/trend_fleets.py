@@ -17,7 +17,7 @@ import numpy as np
 
 from fleet import FleetServo, Truth, deflection
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.simulation.commands import COMMANDS
 from servofd.wear.estimate import FlightEstimate, estimate_flight
 from servofd.wear.trend import FlownLog, trend_of
@@ -48,7 +48,7 @@ def drawn_servo(rng: np.random.Generator) -> FleetServo:
     )
 
 
-def segment(surface: str, servo: FleetServo, rng: np.random.Generator, width_deg: float, duration_s: float) -> Segment:
+def segment(surface: str, servo: FleetServo, rng: np.random.Generator, width_deg: float, duration_s: float) -> Series:
     """One flight of a servo with a dead band from its first second on."""
     flown = servo._replace(
         delay_s=max(servo.delay_s + _DELAY_S * rng.standard_normal(), 0.0),
@@ -63,7 +63,7 @@ def segment(surface: str, servo: FleetServo, rng: np.random.Generator, width_deg
     read_deg = read_deg + flown.noise_deg * rng.standard_normal(grid_s.size)
     read_deg = flown.step_deg * np.round(read_deg / flown.step_deg)
     kept = (rng.random(grid_s.size) >= flown.loss) & (np.diff(time_s, prepend=-1.0) > 0.0)
-    return Segment(surface, time_s[kept], command_deg[kept], time_s[kept], read_deg[kept])
+    return Series(surface, time_s[kept], command_deg[kept], time_s[kept], read_deg[kept])
 
 
 @functools.cache

@@ -10,7 +10,7 @@ import numpy as np
 from bound import log_likelihood_ratio
 from fleet import FleetFlight, flight
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.detection.bank import Window
 from servofd.detection.judge import Judgement, judge
 from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
@@ -124,7 +124,7 @@ class Judged(NamedTuple):
     """A flight with all that servofd makes of it."""
 
     flight: FleetFlight
-    segment: Segment
+    segment: Series
     generator: ResidualGenerator
     residuals: Residuals
     judgement: Judgement
@@ -132,7 +132,7 @@ class Judged(NamedTuple):
 
 def judged(one: FleetFlight) -> Judged:
     """Judge one flight against the interval threshold."""
-    segment = Segment("x", one.time_s, one.command_deg, one.time_s, one.measured_deg)
+    segment = Series("x", one.time_s, one.command_deg, one.time_s, one.measured_deg)
     generator = ResidualGenerator.fitting(_AIRCRAFT.model("x"), segment)
     residuals = generator.run(segment)
     return Judged(one, segment, generator, residuals, judge(generator, segment, residuals, _SURFACE))

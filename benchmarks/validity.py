@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray as Floats
 from servofd.discrepancy.explanation import driven_part
 from servofd.discrepancy.record import record_of
@@ -36,7 +36,7 @@ _LATE_S = 0.3
 class Lot:
     """Runs of one servo, and where one of them is not driven."""
 
-    runs: tuple[Segment, ...]
+    runs: tuple[Series, ...]
     run: int
     start_s: float
     """When its torque is lost; infinite if it is not, or nothing shows it."""
@@ -84,7 +84,7 @@ def lot(seed: int, *, healthy: bool = False) -> Lot:
             start_s, end_s = first, min(last, float(time_s[-1]))
         numbers = np.array([natural, damping, slew, grip, weight, first, last, ("holds", "falls", "limp").index(kind)])
         turned = moved(numbers, command, rate_hz)
-        runs.append(Segment("servo", time_s, command, time_s, turned + noise_deg * rng.standard_normal(time_s.size)))
+        runs.append(Series("servo", time_s, command, time_s, turned + noise_deg * rng.standard_normal(time_s.size)))
         if number == run and not healthy:  # it shows once the servo should have moved
             gap = np.abs(turned - moved(np.array([*numbers[:5], np.inf, np.inf, 0.0]), command, rate_hz))
             apart = np.flatnonzero(gap > max(6.0 * noise_deg, 0.06 * size_deg))

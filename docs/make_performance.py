@@ -32,7 +32,7 @@ import residual
 import tlog
 from logparsers.replay import replayed
 from logparsers.ulog import UlogFile
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.discrepancy.explanation import explain_gap
@@ -117,7 +117,7 @@ def residuals(_: Path) -> Iterable[Row]:
     generator = ResidualGenerator(model, residual.POLE_RAD_S)
     time_s = np.round(np.arange(180_000) / residual.RATE_HZ, 9)
     command_deg = flight(time_s, np.random.default_rng(0))
-    segment = Segment("x", time_s, command_deg, time_s, model.simulate(time_s, command_deg, time_s))
+    segment = Series("x", time_s, command_deg, time_s, model.simulate(time_s, command_deg, time_s))
     generator.run(segment)
     ours_s = cost_s(lambda: generator.run(segment))
     theirs_s, difference_deg = residual.peer(segment, generator)
@@ -164,7 +164,7 @@ def explanations(_: Path) -> Iterable[Row]:
         drawn = hidden_physics.draw(np.random.default_rng(1), name, "medium")
         record = hidden_physics.hidden(1, {name: drawn}, "flight")
         flown = Context(airspeed_s=record.time_s, airspeed_m_s=record.airspeed_m_s)
-        segment = Segment("x", record.time_s, record.command_deg, record.time_s, record.measured_deg, context=flown)
+        segment = Series("x", record.time_s, record.command_deg, record.time_s, record.measured_deg, context=flown)
         start_s = time.process_time()
         explanation = explain_gap(segment, model)
         between_s = time.process_time()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import servofd
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter
@@ -149,7 +149,7 @@ and 3.8:
 """
 
 
-def bench_chirp(seed: int) -> Segment:
+def bench_chirp(seed: int) -> Series:
     """Chirp test of one of several servos of a kind."""
     servo, rng = servo_named("hs225bb-eq31"), np.random.default_rng(seed)
     shift = seed - (BENCH_SERVOS - 1) / 2
@@ -158,7 +158,7 @@ def bench_chirp(seed: int) -> Segment:
     time_s = np.round(np.arange(12000) / RATE_HZ, 9)
     command_deg = chirp(time_s, rng)
     measured_deg = model.simulate(time_s, command_deg, time_s) + BENCH_NOISE_DEG * rng.standard_normal(time_s.size)
-    return Segment(f"servo {seed + 1}", time_s, command_deg, time_s, measured_deg)
+    return Series(f"servo {seed + 1}", time_s, command_deg, time_s, measured_deg)
 
 
 def filter_design() -> str:
@@ -204,7 +204,7 @@ def thresholds() -> str:
         command_deg = flight(time_s, spread)
         noise_deg = 0.1 * spread.standard_normal(time_s.size)
         measured_deg = real.simulate(time_s, command_deg, time_s) + bias_deg + noise_deg
-        residuals = generator.run(Segment(str(seed), time_s, command_deg, time_s, measured_deg))
+        residuals = generator.run(Series(str(seed), time_s, command_deg, time_s, measured_deg))
         peaks.append(float(np.max(np.abs(residuals.residual_deg[residuals.settled]))))
     return f"""## Figs 4.1 and 4.2: the threshold
 
@@ -222,11 +222,11 @@ def chirp_residual() -> str:
     command_deg = chirp(time_s, np.random.default_rng(0))
     model = ServoModel.of(servo_named("hs225bb-eq31"))
     measured_deg = model.simulate(time_s, command_deg, time_s)
-    segment = Segment("chirp", time_s, command_deg, time_s, measured_deg)
+    segment = Series("chirp", time_s, command_deg, time_s, measured_deg)
     exact = ResidualGenerator(model, POLE_RAD_S).run(segment)
     undelayed = ResidualGenerator(ServoModel((LinearDynamics(model.transfer),)), POLE_RAD_S).run(segment)
     noisy = measured_deg + 0.25 * np.random.default_rng(1).standard_normal(time_s.size)
-    with_noise = ResidualGenerator(model, POLE_RAD_S).run(Segment("chirp", time_s, command_deg, time_s, noisy))
+    with_noise = ResidualGenerator(model, POLE_RAD_S).run(Series("chirp", time_s, command_deg, time_s, noisy))
 
     def variance(residual_deg: FloatArray, settled: BoolArray) -> str:
         return f"{float(np.var(residual_deg[settled])):.4f}"
@@ -277,7 +277,7 @@ def _delay(fault: Fault, size_deg: float, rate_deg_s: float) -> float:
     command_deg = np.clip((time_s - begin_s + 1e-9) * rate_deg_s, 0.0, size_deg)
     model = ServoModel.of(servo_named("hs225bb-eq31"))
     measured_deg = fault.deflection(model, time_s, command_deg, time_s)
-    residuals = ResidualGenerator(model, POLE_RAD_S).run(Segment("x", time_s, command_deg, time_s, measured_deg))
+    residuals = ResidualGenerator(model, POLE_RAD_S).run(Series("x", time_s, command_deg, time_s, measured_deg))
     return float(time_s[np.argmax(np.abs(residuals.residual_deg) >= THRESHOLD_DEG)]) - begin_s
 
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft as Aircraft
     from servofd.aircraft.schema import Surface as Surface
     from servofd.aircraft.schema import load_aircraft as load_aircraft
-    from servofd.aircraft.segment import Segment as Segment
-    from servofd.aircraft.segment import cut as cut
+    from servofd.aircraft.series import Series as Series
+    from servofd.aircraft.series import cut as cut
     from servofd.core.errors import ServofdError as ServofdError
     from servofd.detection.audit import audit_log as audit_log
     from servofd.detection.nullspace import design_nullspace_filter as design_nullspace_filter
@@ -57,7 +57,7 @@ _HOME = {
     "Parameter": "servo.effect",
     "Slot": "servo.effect",
     "ResidualGenerator": "detection.residual",
-    "Segment": "aircraft.segment",
+    "Series": "aircraft.series",
     "Servo": "servo.library",
     "ServoModel": "servo.servo_model",
     "ServofdError": "core.errors",
@@ -68,7 +68,7 @@ _HOME = {
     "audit_logs": "fleet.run",
     "calibrate": "results",
     "audit_log": "detection.audit",
-    "cut": "aircraft.segment",
+    "cut": "aircraft.series",
     "design_nullspace_filter": "detection.nullspace",
     "design_pulse_filter": "detection.pulse",
     "explain": "results",

@@ -258,10 +258,10 @@ def calibrate_aircraft(
     >>> import numpy as np
     >>> from servofd.aircraft.schema import plain_aircraft
     >>> from servofd.calibrating.flights import Flight
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> from servofd.simulation.flight import simulate_flight
     >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=30.0, seed=1, noise_deg=0.05)
-    >>> segment = Segment("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
+    >>> segment = Series("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
     >>> rough = plain_aircraft(["rudder"], "s9256")
     >>> calibrated = calibrate_aircraft(rough, {"rudder": [Flight("good.csv", segment)]})
     >>> calibrated.surfaces[0].held_out_rms_deg < 0.1

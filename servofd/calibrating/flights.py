@@ -10,7 +10,7 @@ import numpy as np
 from servofd.core.series import latest
 
 if TYPE_CHECKING:
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
 
 _SLOW_RAD_S = 12.6
@@ -26,7 +26,7 @@ class Flight:
 
     label: str
     """Name of the log, without folders; with the run, if the file holds several."""
-    segment: Segment
+    segment: Series
 
     def with_scale(self, gain: float, offset_deg: float) -> Flight:
         """Return the same flight with a position that reads in degrees of the command: (position - offset) / gain."""
@@ -34,14 +34,14 @@ class Flight:
         return Flight(self.label, replace(self.segment, measured_deg=measured_deg))
 
 
-def cropped(segment: Segment, spans: tuple[Span, ...]) -> Segment:
+def cropped(segment: Series, spans: tuple[Span, ...]) -> Series:
     """Keep what was measured within some spans; commands stay, they say where the servo was going.
 
     Examples
     --------
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> t = np.arange(5.0)
-    >>> cropped(Segment("x", t, t, t, t), ((1.0, 3.0),)).measured_s
+    >>> cropped(Series("x", t, t, t, t), ((1.0, 3.0),)).measured_s
     array([1., 2., 3.])
     """
     if not spans:
@@ -49,7 +49,7 @@ def cropped(segment: Segment, spans: tuple[Span, ...]) -> Segment:
     inside = np.zeros(segment.measured_s.size, dtype=bool)
     for from_s, to_s in spans:
         inside |= (segment.measured_s >= from_s) & (segment.measured_s <= to_s)
-    return replace(segment, measured_s=segment.measured_s[inside], measured_deg=segment.measured_deg[inside])
+    return segment.at(inside)
 
 
 def busiest(flight: Flight, most_samples: int) -> list[Flight]:
@@ -59,9 +59,9 @@ def busiest(flight: Flight, most_samples: int) -> list[Flight]:
 
     Examples
     --------
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> t = np.arange(100.0)
-    >>> long = Flight("a", Segment("x", t, np.where(t > 50.0, 5.0, 0.0), t, t))
+    >>> long = Flight("a", Series("x", t, np.where(t > 50.0, 5.0, 0.0), t, t))
     >>> [piece.segment.measured_s.size for piece in busiest(long, 40)]
     [5, 5, 5, 5, 5, 5, 5, 5]
     """
@@ -88,13 +88,7 @@ def _piece(flight: Flight, first: int, last: int) -> Flight:
     commands = slice(max(begin - 1, 0), max(end, 1))
     return Flight(
         flight.label,
-        replace(
-            segment,
-            command_s=segment.command_s[commands],
-            command_deg=segment.command_deg[commands],
-            measured_s=segment.measured_s[first:last],
-            measured_deg=segment.measured_deg[first:last],
-        ),
+        segment.at(slice(first, last), commands),
     )
 
 
@@ -107,6 +101,6 @@ def _smoothed(command_deg: FloatArray, period_s: float) -> FloatArray:
     return smooth_deg
 
 
-def asked_deg(segment: Segment) -> FloatArray:
+def asked_deg(segment: Series) -> FloatArray:
     """Command in force at each measurement, shape (m,) [deg]."""
     return latest(segment.command_s, segment.command_deg, segment.measured_s)

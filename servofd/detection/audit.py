@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.calibration import DegreeCalibration
-from servofd.aircraft.segment import (
+from servofd.aircraft.series import (
     SLOWEST_LEFT_HZ,
     SLOWEST_RATE_HZ,
     TOO_MANY_LOST,
     WARM_UP_STEPS,
-    Segment,
+    Series,
+    bus_of,
     cut,
     sent_period_s,
     too_far,
@@ -92,11 +93,13 @@ def audit_log(
     """
     chosen = surfaces or tuple(aircraft.surfaces)
 
+    bus = bus_of(log, aircraft)
+
     def one(name: str) -> SurfaceAudit:
         expected = _is_expected(log, aircraft, name)
         surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
         try:
-            segment = cut(log, name, surface)
+            segment = cut(log, name, aircraft, bus)
         except NoMeasurement as reason:
             verdict = _verdict_on(name, surface, expected=expected)(status="no_data", reason=str(reason))
         else:
@@ -117,7 +120,7 @@ def audit_log(
 
 
 def audit_segment(
-    segment: Segment,
+    segment: Series,
     aircraft: Aircraft,
     *,
     duration_s: float,
@@ -231,7 +234,7 @@ _LACKING = {
 }
 
 
-def _reservations(model: ServoModel, segment: Segment, surface: Surface) -> list[str]:
+def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[str]:
     """What a reader has to know of the model: effects that want data, another scale, a calibration on other times."""
     notes = [_LACKING[need] for need in sorted(model.needs - segment.context.logged)]
     if surface.model.origin == "fitted" and isinstance(surface.command, DegreeCalibration):
@@ -261,7 +264,7 @@ def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
     return any(difflib.get_close_matches(channel, unclaimed, n=1, cutoff=0.8) for channel in wanted)
 
 
-def _too_little(segment: Segment, *, is_calibrated: bool) -> str:
+def _too_little(segment: Series, *, is_calibrated: bool) -> str:
     """Why this segment cannot be judged, or nothing."""
     if not segment.period_s > 0.0:
         return "fewer than two position samples"
@@ -297,7 +300,7 @@ def _miswired(residuals: Residuals, faults: tuple[Fault, ...], surface: Surface)
 
 
 def _without_model(
-    generator: ResidualGenerator, segment: Segment, surface: Surface, verdict: partial[SurfaceAudit]
+    generator: ResidualGenerator, segment: Series, surface: Surface, verdict: partial[SurfaceAudit]
 ) -> SurfaceAudit:
     """Verdict where no servo could be fitted: a surface that did not answer its command is at fault all the same."""
     reason = _unpredicted(surface, segment)
@@ -315,7 +318,7 @@ def _without_model(
     )
 
 
-def _unpredicted(surface: Surface, segment: Segment) -> str:
+def _unpredicted(surface: Surface, segment: Series) -> str:
     """Why no servo could be fitted to this log, and what to record."""
     asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
     moved_deg = float(np.nanmax(segment.measured_deg) - np.nanmin(segment.measured_deg))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
     STATISTICS,
@@ -462,7 +462,7 @@ confirm it (`benchmarks/calibration_campaign.py`). The rate of a rarer alarm has
 
 
 def audit_calibrated(
-    segment: Segment, surface: Surface, verdict: partial[SurfaceAudit], duration_s: float
+    segment: Series, surface: Surface, verdict: partial[SurfaceAudit], duration_s: float
 ) -> SurfaceAudit:
     """Judge one surface by what its good flights were like."""
     known = surface.calibrated
@@ -613,12 +613,12 @@ def judge_stretch(
     known: CalibratedServo, residuals: Residuals, commands: Commands, sent_period_s: float | None
 ) -> Found:
     """Judge what a stream remembers of a surface."""
-    segment = Segment("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
+    segment = Series("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
     segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
     return judged(_watched(known, segment))
 
 
-def _watched(known: CalibratedServo, segment: Segment) -> Watched:
+def _watched(known: CalibratedServo, segment: Series) -> Watched:
     has_airspeed = segment.context.airspeed_s.size > 0
     record = Record.of(segment, known.supply_v, known.airspeed_m_s)
     return watched(known if has_airspeed else known.without_airspeed(), record)

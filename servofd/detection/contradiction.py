@@ -117,13 +117,13 @@ def contradictions(
     --------
     >>> from servofd.detection.residual import ResidualGenerator
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> model, time_s = ServoModel.of(servo_named("hs225bb-eq31")), np.arange(0.0, 40.0, 0.02)
     >>> command_deg = 10.0 * np.sin(2.0 * time_s)
     >>> jammed_deg = np.where(time_s < 20.0, model.simulate(time_s, command_deg, time_s), 3.0)
     >>> generator = ResidualGenerator(model, 30.0)
-    >>> (found,) = contradictions(generator, generator.run(Segment("x", time_s, command_deg, time_s, jammed_deg)))
+    >>> (found,) = contradictions(generator, generator.run(Series("x", time_s, command_deg, time_s, jammed_deg)))
     >>> found.kind, round(found.start_s), found.end_s
     ('stuck', 20, None)
     """

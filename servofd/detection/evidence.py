@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
@@ -96,7 +96,7 @@ _LEAST = 0.5
 _STOPS_S, _STOPS_SHARE = 3.0, 0.1
 
 
-def coverage(segment: Segment, residuals: Residuals) -> tuple[str, tuple[str, ...]]:
+def coverage(segment: Series, residuals: Residuals) -> tuple[str, tuple[str, ...]]:
     """Why too little of a flight was judged to clear a surface, empty if it was not; and what to know of it."""
     measured = np.isfinite(segment.measured_deg)
     if not measured.any() or segment.command_s.size == 0:
@@ -351,7 +351,7 @@ def status_of(
 
 def reported(
     verdict: Callable[..., SurfaceAudit],
-    segment: Segment,
+    segment: Series,
     residuals: Residuals,
     threshold: Threshold,
     judged_share: float,

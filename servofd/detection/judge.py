@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.core.frozen import held_rows
 from servofd.detection.bank import BANK, Explanation, Flight, Onset, Window, wandering
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo, noise_deg
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from servofd.aircraft.schema import Surface
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Commands, ResidualGenerator, Residuals
     from servofd.detection.threshold import Episode
@@ -373,7 +372,7 @@ class Judgement(NamedTuple):
 
 
 def judge(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, surface: Surface, *, dismiss: bool = True
+    generator: ResidualGenerator, segment: Series, residuals: Residuals, surface: Surface, *, dismiss: bool = True
 ) -> Judgement:
     """Compare the residual with its threshold, and name each alarm.
 
@@ -420,9 +419,7 @@ def judge_evaluated(
     is_fitted = surface.model.origin == "fitted"
     contradicted = contradictions(generator, residuals) if is_fitted else ()
     suspects = None
-    if is_fitted:  # readings that are merely held are no ground for a suspicion
-        residuals = _of_a_bus_in_time(generator, residuals)
-    elif surface.tells_small_faults:
+    if not is_fitted and surface.tells_small_faults:
         suspects = suspicion(residuals, threshold) if suspicious is None else suspicious
     episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
     for fault in contradicted:  # which raises alarms, and so does its end
@@ -449,19 +446,6 @@ def judge_evaluated(
         named = (*named[:-1], replace(named[-1], end_s=quiet_s))
     faults = tuple(fault for fault in named if fault.level == "fault" and fault.kind != "healthy")
     return Judgement(threshold, faults, tuple(fault for fault in named if fault not in faults), unnamed)
-
-
-def _of_a_bus_in_time(generator: ResidualGenerator, residuals: Residuals) -> Residuals:
-    """Judge nothing while a late bus repeats its last answer although the servo moves, nor shortly after."""
-    known = np.flatnonzero(np.isfinite(residuals.measured_deg))
-    time_s = residuals.time_s
-    held = np.zeros(time_s.size, dtype=bool)
-    held[known] = held_rows(time_s[known], residuals.measured_deg[known], residuals.simulated_deg[known])
-    if not held.any():
-        return residuals
-    last_s = np.maximum.accumulate(np.where(held, time_s, -np.inf))
-    in_time = residuals.settled & (time_s > last_s + generator.blanking_s)
-    return replace(generator.without(residuals, held), settled=in_time)
 
 
 def _largest(episodes: tuple[Episode, ...], residuals: Residuals, threshold: Threshold) -> tuple[Episode, ...]:

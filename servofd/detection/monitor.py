@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.segment import (
+from servofd.aircraft.series import (
     OUTAGE_S,
     SAME_PACE,
     SLOWEST_LEFT_HZ,
@@ -23,8 +23,9 @@ from servofd.aircraft.segment import (
     pace_steps,
     sent_period_s,
 )
+from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
-from servofd.core.frozen import Republished
+from servofd.core.series import latest
 from servofd.detection.calibrated import judge_stretch
 from servofd.detection.contradiction import contradictions, wiring_problem
 from servofd.detection.judge import ECHO_S, SETTLING_S, WINDOWS_S, judge_evaluated
@@ -289,7 +290,9 @@ class SurfaceMonitor:
     _excused: tuple[float, float] = (-np.inf, 0.0)
     """Until when nothing at all was heard of the vehicle, and for how long [s]."""
     _earlier: dict[float, Fault] = field(default_factory=dict)
-    _republished: Republished = field(default_factory=Republished)
+    _watch: Watch = field(default_factory=Watch)
+    _asked_last: tuple[float, float] = (float("nan"), float("nan"))
+    """Time [s] and value of the latest command, as the marks take it [deg]."""
     _context: Context = NO_CONTEXT
 
     def surroundings(self, context: Context) -> None:
@@ -298,34 +301,71 @@ class SurfaceMonitor:
         if self._stream is not None:
             self._stream.surroundings(context)
 
-    def feed(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> list[Event]:
+    def feed(
+        self,
+        commands: tuple[FloatArray, FloatArray],
+        positions: tuple[FloatArray, FloatArray],
+        stands: BoolArray | None = None,
+    ) -> list[Event]:
         """Take the next commands and positions, each times [s] and values as logged, of shape (n,).
 
-        Commands come before positions of the same instant.
+        Commands come before positions of the same instant. `stands` tells of each position whether the telemetry of
+        all surfaces stood still then (`servofd.aircraft.watch.Bus`).
         """
         if self.suspended:
             return []
-        asked: list[tuple[float, float]] = []
-        seen: list[tuple[float, float]] = []
-        if commands[0].size:
-            asked_deg = self.surface.command.to_deg(commands[1])
-            if self.surface.command_saturation_deg is not None:
-                asked_deg = np.clip(asked_deg, *self.surface.command_saturation_deg)
-            given = np.isfinite(asked_deg)
-            asked = list(zip(commands[0][given].tolist(), asked_deg[given].tolist(), strict=True))
-        if positions[0].size and self.surface.measured is not None:
-            seen_deg = self.surface.measured.to_deg(positions[1])
-            seen = list(zip(positions[0].tolist(), seen_deg.tolist(), strict=True))
+        asked_deg = self.surface.command.to_deg(commands[1])
+        if self.surface.command_saturation_deg is not None:
+            asked_deg = np.clip(asked_deg, *self.surface.command_saturation_deg)
+        given = np.isfinite(asked_deg)
+        asked = list(zip(commands[0][given].tolist(), asked_deg[given].tolist(), strict=True))
+        known = np.isfinite(positions[1])
+        seen_deg = (
+            positions[1][known] if self.surface.measured is None else self.surface.measured.to_deg(positions[1][known])
+        )
+        fresh = np.ones(seen_deg.size, dtype=bool) if stands is None else ~stands
+        seen = list(zip(positions[0][known][fresh].tolist(), seen_deg[fresh].tolist(), strict=True))
         for what, rows in (("command", asked), ("position", seen)):
             if rows:
                 until_s, gap_s = self._excused
                 self._heard[what] = [rows[-1][0], gap_s if rows[-1][0] < until_s else 0.0]
         events = self._alive(seen)
-        seen = self._republished.without(seen)
+        new = self.uncorrected(commands, positions)
+        asked_then = self._asked_at(new)
+        counting = self._watch.take(new.time_s, new.position_deg, asked_then, seen_deg, stands)
         if self._stream is None:
-            return events + self._warm_up(asked, seen)
-        self._hand_over(asked, seen)
+            return events + self._warm_up(asked, counting)
+        self._hand_over(asked, counting)
         return events + self._evaluated(self._stream.evaluate())
+
+    def uncorrected(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> New:
+        """Commands and positions as the marks take them: in degrees, without the corrections that were fitted."""
+        command, measured = self.surface.command, self.surface.measured
+        asked_deg = (command.to_deg(commands[1]) - command.correction[1]) / command.correction[0]
+        read_deg = positions[1]
+        if measured is not None:
+            read_deg = (measured.to_deg(positions[1]) - measured.correction[1]) / measured.correction[0]
+        given, known = np.isfinite(asked_deg), np.isfinite(read_deg)
+        return New(commands[0][given], asked_deg[given], positions[0][known], read_deg[known])
+
+    def _asked_at(self, new: New) -> FloatArray:
+        """The command in force at each new position [deg]; NaN before any."""
+        before_s, before_deg = self._asked_last
+        command_s, command_deg = new.command_s, new.command_deg
+        if np.isfinite(before_s):
+            command_s, command_deg = np.append(before_s, command_s), np.append(before_deg, command_deg)
+        if not command_s.size:
+            return np.full(new.time_s.size, np.nan)
+        self._asked_last = float(command_s[-1]), float(command_deg[-1])
+        return latest(command_s, command_deg, new.time_s)
+
+    def stands_still(self, since_s: float, now_s: float) -> list[Event]:
+        """Tell, once in each outage, that the telemetry of all surfaces stands still since then [s]."""
+        if self.suspended or now_s - since_s < STANDS_STILL_S:
+            return []
+        told, self._steady_s = self.outage, np.inf
+        self.outage = f"positions of all servos stand still since {since_s:.1f} s: servo bus?"
+        return [] if told else [Event(now_s, self.name, "no_data", text=self.outage)]
 
     @property
     def is_watched(self) -> bool:
@@ -359,7 +399,7 @@ class SurfaceMonitor:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What acts on its servo beside the command, by the names of `servofd.aircraft.segment.SURROUNDINGS`."""
+        """What acts on its servo beside the command, by the names of `servofd.aircraft.series.SURROUNDINGS`."""
         known = self.surface.calibrated
         if known is None or not self.surface.is_calibrated:
             return self.model.needs
@@ -556,8 +596,12 @@ class SurfaceMonitor:
     def finish(self) -> list[Event]:
         """End of the stream: evaluate what waits for more, and look once more at all of it."""
         events: list[Event] = []
+        left = self._watch.finish()
         if self._stream is None:
+            self._waiting[1].extend(left)
             events = self._begin()
+        else:
+            self._hand_over([], left)
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
@@ -571,6 +615,7 @@ class SurfaceMonitor:
         self._earlier.update({f.alarm_s: f for f in self.faults})
         self._over()
         self._stream, self._generator, self._waiting = None, None, ([], [])
+        self._watch, self._asked_last = Watch(), (float("nan"), float("nan"))
         self._latest_seen, self._moved = float("nan"), False
         self._looks_s.clear()
         self._recent.clear()

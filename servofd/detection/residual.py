@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logparsers.records import own
-from servofd.aircraft.segment import pace_steps
+from servofd.aircraft.series import pace_steps
 from servofd.core.errors import DesignError
 from servofd.core.series import latest, subdivided
 from servofd.core.statistics import MAD_TO_SIGMA
@@ -34,7 +34,7 @@ from servofd.servo.context import NO_CONTEXT, Context
 from servofd.core.loops import compiled, fixed, inlined, inner
 
 if TYPE_CHECKING:
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.servo.motion import AnyServo, Motion
     from servofd.servo.servo_model import ServoModel
@@ -122,14 +122,14 @@ class ResidualGenerator:
     A healthy servo has no residual, however irregular the samples:
 
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> time_s = np.cumsum(np.random.default_rng(1).uniform(0.005, 0.015, 1000))
     >>> command_deg = 10.0 * np.sin(time_s)
     >>> measured_deg = model.simulate(time_s, command_deg, time_s)
     >>> residuals = ResidualGenerator(model, 50.0).run(
-    ...     Segment("elevator", time_s, command_deg, time_s, measured_deg))
+    ...     Series("elevator", time_s, command_deg, time_s, measured_deg))
     >>> bool(np.nanmax(np.abs(residuals.residual_deg)) < 1e-9)
     True
     """
@@ -138,7 +138,7 @@ class ResidualGenerator:
     pole_rad_s: float
 
     @classmethod
-    def fitting(cls, model: ServoModel, segment: Segment, pole_rad_s: float | None = None) -> ResidualGenerator:
+    def fitting(cls, model: ServoModel, segment: Series, pole_rad_s: float | None = None) -> ResidualGenerator:
         """Generator with the given pole, or the fastest that the segment's sample rate allows."""
         return cls.fitting_pace(model, segment.period_s, pole_rad_s)
 
@@ -164,7 +164,7 @@ class ResidualGenerator:
         """Time after a start during which the residual is not judged [s]."""
         return _BLANKING_TIME_CONSTANTS / self.pole_rad_s
 
-    def longest_gap_s(self, segment: Segment) -> float:
+    def longest_gap_s(self, segment: Series) -> float:
         """Longest interval between samples that the filter bridges; after a longer one it starts anew [s]."""
         return self.longest_gap_s_at(segment.period_s)
 
@@ -178,7 +178,7 @@ class ResidualGenerator:
         pairs = decay[decay.imag != 0.0].conj()
         return FilterParameters(self.pole_rad_s, np.concatenate([decay, pairs]), self.model.transfer.dc_gain)
 
-    def run(self, segment: Segment) -> Residuals:
+    def run(self, segment: Series) -> Residuals:
         """Residual of a whole segment."""
         simulator = Simulator.of(self, segment)
         simulated_deg, (measured_deg, restart, settled) = simulator.simulated_deg(self.model), simulator.starts
@@ -260,11 +260,11 @@ def go_on(
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
-def commands_at_servo(segment: Segment, delay_s: float, longest_gap_s: float) -> Commands:
+def commands_at_servo(segment: Series, delay_s: float, longest_gap_s: float) -> Commands:
     """Reconstruct what the servo received from what was logged.
 
     Complete logs: each command holds until the next; where single samples were lost, they are put back on the
-    straight line between their neighbours. Thinned logs (`Segment.command_period_s`): the command runs
+    straight line between their neighbours. Thinned logs (`Series.command_period_s`): the command runs
     straight between samples, later by half the real period, the mean lag of the hold.
     """
     time_s, command_deg = segment.command_s, segment.command_deg
@@ -326,7 +326,7 @@ def thinned_rhythm(command_s: FloatArray) -> Rhythm:
 class Simulator:
     """Commands and starts of a segment, which do not depend on the servo that is simulated."""
 
-    segment: Segment
+    segment: Series
     commands: Commands
     """As a servo without a delay gets them."""
     starts: Starts
@@ -334,7 +334,7 @@ class Simulator:
     """Longest interval between samples that is bridged."""
 
     @classmethod
-    def of(cls, generator: ResidualGenerator, segment: Segment) -> Simulator:
+    def of(cls, generator: ResidualGenerator, segment: Series) -> Simulator:
         """Make ready what the generator's filter would take: gaps and starts are found for its pole."""
         gap_s = generator.longest_gap_s(segment)
         starts = mark_starts(
@@ -344,6 +344,7 @@ class Simulator:
             segment.measured_deg,
             (gap_s, rhythm(segment.command_s).longest_s, generator.blanking_s),
         )
+        starts = starts._replace(settled=starts.settled & segment.counts)
         return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
 
     def with_commands(self, command_deg: FloatArray) -> Simulator:
@@ -364,7 +365,7 @@ PEAK_OF_LAGS = 0.224
 
 
 def unmodelled(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, rate_share: float
+    generator: ResidualGenerator, segment: Series, residuals: Residuals, rate_share: float
 ) -> tuple[FloatArray, FloatArray]:
     """What a rate limit lower by a share leaves, and what lost commands may add from each sample on [deg], (n,) each.
 
@@ -755,12 +756,12 @@ _CLEARLY_SMALLER = 0.7
 class Prepared(NamedTuple):
     """A segment that can be judged, and what was done to it."""
 
-    segment: Segment
+    segment: Series
     residuals: Residuals
     notes: tuple[str, ...]
 
 
-def prepared(generator: ResidualGenerator, segment: Segment) -> Prepared:
+def prepared(generator: ResidualGenerator, segment: Series) -> Prepared:
     """Run the generator, without glitches and with the hold that suits the commands.
 
     A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were logged

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.series import UNSETTLED_S
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, no_sum, shown, thresholds_of
 from servofd.detection.probability import CusumDesign
 from servofd.detection.residual import (
@@ -256,6 +257,8 @@ class Stream(_Waiting):
         self._sums = np.zeros(2)
         self._lags = FilterMemory.of(self._filter, 3)
         self._unseen: list[tuple[float, float]] = []
+        self._logged_s, self._begun_s = np.inf, np.nan
+        """When the first command came [s], and the first position that had one."""
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now; effects of the servo may depend on them."""
@@ -276,6 +279,7 @@ class Stream(_Waiting):
             self._put_back(time_s, command_deg, shift_s)
         self._add(time_s + shift_s, command_deg, 0.0)
         self._newest = (time_s, command_deg)
+        self._logged_s = min(self._logged_s, time_s)
         dropped = self.logged.append(time_s, command_deg, 0.0)
         self._starts[4] = max(self._starts[4] - dropped, 0.0)
 
@@ -313,6 +317,9 @@ class Stream(_Waiting):
         time_s, measured_deg = ready
         limits_s = self.longest_gap_s, self._beat.longest_s, self._generator.blanking_s
         starts = mark_starts(self._starts, self.logged.time_s, time_s, measured_deg, limits_s)
+        if np.isnan(self._begun_s) and self._logged_s < np.inf:
+            self._begun_s = max(self._logged_s, float(time_s[0]))
+        starts = starts._replace(settled=starts.settled & (time_s > self._begun_s + UNSETTLED_S))
         commands = self.effective.commands()
         moved = [
             go_on(motion, commands, cursor, time_s, starts.measured_deg, starts.restart)

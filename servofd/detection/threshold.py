@@ -43,7 +43,7 @@ from servofd.core.loops import compiled, inner
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.detection.probability import CusumDesign
@@ -277,7 +277,7 @@ def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
 
 def interval_threshold(
     generator: ResidualGenerator,
-    segment: Segment,
+    segment: Series,
     residuals: Residuals,
     tolerance: Tolerance,
     sigmas: float = DEFAULT_SIGMAS,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.axes.verdict import AxisAudit
     from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
@@ -94,7 +94,7 @@ class SurfaceAudit:
     """What only a cumulative sum noticed, or the tolerances of a working servo explain."""
     statistics: Statistics | None = None
     false_alarms_per_hour: float | None = None
-    segment: Segment | None = None
+    segment: Series | None = None
     residuals: Residuals | None = None
     threshold: Threshold | None = None
     model: ModelOrigin = NAMED

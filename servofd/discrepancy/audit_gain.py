@@ -20,7 +20,7 @@ from servofd.detection.residual import ResidualGenerator
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
     from servofd.servo.servo_model import ServoModel
 
@@ -64,7 +64,7 @@ class AuditGain:
 
 
 def audit_gain(
-    segments: Sequence[Segment], known: ServoModel, better: ServoModel, until_s: float = float("inf")
+    segments: Sequence[Series], known: ServoModel, better: ServoModel, until_s: float = float("inf")
 ) -> AuditGain | None:
     """Compare two models on the same flights; None if these are too short to tell the noise."""
     try:
@@ -74,7 +74,7 @@ def audit_gain(
     return AuditGain(before, after)
 
 
-def _watch(segments: Sequence[Segment], model: ServoModel, better: ServoModel, until_s: float) -> Watch:
+def _watch(segments: Sequence[Series], model: ServoModel, better: ServoModel, until_s: float) -> Watch:
     pole_rad_s = min(ResidualGenerator.fitting(model, segment).pole_rad_s for segment in segments)
     generator = ResidualGenerator(model, pole_rad_s)
     period_s = segments[0].period_s
@@ -95,7 +95,7 @@ def _watch(segments: Sequence[Segment], model: ServoModel, better: ServoModel, u
 
 
 def _parts(
-    generator: ResidualGenerator, segment: Segment, better: ServoModel, until_s: float, lags: int
+    generator: ResidualGenerator, segment: Series, better: ServoModel, until_s: float, lags: int
 ) -> tuple[FloatArray, FloatArray]:
     """Residual, and what of it the better model leaves [deg]; NaN where it is not judged, and after the end."""
     residuals = generator.run(segment)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.series import rms
 from servofd.core.statistics import Z_95
 from servofd.discrepancy.audit_gain import AuditGain, audit_gain
@@ -124,7 +124,7 @@ class Elsewhere:
 
 
 def judged_elsewhere(
-    path: str, segment: Segment, model: ServoModel, physics: Physics
+    path: str, segment: Series, model: ServoModel, physics: Physics
 ) -> Elsewhere:
     """Errors of the servo as it was known, and with the effects that were found in another flight.
 
@@ -280,7 +280,7 @@ class Explanation:
 
 
 def explain_gap(
-    segment: Segment | Sequence[Segment],
+    segment: Series | Sequence[Series],
     model: ServoModel,
     *,
     on_bench: bool = False,
@@ -293,7 +293,7 @@ def explain_gap(
 
     Parameters
     ----------
-    segment : Segment or sequence of Segment
+    segment : Series or sequence of Series
         Commands and measurements of one surface; of several runs, every other one is held out whole. Effects that need
         what its context does not hold (airspeed, supply) cannot be judged, and the result says so.
     model : ServoModel
@@ -320,20 +320,20 @@ def explain_gap(
     --------
     >>> from servofd.servo.effects.commands import Delay
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> command = 5.0 * np.sin(0.5 * t**2)
     >>> known = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> noise = 0.1 * np.random.default_rng(0).standard_normal(t.size)
     >>> measured = (known + Delay(0.02)).simulate(t, command, t) + noise
-    >>> found = explain_gap(Segment("rudder", t, command, t, measured), known)
+    >>> found = explain_gap(Series("rudder", t, command, t, measured), known)
     >>> found.conclusion, found.selection.final.names
     ('explained', ('delay',))
     >>> round(float(found.selection.final.values[0]), 3)  # 4 ms were known
     0.024
     """
-    segments = [segment] if isinstance(segment, Segment) else list(segment)
+    segments = [segment] if isinstance(segment, Series) else list(segment)
     records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles) for each in segments]
     known = told_apart(conditions or {})
     records = [

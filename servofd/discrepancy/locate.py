@@ -69,11 +69,11 @@ def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...
     --------
     >>> from servofd.discrepancy.record import record_of, simulate
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 10.0, 0.01)
     >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
-    >>> record = record_of(Segment("x", t, 5.0 * np.sin(t), t, np.zeros(t.size)), model)
+    >>> record = record_of(Series("x", t, 5.0 * np.sin(t), t, np.zeros(t.size)), model)
     >>> found = {q.name: q for q in quantities(record, simulate(record, record.plant.neutral))}
     >>> round(float(found["command rate"].values[:300].max()), 1)
     5.0
@@ -211,12 +211,12 @@ def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
     --------
     >>> from servofd.discrepancy.record import record_of
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> rng, t = np.random.default_rng(0), np.arange(0.0, 60.0, 0.01)
     >>> asked = np.repeat(rng.standard_normal(1500), 4)
     >>> error = 0.5 * np.sin(2.0 * np.pi * 3.0 * t)
-    >>> record = record_of(Segment("x", t, asked, t, asked + error), ServoModel.of(servo_named("s9254")))
+    >>> record = record_of(Series("x", t, asked, t, asked + error), ServoModel.of(servo_named("s9254")))
     >>> low_hz, high_hz = excess_band_hz(spectrum(record, error), 0.0)
     >>> 2.5 < low_hz <= high_hz < 3.5
     True

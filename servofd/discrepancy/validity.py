@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servofd.core.errors import NoMeasurement
-from servofd.core.series import latest, stretches
+from servofd.core.series import stretches
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.detection.residual import Commands
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
@@ -18,8 +17,7 @@ from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from logparsers import FlightLog
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.servo.physics import Physics
@@ -133,7 +131,6 @@ _LOOK_BACK_S, _BEFORE_IT_SHOWS_S = 4.0, 0.3
 _LIKE = 0.7
 """Share of the position that the model tells elsewhere, or nothing can be said of it here."""
 _MOVES_OF_NOISE, _MOVES_DEG, _MOVES_SHARE = 6.0, 0.5, 0.25
-_TORQUE = re.compile(r"(torque|servo|motor).*(enabled?|_on|power(ed)?)$|^powered$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,24 +154,14 @@ class Undriven:
         return asdict(self)
 
 
-def without_torque(log: FlightLog, segment: Segment, run: int) -> tuple[Segment, list[Undriven]]:
-    """A segment without what was measured while a column says that the torque was off."""
-    names = [name for name in log.channels if _TORQUE.search(name.rsplit(".", 1)[-1])]
-    found: list[Undriven] = []
-    for name in names[:1]:
-        channel = log[name]
-        known = np.isfinite(channel.values)
-        if not known.any():
-            continue
-        off = latest(channel.time_s[known], channel.values[known], segment.measured_s) <= 0.0
-        found = [
-            Undriven(
-                run, float(segment.measured_s[a]), float(segment.measured_s[b - 1]), b == off.size, f"{name} is off"
-            )
-            for a, b in stretches(off)
-        ]
-        segment = replace(segment, measured_deg=np.where(off, np.nan, segment.measured_deg))
-    return segment, found
+def undriven(segment: Series, run: int) -> list[Undriven]:
+    """Stretches in which the log says that the torque was off."""
+    end_s = float(segment.measured_s[-1])
+    return [
+        Undriven(run, each.start_s, each.end_s, each.end_s >= end_s, "the log says that the torque is off")
+        for each in segment.left_out
+        if each.why == "torque off"
+    ]
 
 
 def driven(records: Sequence[Record], physics: Physics) -> tuple[list[Record], list[Undriven]]:

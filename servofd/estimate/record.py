@@ -25,7 +25,7 @@ from servofd.core.loops import compiled
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.servo.context import Context
 
@@ -153,7 +153,7 @@ class Record:
     """Where most commands were lost: those that arrived, and the period of what was sent [s]."""
 
     @classmethod
-    def of(cls, segment: Segment, supply_v: float | None = None, airspeed_m_s: float | None = None) -> Record:
+    def of(cls, segment: Series, supply_v: float | None = None, airspeed_m_s: float | None = None) -> Record:
         """Prepare a segment.
 
         By the usual supply and airspeed, for flights that logged none: that of this segment if None; 0 if

@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.outputs import Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.segment import Segment, cut
+from servofd.aircraft.series import Series, bus_of, cut
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.feedback.fitted import (
@@ -22,8 +22,11 @@ from servofd.feedback.fitted import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from logparsers.records import FlightLog
     from servofd.core.evidence import ModelOrigin
+    from servofd.core.types import BoolArray
     from servofd.feedback.fitted import Drafted
 
 _ROTORCRAFT = frozenset(
@@ -120,9 +123,12 @@ def draft_aircraft(log: FlightLog) -> Draft:
     Outputs are paired with positions through the autopilot's parameters; pulses become degrees by the firmware's
     formula, or by a straight line fitted to the position where the servo itself does not repeat its command.
     """
-    surfaces = [_draft(log, pair) for pair in find_pairs(log)]
-    if not surfaces:
+    pairs = find_pairs(log)
+    if not pairs:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
+    entries = {pair.surface: _entries(log, pair) for pair in pairs}
+    bus = bus_of(log, Aircraft.model_validate({"surfaces": entries}))
+    surfaces = [_draft(log, pair, entries[pair.surface], bus) for pair in pairs]
     return Draft(log, tuple(surfaces))
 
 
@@ -165,8 +171,8 @@ def servo_entry(surface: DraftedSurface) -> dict[str, Any]:
     return entry
 
 
-def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
-    """Draft of one surface; with an ordinary servo if its position is no measurement."""
+def _entries(log: FlightLog, pair: Pair) -> dict[str, Any]:
+    """How command and position of a pair are read, before anything is fitted."""
     command_unit = log[pair.command].unit
     angle_command = pair.command == pair.position.command
     command = _command_entry(pair, command_unit, is_angle=angle_command)
@@ -179,8 +185,15 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
             "tell in an aircraft file (-c) how to read it"
         )
     measured = {"channel": pair.position.channel, "unit": measured_unit}
+    return {"command": command, "measured": measured, "alive": pair.position.alive}
+
+
+def _draft(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, BoolArray]) -> DraftedSurface:
+    """Draft of one surface; with an ordinary servo if its position is no measurement."""
+    command, measured = entry["command"], entry["measured"]
+    angle_command = pair.command == pair.position.command
     try:
-        segment = _cut(log, pair, command, measured)
+        segment = _cut(log, pair, entry, bus)
     except NoMeasurement:
         return DraftedSurface(pair, RoughFit(), command, measured)
     if not SHORTEST_PERIOD_S < segment.period_s < LONGEST_PERIOD_S:
@@ -191,14 +204,12 @@ def _draft(log: FlightLog, pair: Pair) -> DraftedSurface:
     if not angle_command:
         command = _rescaled(command, fit)
         fit = fit.of_position
-        segment = _cut(log, pair, command, measured)
+        segment = _cut(log, pair, entry | {"command": command}, bus)
     return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment, until_s=fit.until_s))
 
 
-def _cut(log: FlightLog, pair: Pair, command: dict[str, Any], measured: dict[str, Any]) -> Segment:
-    entry = {"command": command, "measured": measured, "alive": pair.position.alive}
-    aircraft = Aircraft.model_validate({"surfaces": {pair.surface: entry}})
-    return cut(log, pair.surface, aircraft.surfaces[pair.surface])
+def _cut(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, BoolArray]) -> Series:
+    return cut(log, pair.surface, Aircraft.model_validate({"surfaces": {pair.surface: entry}}), bus)
 
 
 def _command_entry(pair: Pair, unit: str, *, is_angle: bool) -> dict[str, Any]:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     Log = LogFile | pd.DataFrame
 
 
+_BENCH = ("cmd", "meas")
+"""Columns of a bench record of one servo: what was asked, and what was measured [deg]."""
+
+
 def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
     """What is known of an aircraft: itself, its file, or the name of one that comes with servofd.
 
@@ -171,12 +175,15 @@ def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
         from servofd.feedback.draft import draft_aircraft
 
         return draft_aircraft(log).aircraft()
+    if set(_BENCH) <= set(log.channels):
+        return load_aircraft("bench")
     names = dict.fromkeys(
         name.removesuffix(suffix) for name in log.channels for suffix in plain_channels("") if name.endswith(suffix)
     )
     if not names:
         raise NoMeasurement(
-            f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg; "
+            f"{log.label}: no surface found: a plain table needs columns <surface>_cmd_deg and <surface>_pos_deg, or "
+            "cmd and meas; "
             f"for other names write an aircraft file (-c). Its columns: {', '.join(list(log.channels)[:12])}"
         )
     return plain_aircraft(names)

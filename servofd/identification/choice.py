@@ -60,10 +60,10 @@ def step_slopes(runs: Sequence[Run]) -> tuple[StepSlope, ...]:
     Examples
     --------
     >>> from servofd.identification.records import prepared
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> t = np.arange(100) / 100.0
     >>> ramp = np.clip(300.0 * (t - 0.1), 0.0, 60.0)
-    >>> run = prepared(Segment("x", t, np.where(t < 0.1, 0.0, 60.0), t, ramp))
+    >>> run = prepared(Series("x", t, np.where(t < 0.1, 0.0, 60.0), t, ramp))
     >>> round(step_slopes([run])[0].slope_deg_s, 6)
     300.0
     """

@@ -34,7 +34,7 @@ from servofd.identification.result import Identification
 from servofd.identification.summary import intervals_of, notes_on_servo, notes_on_spread
 
 if TYPE_CHECKING:
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
 
 Method = Literal["response", "magnitude"]
 _T = TypeVar("_T")
@@ -55,7 +55,7 @@ _MAGNITUDE_ORDER, _MAGNITUDE_LAGS_S = 3, 1.0
 
 
 def identify(
-    records: Segment | Sequence[Sequence[Segment]],
+    records: Series | Sequence[Sequence[Series]],
     *,
     method: Method = "response",
     order: int | None = None,
@@ -66,7 +66,7 @@ def identify(
 
     Parameters
     ----------
-    records : Segment, or sequence of sequences of Segment
+    records : Series, or sequence of sequences of Series
         One test; or for each of several servos of one kind its tests. The servo is their mean, `notes` tell how far
         they differ.
     method : {"response", "magnitude"}
@@ -92,14 +92,14 @@ def identify(
     Examples
     --------
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> from servofd.simulation.commands import chirp
     >>> rng, time_s = np.random.default_rng(0), np.arange(12000) / 100.0
     >>> command_deg = chirp(time_s, rng)
     >>> measured_deg = ServoModel.of(servo_named("hs225bb-eq31")).simulate(time_s, command_deg, time_s)
     >>> measured_deg += 0.1 * rng.standard_normal(time_s.size)
-    >>> found = identify(Segment("elevator", time_s, command_deg, time_s, measured_deg))
+    >>> found = identify(Series("elevator", time_s, command_deg, time_s, measured_deg))
     >>> found.servo.linear.order, round(1e3 * found.servo.linear.delay_s, 1), found.servo.linear.gain
     (3, 4.0, 1.0)
     """
@@ -165,7 +165,7 @@ class _Tests:
     """Names of the servos that have a response."""
 
     @classmethod
-    def of(cls, sets: Sequence[Sequence[Segment]], names: Sequence[str], lags_s: float) -> _Tests:
+    def of(cls, sets: Sequence[Sequence[Series]], names: Sequence[str], lags_s: float) -> _Tests:
         runs, labels = [], []
         for servo, (segments, name) in enumerate(zip(sets, names, strict=True)):
             for segment in segments:
@@ -213,7 +213,7 @@ class _Tests:
         return self.runs if len(fit.errors_deg) == len(self.runs) else self.small
 
 
-def _is_usable(segment: Segment) -> bool:
+def _is_usable(segment: Series) -> bool:
     """False for runs of a file with many that hold no test, such as those without motion."""
     try:
         check_segment(segment, segment.surface)
@@ -327,7 +327,7 @@ def _with_rates(fit: MotionFit, limits: RateLimits, notes: list[str]) -> ServoCa
     return replace(servo, rate_up_deg_s=up.value, rate_down_deg_s=down.value)
 
 
-def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Segment]]) -> Identification:
+def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Series]]) -> Identification:
     """The thesis' fit; no intervals, for the method gives none."""
     response, notes = tests.nominal_in_band, list(tests.notes)
     if response is None:

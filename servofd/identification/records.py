@@ -11,7 +11,7 @@ from servofd.core.errors import IdentificationError
 from servofd.core.series import latest
 
 if TYPE_CHECKING:
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
 
 _FAR_AWAY_S = 60.0
@@ -61,7 +61,7 @@ class Uniform:
     """True if the stamps were not uniform already: positions were interpolated, commands held."""
 
 
-def prepared(segment: Segment, servo: int = 0) -> Run:
+def prepared(segment: Series, servo: int = 0) -> Run:
     """Prepare a segment: rest before it, no missing values."""
     known = np.isfinite(segment.measured_deg)
     measured_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
@@ -87,9 +87,9 @@ def longest_uniform(run: Run) -> Uniform:
 
     Examples
     --------
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> t = np.arange(100) / 50.0
-    >>> longest_uniform(prepared(Segment("x", t, np.sin(t), t, np.sin(t)))).resampled
+    >>> longest_uniform(prepared(Series("x", t, np.sin(t), t, np.sin(t)))).resampled
     False
     """
     steps_s = np.diff(run.measured_s)
@@ -120,7 +120,7 @@ _DRIFT_SHARE, _DRIFT_OF_ERROR = 0.2, 0.9
 """Of the range of the command, over the test; and of the squared error of the best linear servo."""
 
 
-def check_segment(segment: Segment, label: str) -> None:
+def check_segment(segment: Series, label: str) -> None:
     """Refuse a record that is too short, sampled wrongly, or without excitation."""
     known = np.isfinite(segment.measured_deg)
     count = int(np.count_nonzero(known))

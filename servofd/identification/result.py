@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.statistics import Estimate
     from servofd.core.types import ComplexArray, FloatArray
     from servofd.identification.motion import ServoCandidate
@@ -43,7 +43,7 @@ class Identification:
     spread: Spread | None = None
     band_rad_s: tuple[float, float] | None = None
     """Where the position follows the command with a coherence above 0.8 [rad/s]."""
-    segments: tuple[Segment, ...] = ()
+    segments: tuple[Series, ...] = ()
     """The tests as an audit cuts them: what thresholds are drafted from."""
 
     @property

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.schema import load_aircraft
-from servofd.aircraft.segment import Segment, cut
+from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.core.files import beginning
 from servofd.feedback.flown import log_files, logs_of, surfaces_of
 from servofd.identification.identify import Method
 from servofd.identification.identify import identify as identify_records
@@ -31,14 +29,13 @@ _CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
 _NO_POSITION = -1.0
 """What the applet writes while the servo has sent none."""
 _CHIRP_SURFACE = "servo"
-_LONGEST_HEADER = 4096
 
 
 @dataclass(frozen=True, slots=True)
 class BenchTest:
     """One test, and where it comes from."""
 
-    segment: Segment
+    segment: Series
     source: str
     """Channels and how they were read, in words."""
     pulse_us: FloatArray | None = None
@@ -66,7 +63,7 @@ def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | 
 
 
 def identify(
-    tests: Log | Sequence[Log] | Segment | Sequence[Sequence[Segment]],
+    tests: Log | Sequence[Log] | Series | Sequence[Sequence[Series]],
     aircraft: Aircraft | None = None,
     *,
     surface: str | None = None,
@@ -78,7 +75,7 @@ def identify(
 
     Parameters
     ----------
-    tests : str, Path, DataFrame, Segment, or sequence of them
+    tests : str, Path, DataFrame, Series, or sequence of them
         Logs of bench tests, or what was asked of a servo and what it did: of one, or of each servo a sequence.
     aircraft : Aircraft, optional
         Which channels they are, of logs that do not say.
@@ -98,7 +95,7 @@ def identify(
     >>> found.servo.linear.order, abs(found.servo.linear.transfer.bandwidth_rad_s / 28.49 - 1.0) < 0.05
     (3, True)
     """
-    if isinstance(tests, Segment) or _are_segments(tests):
+    if isinstance(tests, Series) or _are_segments(tests):
         return identify_records(tests, method=method, order=order, progress=progress)
     paths = log_files(tests)
     found = [bench_tests(path, aircraft, surface) for path in paths]
@@ -116,7 +113,7 @@ def identify(
     return replace(result, notes=(*sources, scale, *result.notes))
 
 
-def _are_segments(tests: object) -> TypeIs[Sequence[Sequence[Segment]]]:
+def _are_segments(tests: object) -> TypeIs[Sequence[Sequence[Series]]]:
     return isinstance(tests, list | tuple) and bool(tests) and all(isinstance(one, list | tuple) for one in tests)
 
 
@@ -125,26 +122,14 @@ def label_of(log: object) -> str:
     return str(log if isinstance(log, str | Path) else getattr(log, "name", "log"))
 
 
-def bench_aircraft(path: object) -> Aircraft | None:
-    """What a plain bench record is: columns ``run``, ``t_s``, ``cmd`` and ``meas`` [deg]; None for any other file."""
-    if not isinstance(path, str | Path):
-        return None
-    try:
-        first = beginning(Path(path), _LONGEST_HEADER).split(b"\n", 1)[0]
-    except OSError:
-        return None
-    header = first.decode("utf-8", "replace").strip().split(",")
-    return load_aircraft("bench") if {"run", "t_s", "cmd", "meas"} <= set(header) else None
-
-
 def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> BenchTest:
     if surface is not None:
         aircraft.check_names([surface], log.label)
-    segments: dict[str, Segment] = {}
+    segments: dict[str, Series] = {}
     reasons: dict[str, str] = {}
     for name in [surface] if surface is not None else aircraft.surfaces:
         try:
-            segments[name] = cut(log, name, aircraft.surfaces[name])
+            segments[name] = cut(log, name, aircraft)
         except NoMeasurement as error:
             reasons[name] = str(error)
     if not segments:
@@ -176,7 +161,7 @@ def _chirp_script(log: FlightLog) -> BenchTest:
     command_deg = slope * (command.values - float(np.mean(command.values)))
     rate_hz = np.count_nonzero(fresh) / max(log.duration_s, 1e-9)
     return BenchTest(
-        Segment(_CHIRP_SURFACE, command.time_s, command_deg, position.time_s[fresh], measured_deg),
+        Series(_CHIRP_SURFACE, command.time_s, command_deg, position.time_s[fresh], measured_deg),
         f"command from {_CHIRP_COMMAND} [us], position from {_CHIRP_POSITION} (ArduPilot actuator_chirp.lua); rows "
         f"that repeat a position were left out, which leaves {rate_hz:.0f} Hz",
         pulse_us=command.values,
@@ -190,5 +175,5 @@ def _slope_deg_per_us(test: BenchTest) -> float:
     return float(np.polyfit(test.pulse_us, test.segment.command_deg, 1)[0])
 
 
-def _rescaled(segment: Segment, gain: float, offset_deg: float) -> Segment:
+def _rescaled(segment: Series, gain: float, offset_deg: float) -> Series:
     return replace(segment, command_deg=gain * segment.command_deg + offset_deg)

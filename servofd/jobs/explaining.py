@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.schema import Aircraft, Surface
-from servofd.aircraft.segment import cut
+from servofd.aircraft.series import cut
 from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
 from servofd.discrepancy.own import load_own_effect
-from servofd.discrepancy.record import without_held
-from servofd.discrepancy.validity import Undriven, without_torque
+from servofd.discrepancy.validity import Undriven, undriven
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
-from servofd.jobs.bench import bench_aircraft, label_of
+from servofd.jobs.bench import label_of
 from servofd.servo.library import Servo
 from servofd.servo.loop import scaled
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from logparsers import FlightLog, LogFile
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
 
 _SAME_FAULT_S = 3.0
@@ -130,8 +129,6 @@ class _Flown:
 
     logs: tuple[FlightLog, ...]
     aircraft: Aircraft
-    described: bool
-    """Whether an aircraft file came with them."""
     servo: str | None
     label: str
 
@@ -149,7 +146,7 @@ class _Flown:
     @property
     def on_bench(self) -> bool:
         """Whether these are experiments that begin at rest."""
-        return self.described and self.aircraft.table is not None and bool(self.aircraft.table.run)
+        return self.aircraft.table is not None and bool(self.aircraft.table.run)
 
     def has_unknown_servo(self, surface: str) -> bool:
         """Whether the poles have to be found as well."""
@@ -159,19 +156,19 @@ class _Flown:
 
 
 def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
-    known = known_aircraft(aircraft) or bench_aircraft(paths[0])
+    known = known_aircraft(aircraft)
     logs = tuple(logs_of(paths, known))
     # The servo of a plain table is fitted along with what it may lack.
     flown = surfaces_of(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
-    return _Flown(logs, flown, known is not None, servo, ", ".join(map(label_of, paths)))
+    return _Flown(logs, flown, servo, ", ".join(map(label_of, paths)))
 
 
 def _explained(
     flown: _Flown,
     surfaces: Sequence[str],
-    also: Sequence[tuple[str, dict[str, Segment]]],
+    also: Sequence[tuple[str, dict[str, Series]]],
     progress: Callable[[str], None],
 ) -> ExplainedLogs:
     aircraft, found, failures = flown.aircraft, [], []
@@ -192,7 +189,7 @@ def _explained(
 def _surface(
     flown: _Flown,
     name: str,
-    also: Sequence[tuple[str, dict[str, Segment]]],
+    also: Sequence[tuple[str, dict[str, Series]]],
     progress: Callable[[str], None],
 ) -> Explanation:
     free_poles = flown.has_unknown_servo(name)
@@ -202,10 +199,8 @@ def _surface(
     off: list[Undriven] = []
     said: dict[str, None] = {}
     for k, (log, segment) in enumerate(zip(logs, segments, strict=True)):
-        each, held = without_held(segment)
-        segments[k], stood = without_torque(log, each, k)
-        off += stood
-        said |= dict.fromkeys([held] if held else []) | dict.fromkeys(damage.note for damage in log.damage)
+        off += undriven(segment, k)
+        said |= dict.fromkeys(filter(None, (segment.refreshed,))) | dict.fromkeys(damage.note for damage in log.damage)
     conditions = _conditions(logs, aircraft.surfaces[name])
     said |= dict.fromkeys(_same_loads(logs))
     found = explain_gap(
@@ -232,10 +227,10 @@ def _surface(
     return replace(found, also=judged, notes=(*found.notes, *worse))
 
 
-def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Segment:
+def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Series:
     """A surface in another log of the same aircraft."""
     try:
-        return cut(log, name, surfaces_of(log, aircraft).surfaces[name])
+        return cut(log, name, surfaces_of(log, aircraft))
     except NoMeasurement as error:
         raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
 
@@ -249,12 +244,12 @@ def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Air
     return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
 
 
-def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Segment]]:
+def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Series]]:
     """The runs in which the surface was commanded and measured, and it in each of them."""
     used, segments, reasons = [], [], []
     for log in logs:
         try:
-            segments.append(cut(log, surface, surfaces_of(log, aircraft).surfaces[surface]))
+            segments.append(cut(log, surface, surfaces_of(log, aircraft)))
             used.append(log)
         except NoMeasurement as error:
             reasons.append(str(error))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.segment import SLOWEST_RATE_HZ
+from servofd.aircraft.series import SLOWEST_RATE_HZ
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.detection.probability import Noise, SurfaceOdds, Wish, fit_tail, surface_odds
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s

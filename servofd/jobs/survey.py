@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
+from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import what_to_log
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
@@ -134,7 +134,7 @@ def _surface(log: FlightLog, aircraft: Aircraft, name: str) -> SurfaceSurvey:
     surface = aircraft.surfaces[name]
     position = surface.measured.channel if surface.measured else "-"
     try:
-        segment = cut(log, name, surface)
+        segment = cut(log, name, aircraft)
     except NoMeasurement as reason:
         return SurfaceSurvey(name, surface.command.channel, position, None, None, f"no: {reason}")
     command_hz, position_hz = (

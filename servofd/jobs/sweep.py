@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.segment import SLOWEST_RATE_HZ, cut
+from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import Estimate
 from servofd.detection.bank import Ridge, Window
@@ -20,7 +20,7 @@ from servofd.core.loops import play
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import FloatArray
     from servofd.detection.residual import Residuals
@@ -58,7 +58,7 @@ class SweepNumbers(NamedTuple):
 
 
 def measure(
-    generator: ResidualGenerator, segment: Segment, residuals: Residuals, threshold: Threshold, tolerance: Tolerance
+    generator: ResidualGenerator, segment: Series, residuals: Residuals, threshold: Threshold, tolerance: Tolerance
 ) -> SweepNumbers:
     """Fit gain, delay, bandwidth, bias and play to a sweep.
 
@@ -154,7 +154,7 @@ def check_sweep(log: FlightLog, aircraft: Aircraft, surfaces: tuple[str, ...] = 
     for name in surfaces or tuple(aircraft.surfaces):
         surface = aircraft.surfaces[name]
         try:
-            segment = cut(log, name, surface)
+            segment = cut(log, name, aircraft)
         except NoMeasurement as reason:
             found.append(SurfaceSweep(name, "unknown", (str(reason),), expected=surface.measured is not None))
             continue
@@ -162,7 +162,7 @@ def check_sweep(log: FlightLog, aircraft: Aircraft, surfaces: tuple[str, ...] = 
     return tuple(found)
 
 
-def check_segment(segment: Segment, surface: Surface, model: ServoModel) -> SurfaceSweep:
+def check_segment(segment: Series, surface: Surface, model: ServoModel) -> SurfaceSweep:
     """Judge one surface: what a live check calls with the last seconds of its stream."""
     name = segment.surface
     rate_hz = 1.0 / segment.period_s if segment.period_s > 0.0 else 0.0

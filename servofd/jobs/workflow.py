@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from logparsers import LogError
-from servofd.aircraft.segment import cut
+from servofd.aircraft.series import bus_of, cut
 from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
 from servofd.detection.audit import audit_log
@@ -240,9 +240,10 @@ def flights_of(
         if runs and log.run not in runs:
             continue
         known = surfaces_of(log, aircraft)
+        bus = bus_of(log, known)
         for name, there in flights.items():
             try:
-                segment = cropped(cut(log, name, known.surfaces[name]), spans)
+                segment = cropped(cut(log, name, known, bus), spans)
             except NoMeasurement as error:
                 if known.surfaces[name].measured is not None:
                     reasons.append(f"{log.label}: {name}: {error}")

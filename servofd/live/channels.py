@@ -11,7 +11,7 @@ import numpy as np
 
 from logparsers.mavlink import dialect
 from logparsers.protocol import Component
-from servofd.aircraft.segment import SURROUNDINGS
+from servofd.aircraft.series import SURROUNDINGS
 from servofd.detection.stream import MEMORY_S
 from servofd.servo.context import NO_CONTEXT, Context
 

@@ -6,12 +6,13 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from logparsers.protocol import NO_INDEX, Component
 from servofd.aircraft.outputs import output_of
+from servofd.aircraft.watch import Bus
 from servofd.core.errors import ConfigError
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
 from servofd.live.alerts import Alerts
@@ -24,91 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from logparsers.codec import Heard
-    from servofd.aircraft.calibration import Calibration
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import FloatArray
     from servofd.live.axes import AxisWatch
-
-_FEWEST_SURFACES: Final = 3
-_FEWEST_ASKED: Final = 2
-_ASKED_DEG: Final = 0.5
-"""Readings of a servo that is asked to move so far change: none is coarser."""
-_REPEATS: Final = 2
-_STILL_S: Final = 0.1
-"""On an ArduPlane with six servos on one bus each position is refreshed every 45 ms, at times only after 80 ms."""
-_SILENT_S: Final = 1.0
-_TOLD_S: Final = 0.3
-
-
-@dataclass(slots=True)
-class _Servo:
-    """What came of one servo."""
-
-    command: Calibration
-    asked: float = float("nan")
-    asked_then: float = float("nan")
-    """When its reading changed last."""
-    reading: float = float("nan")
-    changed_s: float = float("nan")
-    newest_s: float = float("-inf")
-    repeats: int = 0
-
-    @property
-    def is_asked(self) -> bool:
-        """Whether its command has moved since its reading changed last."""
-        now_deg, then_deg = self.command.to_deg(np.array([self.asked, self.asked_then]))
-        return bool(abs(now_deg - then_deg) > _ASKED_DEG)
-
-
-@dataclass(slots=True)
-class ServoBus:
-    """Says of each reading whether it is only an old one again, because the whole bus is frozen.
-
-    It is where the readings of all servos stay the same to the last bit while some of them are asked to move. One that
-    jams stands still alone; and what stands still unasked is as good as new.
-    """
-
-    news: str = ""
-    """What is to be told, once in each outage."""
-    _servos: dict[str, _Servo] = field(default_factory=dict)
-    _told: bool = False
-
-    @classmethod
-    def of(cls, commands: Mapping[str, Calibration]) -> ServoBus:
-        """For surfaces with these commands."""
-        return cls(_servos={name: _Servo(command) for name, command in commands.items()})
-
-    def ask(self, name: str, command: float) -> None:
-        """Take a command, in the unit of its channel."""
-        self._servos[name].asked = command
-
-    def is_old(self, name: str, time_s: float, reading: float) -> bool:
-        """Take a reading, and say whether it says nothing."""
-        servo = self._servos[name]
-        servo.newest_s = max(servo.newest_s, time_s)
-        if reading != servo.reading:
-            servo.reading, servo.changed_s, servo.asked_then, servo.repeats = reading, time_s, servo.asked, 0
-            self._told = False
-            return False
-        servo.repeats += 1
-        if servo.repeats < _REPEATS:
-            return False
-        alive = [each for each in self._servos.values() if time_s - each.newest_s < _SILENT_S]
-        still_s = time_s - max(each.changed_s for each in alive)
-        if (
-            len(alive) < _FEWEST_SURFACES
-            or still_s < _STILL_S
-            or any(each.repeats < _REPEATS for each in alive)
-            or sum(each.is_asked for each in alive) < _FEWEST_ASKED
-        ):
-            return False
-        if still_s >= _TOLD_S and not self._told:
-            self.news, self._told = (
-                f"positions of all servos stand still since {time_s - still_s:.1f} s: servo bus?",
-                True,
-            )
-        return True
-
 
 Samples = tuple[list[float], list[float]]
 """Times and values of one channel."""
@@ -250,7 +169,7 @@ class Vehicle:
     _early: list[tuple[Heard, float]] = field(default_factory=list)
     _samples: dict[str, tuple[Samples, Samples]] = field(default_factory=dict)
     _disorder: Disorder = field(default_factory=Disorder)
-    _bus: ServoBus = field(init=False)
+    _bus: Bus = field(init=False)
 
     def __post_init__(self) -> None:
         for name, surface in self.aircraft.surfaces.items():
@@ -262,7 +181,7 @@ class Vehicle:
                 self.monitors[name].patience_s = LOG_SILENCE_S
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.measured.channel, []).append((name, 1))
-        self._bus = ServoBus.of({name: monitor.surface.command for name, monitor in self.monitors.items()})
+        self._bus = Bus(list(self.monitors))
         streamed: set[str] = set()
         if self.aircraft.motion is not None:
             from servofd.live.axes import STREAMED, AxisWatch
@@ -315,6 +234,7 @@ class Vehicle:
         if self.clock.restarts != restarts:
             self._disorder = Disorder()
             events += self.evaluate()
+            self._bus = Bus(list(self.monitors))
             for monitor in self.monitors.values():
                 events += monitor.restart()
             text = f"vehicle {self.system} has restarted; the monitor begins anew"
@@ -393,17 +313,22 @@ class Vehicle:
             context, self._is_news = self._around.context(), False
             for monitor in self.monitors.values():
                 monitor.surroundings(context)
+        ready: dict[str, tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]] = {}
         for name, (commands, positions) in samples.items():
             if not final and self.monitors[name].may_wait(len(commands[0]), len(positions[0])):
                 self._samples[name] = commands, positions
                 continue
             now, later = zip(*(_in_order(each, known_s) for each in (commands, positions)), strict=True)
-            events += self.monitors[name].feed(*now)
+            ready[name] = now
             if any(times for times, _ in later):
                 self._samples[name] = later
+        stands = self._bus.take({name: self.monitors[name].uncorrected(*now) for name, now in ready.items()})
+        for name, now in ready.items():
+            events += self.monitors[name].feed(*now, stands[name])
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
             for monitor in self.monitors.values():
+                events += monitor.stands_still(self._bus.since_s, self.now_s)
                 events += monitor.silence(self.now_s)
         if self.axes is not None and math.isfinite(self.now_s):
             events += self.axes.due(self.now_s)
@@ -446,12 +371,6 @@ class Vehicle:
             if time_s < self._held_s.get(name, time_s):
                 continue
             self.has_positions |= role == 1
-            if role == 0:
-                self._bus.ask(name, value)
-            elif self._bus.is_old(name, time_s, value):
-                self.news += [self._bus.news] if self._bus.news else []
-                self._bus.news = ""
-                continue
             columns = self._samples.setdefault(name, (([], []), ([], [])))[role]
             columns[0].append(time_s)
             columns[1].append(value)

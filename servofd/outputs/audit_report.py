@@ -307,9 +307,9 @@ def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
     Examples
     --------
     >>> from servofd.detection.verdict import SurfaceAudit
-    >>> from servofd.aircraft.segment import Segment
+    >>> from servofd.aircraft.series import Series
     >>> t = np.arange(0.0, 10.0, 0.02)
-    >>> segment = Segment("rudder", t, 0.0 * t, t, np.where(t < 5.0, 0.0, np.nan))
+    >>> segment = Series("rudder", t, 0.0 * t, t, np.where(t < 5.0, 0.0, np.nan))
     >>> rows = dict(quality_rows(SurfaceAudit("rudder", "unknown", "", "x", "constant", 1.5, True, segment=segment)))
     >>> rows["position rate [Hz]"], rows["positions missing [%]"]
     ('50 (95% of steps within 1.00 times the median)', '50')

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from servofd.aircraft.schema import Aircraft
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Residuals
     from servofd.servo.transfer import TransferFunction
@@ -329,7 +329,7 @@ class ServoEstimate(NamedTuple):
 
 
 def estimate_flight(
-    segment: Segment, aircraft: Aircraft, voltage_v: float | None = None, *, unfit: str = ""
+    segment: Series, aircraft: Aircraft, voltage_v: float | None = None, *, unfit: str = ""
 ) -> ServoEstimate:
     """Estimate what `servofd.wear.estimate.QUANTITIES` lists, as far as the flight shows it.
 

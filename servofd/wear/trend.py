@@ -15,7 +15,7 @@ import numpy as np
 from logparsers import LogError
 from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.aircraft.schema import Aircraft, load_aircraft
-from servofd.aircraft.segment import cut
+from servofd.aircraft.series import bus_of, cut
 from servofd.batch.find import fetched, find_logs
 from servofd.batch.local import run_local, run_on_cluster
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog
     from servofd.aircraft.axes import MotionModel
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.batch.find import LogSource, Skipped
     from servofd.wear.series import Piece, QuantityTrend
 
@@ -75,12 +75,13 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
     flights, problems = [], []
     if aircraft.surfaces:
         aircraft = surfaces_of(log, aircraft)
+    bus = bus_of(log, aircraft)
     for name in surfaces or aircraft.surfaces:
         entry = aircraft.surfaces[name]
         if entry.measured is None:
             continue
         try:
-            segment = cut(log, name, entry)
+            segment = cut(log, name, aircraft, bus)
             verdict = audit_segment(segment, aircraft, duration_s=log.duration_s)
             stood = any(fault.kind in STANDS_STILL for fault in verdict.faults)
             unfit = "stood still for a part of the flight" if stood else ""
@@ -121,7 +122,7 @@ def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate
     return found
 
 
-def _voltage_v(segment: Segment) -> float | None:
+def _voltage_v(segment: Series) -> float | None:
     """Mean supply voltage during the flight [V]; None if it was not logged."""
     time_s, volts = segment.context.voltage_s, segment.context.voltage_v
     volts = volts[(time_s >= segment.measured_s[0]) & (time_s <= segment.measured_s[-1])]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from logparsers.dataflash.encode import Message, encode
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.cli import main
 from servofd.identification.identify import identify
 from servofd.outputs.identify_report import identify_figures
@@ -105,16 +105,16 @@ def test_a_reversed_servo_stays_within_its_picture() -> None:
         assert np.mean((within > phase.get_ylim()[0]) & (within < phase.get_ylim()[1])) > 0.95
 
 
-def _mixed(one: Segment, other: Segment) -> Segment:
+def _mixed(one: Series, other: Series) -> Series:
     half = one.measured_s < 0.5 * one.measured_s[-1]
     return replace(one, measured_deg=np.where(half, one.measured_deg, other.measured_deg))
 
 
 FAST = sweep("s9254", duration_s=40.0)
 NOISE_DEG = 0.1 * np.random.default_rng(0).standard_normal(QUICK.measured_s.size)
-BAD: dict[str, tuple[Segment, str]] = {
+BAD: dict[str, tuple[Series, str]] = {
     "no excitation": (
-        Segment("x", QUICK.measured_s, 0.0 * NOISE_DEG, QUICK.measured_s, NOISE_DEG),
+        Series("x", QUICK.measured_s, 0.0 * NOISE_DEG, QUICK.measured_s, NOISE_DEG),
         "no excitation: the command is 0 deg throughout",
     ),
     "clipped": (replace(QUICK, measured_deg=np.clip(QUICK.measured_deg, -1.5, 1.5)), "position is clipped"),
@@ -127,15 +127,15 @@ BAD: dict[str, tuple[Segment, str]] = {
         "too fast to see a servo",
     ),
     "swapped": (
-        Segment("x", QUICK.measured_s, QUICK.measured_deg, QUICK.measured_s, QUICK.command_deg),
+        Series("x", QUICK.measured_s, QUICK.measured_deg, QUICK.measured_s, QUICK.command_deg),
         "are the two columns swapped?",
     ),
     "swapped, fast servo": (
-        Segment("x", FAST.measured_s, FAST.measured_deg, FAST.measured_s, FAST.command_deg),
+        Series("x", FAST.measured_s, FAST.measured_deg, FAST.measured_s, FAST.command_deg),
         "are the two columns swapped?",
     ),
     "swapped, steps": (
-        Segment("x", step(72.0).measured_s, step(72.0).measured_deg, step(72.0).measured_s, step(72.0).command_deg),
+        Series("x", step(72.0).measured_s, step(72.0).measured_deg, step(72.0).measured_s, step(72.0).command_deg),
         "are the two columns swapped?",
     ),
     "noise only": (replace(QUICK, measured_deg=NOISE_DEG), "the position does not follow the command"),
@@ -153,7 +153,7 @@ BAD: dict[str, tuple[Segment, str]] = {
         "no servo model explains this motion",
     ),
     "short": (
-        Segment("x", QUICK.command_s[:20], QUICK.command_deg[:20], QUICK.measured_s[:20], NOISE_DEG[:20]),
+        Series("x", QUICK.command_s[:20], QUICK.command_deg[:20], QUICK.measured_s[:20], NOISE_DEG[:20]),
         "only 20 measured positions",
     ),
 }
@@ -289,7 +289,7 @@ def test_a_dead_band_in_the_loop_is_found_and_widens_the_intervals() -> None:
         position_deg += speed_deg_s / 2000.0
         positions.append(position_deg)
     measured_deg = np.interp(time_s, dense_s, positions) + 0.5 * NOISE_DEG[: time_s.size]
-    result = identify(Segment("x", time_s, command_deg, time_s, measured_deg))
+    result = identify(Series("x", time_s, command_deg, time_s, measured_deg))
     assert result.servo.dead_band_deg == pytest.approx(1.0, abs=0.4)
     assert result.servo.rate_up_deg_s is None
     assert any("not in the model" in note for note in result.notes)
@@ -312,7 +312,7 @@ def test_a_fast_servo_at_its_rate_limit_has_no_poles_of_infinity_and_no_lag_well
     model = ServoModel((Delay(0.004), LinearDynamics(TransferFunction((150.0,), (1.0, 150.0))), RateLimit(120.0)))
     measured_deg = model.simulate(time_s, command_deg, time_s) + 0.5 * NOISE_DEG[: time_s.size]
     steps: list[str] = []
-    result = identify(Segment("x", time_s, command_deg, time_s, measured_deg), progress=steps.append)
+    result = identify(Series("x", time_s, command_deg, time_s, measured_deg), progress=steps.append)
     assert np.max(np.abs(result.servo.linear.poles_rad_s)) < 20.0 * np.pi * 50.0 * 1.001
     lag = result.intervals["lag_s"]
     known = any("ms is well known" in note for note in result.notes)

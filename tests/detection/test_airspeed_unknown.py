@@ -11,7 +11,7 @@ from strangers import SURFACES, fly, stranger
 
 from servofd.aircraft.priors import NAMES
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.detection.audit import audit_segment
@@ -27,19 +27,19 @@ SEED = 323
 """Without airspeed, its aileron was said to move by only 89 % of its command in aerobatics, which are flown fast."""
 
 
-def flown(number: int, style: str, duration_s: float) -> Segment:
+def flown(number: int, style: str, duration_s: float) -> Series:
     flight = fly(stranger(SEED), number, style, duration_s=duration_s)
     place = (SEED // 2) % len(SURFACES)
     command_deg, position_deg = flight.command_deg[:, place], flight.position_deg[:, place]
     context = Context(flight.command_s, flight.airspeed_m_s, flight.command_s, flight.supply_v)
-    return Segment("x", flight.command_s, command_deg, flight.position_s, position_deg, context=context)
+    return Series("x", flight.command_s, command_deg, flight.position_s, position_deg, context=context)
 
 
-def calibrated(good: Segment) -> Aircraft:
+def calibrated(good: Series) -> Aircraft:
     return calibrate_aircraft(plain_aircraft(["x"]), {"x": [Flight("good.csv", good)]}).aircraft
 
 
-def audited(aircraft: Aircraft, segment: Segment) -> SurfaceAudit:
+def audited(aircraft: Aircraft, segment: Series) -> SurfaceAudit:
     measured = aircraft.surfaces["x"].measured
     assert measured is not None
     read = replace(segment, measured_deg=measured.to_deg(segment.measured_deg))
@@ -84,7 +84,7 @@ def test_only_what_the_air_does_becomes_less_certain(aircraft: Aircraft) -> None
     assert type(known).model_validate(known.without_airspeed().model_dump()).airspeed_m_s == known.airspeed_m_s
 
 
-def levels_deg(aircraft: Aircraft, segment: Segment, parts: list[tuple[float, Context]]) -> list[FloatArray]:
+def levels_deg(aircraft: Aircraft, segment: Series, parts: list[tuple[float, Context]]) -> list[FloatArray]:
     """Thresholds of a stream, in parts that begin at some times with what is known of the air by then."""
     surface = aircraft.surfaces["x"]
     assert surface.calibrated is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.probability import Noise, design_cusum
@@ -33,7 +33,7 @@ def found(
 ) -> tuple[Episode, ...]:
     """Episodes against a constant threshold of 1.5 deg."""
     noise_deg = 0.1 * np.random.default_rng(1).standard_normal(TIME_S.size)
-    segment = Segment("x", TIME_S, command_deg, TIME_S, measured_deg + noise_deg)
+    segment = Series("x", TIME_S, command_deg, TIME_S, measured_deg + noise_deg)
     residuals = GENERATOR.run(segment)
     threshold = constant_threshold(interval_threshold(GENERATOR, segment, residuals, Tolerance()), 1.5)
     suspects = suspicion(residuals, threshold) if suspicious else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.residual import ResidualGenerator, Residuals
@@ -20,14 +20,14 @@ TIME_S = np.arange(2000) / 100.0
 MANOEUVRE_S = 8.0
 
 
-def found(generator: ResidualGenerator, segment: Segment) -> tuple[Episode, ...]:
+def found(generator: ResidualGenerator, segment: Series) -> tuple[Episode, ...]:
     residuals = generator.run(segment)
     interval = interval_threshold(generator, segment, residuals, Tolerance())
     return find_episodes(residuals, constant_threshold(interval, THRESHOLD_DEG))
 
 
 def episodes(command_deg: FloatArray, measured_deg: FloatArray) -> tuple[Episode, ...]:
-    segment = Segment("x", TIME_S, command_deg, TIME_S, measured_deg)
+    segment = Series("x", TIME_S, command_deg, TIME_S, measured_deg)
     generator = ResidualGenerator(MODEL, 50.0)
     return found(generator, segment)
 
@@ -96,7 +96,7 @@ def test_alarms_use_no_later_sample() -> None:
     measured_deg[500:] = measured_deg[500]
     (whole,) = episodes(command_deg, measured_deg)
     cut = int(np.searchsorted(TIME_S, whole.alarm_s)) + 1
-    segment = Segment("x", TIME_S[:cut], command_deg[:cut], TIME_S[:cut], measured_deg[:cut])
+    segment = Series("x", TIME_S[:cut], command_deg[:cut], TIME_S[:cut], measured_deg[:cut])
     generator = ResidualGenerator(MODEL, 50.0)
     (early,) = found(generator, segment)
     assert early.alarm_s == whole.alarm_s
@@ -107,7 +107,7 @@ def test_nothing_is_found_in_nothing() -> None:
     quiet = np.zeros(100)
     settled, restart = np.ones(100, dtype=bool), np.zeros(100, dtype=np.int8)
     residuals = Residuals(TIME_S[:100], quiet, quiet, quiet, settled, quiet, restart)
-    segment = Segment("x", TIME_S[:100], quiet, TIME_S[:100], quiet)
+    segment = Series("x", TIME_S[:100], quiet, TIME_S[:100], quiet)
     interval = interval_threshold(ResidualGenerator(MODEL, 50.0), segment, residuals, Tolerance())
     for threshold in (interval, constant_threshold(interval, THRESHOLD_DEG)):
         assert find_episodes(residuals, threshold) == ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.detection.residual import ResidualGenerator
 from servofd.servo.effects import Delay, LinearDynamics
@@ -27,11 +27,11 @@ def residual(gain: float = 0.0, delay_s: float = 0.0, bandwidth: float = 0.0) ->
     scaled = TransferFunction(tuple((1.0 + gain) * c for c in transfer.numerator), transfer.denominator)
     real = ServoModel((Delay(SERVO.delay_s + delay_s), LinearDynamics(scaled)))
     measured_deg = real.simulate(TIME_S, COMMAND_DEG, TIME_S)
-    return GENERATOR.run(Segment("x", TIME_S, COMMAND_DEG, TIME_S, measured_deg)).residual_deg
+    return GENERATOR.run(Series("x", TIME_S, COMMAND_DEG, TIME_S, measured_deg)).residual_deg
 
 
 def r0() -> FloatArray:
-    return -GENERATOR.run(Segment("x", TIME_S, COMMAND_DEG, TIME_S, np.zeros(TIME_S.size))).immobile_deg
+    return -GENERATOR.run(Series("x", TIME_S, COMMAND_DEG, TIME_S, np.zeros(TIME_S.size))).immobile_deg
 
 
 def quick(values_deg: FloatArray) -> FloatArray:

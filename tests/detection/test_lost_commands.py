@@ -10,7 +10,7 @@ import pytest
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.priors import PRIORS
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment, sent_period_s
+from servofd.aircraft.series import Series, sent_period_s
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import watched
 from servofd.detection.stream import CalibratedStream
@@ -52,7 +52,7 @@ def steps(sent_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.repeat(10.0 * rng.normal(size=sent_s.size // 50 + 1), 50)[: sent_s.size]
 
 
-def flown(seed: int, *, jam_s: float = np.inf, duration_s: float = 120.0) -> Segment:
+def flown(seed: int, *, jam_s: float = np.inf, duration_s: float = 120.0) -> Series:
     """A flight of which one command and one position in four arrive."""
     rng = np.random.default_rng(seed)
     sent_s = np.arange(0.0, duration_s, PERIOD_S)
@@ -62,7 +62,7 @@ def flown(seed: int, *, jam_s: float = np.inf, duration_s: float = 120.0) -> Seg
     measured_deg = measured_deg + 0.1 * rng.normal(size=sent_s.size)
     came, seen = (rng.random(sent_s.size) < 0.25 for _ in range(2))
     period_s = sent_period_s(sent_s[came][:101])
-    return Segment("x", sent_s[came], asked_deg[came], sent_s[seen], measured_deg[seen], sent_period_s=period_s)
+    return Series("x", sent_s[came], asked_deg[came], sent_s[seen], measured_deg[seen], sent_period_s=period_s)
 
 
 @pytest.mark.parametrize("asked", [walk, steps])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.tolerance import Tolerance
 from servofd.detection.audit import audit_segment
 from servofd.detection.judge import _largest
@@ -23,7 +23,7 @@ TIME_S = np.arange(6000) / 50.0
 
 def audited(level_deg: float, *, stuck: bool = False) -> SurfaceAudit:
     fault = Stuck(60.0, end_s=80.0) if stuck else None
-    segment = Segment("x", TIME_S, command(2, TIME_S), TIME_S, flown(2, fault, TIME_S))
+    segment = Series("x", TIME_S, command(2, TIME_S), TIME_S, flown(2, fault, TIME_S))
     surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update={"threshold_deg": level_deg})
     return audit_segment(
         segment, plain_aircraft(["x"], "hs225bb-eq31").model_copy(update={"surfaces": {"x": surface}}), duration_s=120.0
@@ -68,7 +68,7 @@ def test_a_threshold_above_the_noise_is_not_blamed() -> None:
 
 
 def test_the_largest_are_those_furthest_above_their_threshold_and_the_last_in_order_of_time() -> None:
-    segment = Segment("x", TIME_S, command(2, TIME_S), TIME_S, flown(2, None, TIME_S))
+    segment = Series("x", TIME_S, command(2, TIME_S), TIME_S, flown(2, None, TIME_S))
     residuals = residuals_of(TIME_S, segment.command_deg, segment.measured_deg)
     varying = interval_threshold(GENERATOR, segment, residuals, Tolerance(), 6.0)
     threshold = constant_threshold(varying, 0.01)

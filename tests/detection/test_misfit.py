@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import servofd
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import ResidualGenerator
@@ -32,7 +32,7 @@ def steps(size_deg: float, seed: int) -> FloatArray:
 
 def found(command_deg: FloatArray, measured_deg: FloatArray, rate_deg_s: float) -> list[str]:
     generator = ResidualGenerator(servo(rate_deg_s), 12.0)
-    residuals = generator.run(Segment("x", TIME_S, command_deg, TIME_S, measured_deg))
+    residuals = generator.run(Series("x", TIME_S, command_deg, TIME_S, measured_deg))
     return [fault.kind for fault in contradictions(generator, residuals)]
 
 

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servofd.aircraft.schema import Surface, plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.marks import Why
+from servofd.aircraft.series import Series, is_unsettled
 from servofd.detection.judge import judge
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
 from servofd.detection.residual import (
@@ -42,7 +43,7 @@ def surface(kind: str = "interval", servo: str = "s9254") -> tuple[Surface, Serv
     return aircraft.surfaces["x"].model_copy(update={"threshold": kind}), aircraft.model("x")
 
 
-def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float = 1e9) -> Segment:
+def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float = 1e9) -> Series:
     """A noisy flight with lost samples, glitches, a hole, and maybe a jam."""
     rng = np.random.default_rng(seed)
     _, model = surface(servo=servo)
@@ -55,16 +56,17 @@ def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float
     measured_deg[1200:1230] = np.nan
     asked, seen = rng.random(TIME_S.size) >= lost, rng.random(TIME_S.size) >= lost
     asked[1000:1040] = False
-    return Segment("x", TIME_S[asked], COMMAND_DEG[asked], TIME_S[seen], measured_deg[seen])
+    why = is_unsettled(TIME_S[asked], TIME_S[seen], TIME_S[seen]) * np.int8(Why.UNSETTLED)
+    return Series("x", TIME_S[asked], COMMAND_DEG[asked], TIME_S[seen], measured_deg[seen], why=why)
 
 
-def in_order(segment: Segment) -> list[tuple[float, int, float]]:
+def in_order(segment: Series) -> list[tuple[float, int, float]]:
     asked = zip(segment.command_s.tolist(), [0] * segment.command_s.size, segment.command_deg.tolist(), strict=True)
     seen = zip(segment.measured_s.tolist(), [1] * segment.measured_s.size, segment.measured_deg.tolist(), strict=True)
     return sorted([*asked, *seen], key=lambda sample: sample[:2])
 
 
-def assert_same_as_offline(generator: ResidualGenerator, raw: Segment, entry: Surface) -> None:
+def assert_same_as_offline(generator: ResidualGenerator, raw: Series, entry: Surface) -> None:
     """Residual and threshold of a stream that is cut at random are those of the whole."""
     segment, residuals, _ = prepared(generator, raw)
     threshold = judge(generator, segment, residuals, entry).threshold
@@ -131,7 +133,7 @@ class TestTheSameStepAsOffline:
         assert (events, monitor.has_fault, monitor.was_judged) == ([], False, True)
 
 
-def watched(entry: Surface, model: ServoModel, segment: Segment) -> tuple[SurfaceMonitor, list[Event]]:
+def watched(entry: Surface, model: ServoModel, segment: Series) -> tuple[SurfaceMonitor, list[Event]]:
     """Feed a monitor sample by sample, and let the bank look whenever it wants to."""
     monitor = SurfaceMonitor("x", entry, model)
     events: list[Event] = []
@@ -161,7 +163,7 @@ class TestNoVerdictFromNoMeasurement:
     @pytest.mark.slow
     def test_a_position_that_never_changes_is_none(self) -> None:
         entry, model = surface()
-        constant = Segment("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 3.0))
+        constant = Series("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 3.0))
         monitor, events = watched(entry, model, constant)
         assert [(event.event, event.text) for event in events] == [
             ("no_data", "the position never changes: not a measurement")
@@ -171,7 +173,7 @@ class TestNoVerdictFromNoMeasurement:
     def test_slow_positions_are_refused(self) -> None:
         entry, model = surface()
         slow = flight(6)
-        slow = Segment("x", slow.command_s, slow.command_deg, slow.measured_s[::10], slow.measured_deg[::10])
+        slow = Series("x", slow.command_s, slow.command_deg, slow.measured_s[::10], slow.measured_deg[::10])
         monitor, events = watched(entry, model, slow)
         assert "a servo cannot be judged below 8 Hz" in events[0].text
         assert not monitor.is_watched
@@ -192,7 +194,7 @@ class TestNoVerdictFromNoMeasurement:
         late = raw.measured_s >= 20.0
         keep = ~late | (np.arange(raw.measured_s.size) % 2 == 0)
         monitor, events = watched(
-            entry, model, Segment("x", raw.command_s, raw.command_deg, raw.measured_s[keep], raw.measured_deg[keep])
+            entry, model, Series("x", raw.command_s, raw.command_deg, raw.measured_s[keep], raw.measured_deg[keep])
         )
         assert [event.event for event in events] == ["no_data"]
         assert "Hz, not 50 Hz" in events[0].text
@@ -334,7 +336,7 @@ def test_a_link_that_becomes_too_thin_is_told_once_and_raises_no_alarm() -> None
     command_deg = 10.0 * np.sin(1.3 * time_s)
     measured_deg = model.simulate(time_s, command_deg, time_s) + 0.05 * rng.standard_normal(time_s.size)
     kept = (time_s < 20.0) | (rng.random(time_s.size) < 1.0 / 12.0)
-    monitor, events = watched(entry, model, Segment("x", time_s, command_deg, time_s[kept], measured_deg[kept]))
+    monitor, events = watched(entry, model, Series("x", time_s, command_deg, time_s[kept], measured_deg[kept]))
     assert [event.event for event in events] == ["no_data"]
     assert "positions a second arrive" in events[0].text
     assert not monitor.is_watched

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.detection.residual import ResidualGenerator, Residuals, prepared
 from tests.detection.tolerated import MODEL
 
@@ -16,11 +16,11 @@ COMMAND_DEG = 12.0 * np.sin(2.0 * np.pi * 0.7 * TIME_S)
 GENERATOR = ResidualGenerator(MODEL, 50.0)
 
 
-def thinly(period_s: float | None, *, kept: int = 5) -> Segment:
+def thinly(period_s: float | None, *, kept: int = 5) -> Series:
     """Commands given at 50 Hz, of which every fifth is logged."""
     rng = np.random.default_rng(0)
     measured_deg = MODEL.simulate(TIME_S, COMMAND_DEG, TIME_S) + 0.05 * rng.standard_normal(TIME_S.size)
-    return Segment("x", TIME_S[::kept], COMMAND_DEG[::kept], TIME_S, measured_deg, command_period_s=period_s)
+    return Series("x", TIME_S[::kept], COMMAND_DEG[::kept], TIME_S, measured_deg, command_period_s=period_s)
 
 
 def largest_deg(residuals: Residuals) -> float:
@@ -36,7 +36,7 @@ def test_commands_that_are_logged_thinly_are_joined_by_lines_and_it_is_said() ->
 
 
 @pytest.mark.parametrize("segment", [thinly(0.02), thinly(None, kept=1)], ids=["known", "all there"])
-def test_commands_whose_pace_is_known_or_fast_are_left_as_they_are(segment: Segment) -> None:
+def test_commands_whose_pace_is_known_or_fast_are_left_as_they_are(segment: Series) -> None:
     done = prepared(GENERATOR, segment)
     assert done.notes == ()
     assert done.segment.command_period_s == segment.command_period_s

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.schema import Aircraft, plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.core.types import FloatArray
@@ -84,7 +84,7 @@ def by_good_flights() -> Aircraft:
     flights = []
     for seed in (1, 2):
         time_s, command_deg, measured_deg = (column[: round(BEGINS_S / 0.02)] for column in faulty("bias", seed))
-        flights.append(Flight(f"{seed}.csv", Segment("x", time_s, command_deg, time_s, measured_deg)))
+        flights.append(Flight(f"{seed}.csv", Series("x", time_s, command_deg, time_s, measured_deg)))
     return calibrate_aircraft(plain_aircraft(["x"], "hs225bb-eq31"), {"x": flights}).aircraft
 
 

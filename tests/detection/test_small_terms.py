@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from servofd.aircraft.segment import WARM_UP_STEPS
+from servofd.aircraft.series import WARM_UP_STEPS
 from servofd.core.statistics import Estimate
 from servofd.detection.audit import _odds
 from servofd.detection.bank import BANK, COLOUR, Explanation, _cycle, _with_interval
@@ -179,7 +179,7 @@ def test_what_comes_too_slowly_for_long_fills_no_memory_and_delays_nothing() -> 
     for _ in range(1500):
         now_s += 0.2
         at = np.array([now_s])
-        told += monitor.feed((at, np.sin(at)), (at, np.sin(at)))
+        told += monitor.feed((at, np.sin(at)), (at, 0.9 * np.sin(at)))
         assert max(map(len, monitor._waiting)) <= 1.5 * WARM_UP_STEPS
     assert [event.event for event in told] == ["no_data"]
     quick = 0
@@ -187,5 +187,5 @@ def test_what_comes_too_slowly_for_long_fills_no_memory_and_delays_nothing() -> 
         quick += 1
         now_s += 0.02
         at = np.array([now_s])
-        monitor.feed((at, np.sin(at)), (at, np.sin(at)))
+        monitor.feed((at, np.sin(at)), (at, 0.9 * np.sin(at)))
         assert quick <= 2.5 * WARM_UP_STEPS

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.residual import ResidualGenerator, Residuals
@@ -32,7 +32,7 @@ shares = st.floats(-1.0, 1.0)
 def judged(
     time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray, tolerance: Tolerance
 ) -> tuple[Residuals, Threshold]:
-    segment = Segment("x", time_s, command_deg, time_s, measured_deg)
+    segment = Series("x", time_s, command_deg, time_s, measured_deg)
     residuals = GENERATOR.run(segment)
     return residuals, interval_threshold(GENERATOR, segment, residuals, tolerance)
 

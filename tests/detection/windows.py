@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.marks import Why
+from servofd.aircraft.series import Series, is_unsettled
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.bank import Window
@@ -40,12 +41,12 @@ def flown(seed: int, fault: Fault | None, time_s: FloatArray) -> FloatArray:
 def window(seed: int, fault: Fault | None) -> Window:
     """Eight seconds that begin ten seconds after the fault, if that starts at 2 s."""
     time_s = np.arange(2400) / 100.0
-    segment = Segment("x", time_s, command(seed, time_s), time_s, flown(seed, fault, time_s))
+    segment = Series("x", time_s, command(seed, time_s), time_s, flown(seed, fault, time_s))
     commands = commands_at_servo(segment, MODEL.delay_s, GENERATOR.longest_gap_s(segment))
     return Window.of(MODEL, Tolerance(), NOISE_DEG, GENERATOR.run(segment), commands, slice(1200, 2000))
 
 
-def troubled(servo: str) -> tuple[ResidualGenerator, Segment]:
+def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
     """Twelve seconds with lost samples, a hole, a glitch, and commands that rest."""
     rng = np.random.default_rng(7)
     time_s = np.arange(600) / 50.0
@@ -57,20 +58,21 @@ def troubled(servo: str) -> tuple[ResidualGenerator, Segment]:
     measured_deg[520:] += 3.0
     asked, seen = rng.random(time_s.size) > 0.1, rng.random(time_s.size) > 0.1
     seen[250:280] = asked[330:350] = False
-    segment = Segment("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen])
+    why = is_unsettled(time_s[asked], time_s[seen], time_s[seen]) * np.int8(Why.UNSETTLED)
+    segment = Series("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen], why=why)
     return ResidualGenerator.fitting(model, segment), segment
 
 
 def residuals_of(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Residuals:
     """As the HS-225BB's model has them."""
-    return GENERATOR.run(Segment("x", time_s, command_deg, time_s, measured_deg))
+    return GENERATOR.run(Series("x", time_s, command_deg, time_s, measured_deg))
 
 
 def judged(
     time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray, threshold: ThresholdKind = "constant"
 ) -> Judgement:
     """Faults of a surface; a constant threshold is at 1.5 deg."""
-    segment = Segment("x", time_s, command_deg, time_s, measured_deg)
+    segment = Series("x", time_s, command_deg, time_s, measured_deg)
     generator = ResidualGenerator.fitting(MODEL, segment, None)
     surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update={"threshold": threshold})
     return judge(generator, segment, generator.run(segment), surface)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from logparsers import FlightLog
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.identification.choice import step_slopes
 from servofd.identification.identify import identify
 from servofd.identification.records import prepared
@@ -20,10 +20,10 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def segment(log: FlightLog) -> Segment:
+def segment(log: FlightLog) -> Series:
     command, measured = log["cmd"], log["meas"]
     given = np.isfinite(command.values)
-    return Segment("shaft", command.time_s[given], command.values[given], measured.time_s, measured.values)
+    return Series("shaft", command.time_s[given], command.values[given], measured.time_s, measured.values)
 
 
 @pytest.mark.nightly

@@ -10,7 +10,7 @@ import pytest
 
 from logparsers.records import Channel, FlightLog
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.detection.audit import audit_log
 from servofd.feedback.fitted import RoughFit, fit_roughly, fitted_aircraft
 from servofd.servo.library import library
@@ -55,7 +55,7 @@ def test_a_servo_that_becomes_slow_is_fitted_as_it_was_and_named_from_when_it_ch
     later = RoughFit(bandwidth_hz=2.0, damping=0.8, delay_s=0.03)
     before, after = (fit.model.simulate(TIME_S, command_deg, TIME_S) for fit in (AT_FIRST, later))
     position_deg = read(np.where(from_s <= TIME_S, after, before), seed)
-    fit = fit_roughly(Segment("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
+    fit = fit_roughly(Series("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
     assert fit.until_s <= from_s
     assert lag_s(fit) == pytest.approx(lag_s(AT_FIRST), abs=0.003)
     verdict = fitted_verdict(command_deg, position_deg)
@@ -86,7 +86,7 @@ def test_a_servo_that_stays_as_it_is_is_fitted_to_the_whole_log() -> None:
     for seed, fit in enumerate((AT_FIRST, slow)):
         command_deg = commands(seed)
         position_deg = read(fit.model.simulate(TIME_S, command_deg, TIME_S), seed)
-        found = fit_roughly(Segment("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
+        found = fit_roughly(Series("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
         assert found.until_s == np.inf
 
 

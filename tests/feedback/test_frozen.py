@@ -9,7 +9,6 @@ import pytest
 
 from logparsers import Channel, FlightLog
 from servofd.aircraft.schema import Aircraft
-from servofd.core.frozen import Republished, republished_rows
 from servofd.core.types import BoolArray, FloatArray
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import SurfaceAudit
@@ -85,17 +84,3 @@ def test_telemetry_that_dies_for_good_is_no_data() -> None:
 
 def test_a_fault_before_the_telemetry_dies_stays_a_fault() -> None:
     assert audited(between(40.0, 61.0), between(20.0, 61.0)).status == "fault"
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_stream_leaves_out_the_rows_that_an_audit_leaves_out(seed: int) -> None:
-    """However it is cut; what repeats at the very end may go on, and is left out in both."""
-    rng = np.random.default_rng(seed)
-    values = np.asarray(np.repeat(rng.integers(0, 4, 300), rng.integers(1, 9, 300)), dtype=np.float64)
-    time_s: FloatArray = np.cumsum(np.array([0.019, 0.02, 0.021, 0.06])[rng.integers(0, 4, values.size)])
-    stream, rows = Republished(), list(zip(time_s.tolist(), values.tolist(), strict=True))
-    kept: list[tuple[float, float]] = []
-    for first in range(0, len(rows), 7):
-        kept += stream.without(rows[first : first + 7])
-    repeated = republished_rows(time_s, values, [])
-    assert [at_s for at_s, _ in kept] == time_s[~repeated].tolist()

@@ -10,7 +10,7 @@ import logparsers
 import servofd
 from servofd.aircraft.outputs import resolved, streamed
 from servofd.aircraft.schema import Surface, load_aircraft
-from servofd.aircraft.segment import cut
+from servofd.aircraft.series import cut
 from servofd.cli import main
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def test_the_log_of_an_autopilot_tells_airspeed_and_supply(suffix: str, supply: 
     path = str(tmp_path / f"flown.{suffix}")
     assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "20"]) == 0
     log = logparsers.read(path)
-    context = cut(log, "rudder", resolved(log, load_aircraft("simulated")).surfaces["rudder"]).context
+    context = cut(log, "rudder", resolved(log, load_aircraft("simulated"))).context
     assert 5.0 < float(context.airspeed_m_s.mean()) < 60.0
     assert context.voltage_v.size == 0 or 4.0 < float(context.voltage_v.mean()) < 9.0
     assert bool(context.voltage_v.size) is supply

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.record import Record, joined, record_of, simulate
 from servofd.servo.context import Context
@@ -28,7 +28,7 @@ COMMAND_DEG = 50.0 * np.sin(1.5 * TIME_S**2)
 
 
 def bench_record(context: Context | None = None) -> Record:
-    segment = Segment("servo", TIME_S, COMMAND_DEG, TIME_S, 0.0 * TIME_S, context=context or Context())
+    segment = Series("servo", TIME_S, COMMAND_DEG, TIME_S, 0.0 * TIME_S, context=context or Context())
     return record_of(segment, MODEL, at_rest=True)
 
 
@@ -96,7 +96,7 @@ def test_supply_coupling_moves_the_reading_and_nothing_else() -> None:
 
 def test_joined_runs_move_as_each_run_does_alone() -> None:
     one = bench_record()
-    later = Segment("servo", TIME_S + 7.0, -COMMAND_DEG, TIME_S + 7.0, 3.0 + 0.0 * TIME_S)
+    later = Series("servo", TIME_S + 7.0, -COMMAND_DEG, TIME_S + 7.0, 3.0 + 0.0 * TIME_S)
     two = record_of(later, MODEL, at_rest=True)
     both = joined([one, two])
     physics = Physics(load_friction=0.3, droop_deg=10.0)

@@ -132,7 +132,7 @@ def test_rate_limit_equals_the_reference_twin(up: float, down: float) -> None:
 
 def test_the_rate_limit_reproduces_the_published_peaks() -> None:
     """Peak residual of a linear filter on a rate-limited healthy servo, steps of 20 to 60 deg (370 deg/s)."""
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
     from servofd.detection.residual import ResidualGenerator
 
     servo = servo_named("hs225bb-eq31")
@@ -142,7 +142,7 @@ def test_the_rate_limit_reproduces_the_published_peaks() -> None:
     for size_deg in (20.0, 25.0, 30.0, 40.0, 60.0):
         command_deg = np.where(time_s >= 0.5, size_deg, 0.0)
         limited = (linear + RateLimit(370.0)).simulate(time_s, command_deg, time_s)
-        segment = Segment("x", time_s, command_deg, time_s, limited)
+        segment = Series("x", time_s, command_deg, time_s, limited)
         peaks.append(np.max(np.abs(ResidualGenerator(linear, 50.0).run(segment).residual_deg)))
     assert peaks == pytest.approx([0.0, 0.44, 1.94, 6.72, 20.1], abs=0.05)
 

@@ -13,7 +13,7 @@ from tests.onboard.autopilot import Flight
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import Series
 
 __all__ = ["flight_of", "on_autopilot"]
 
@@ -33,7 +33,7 @@ def on_autopilot(aircraft: Aircraft) -> Aircraft:
     return aircraft.model_copy(update={"surfaces": surfaces})
 
 
-def flight_of(segments: Mapping[int, Segment]) -> Flight:
+def flight_of(segments: Mapping[int, Series]) -> Flight:
     """A call for every stamp of every surface; what was not new then is what came before."""
     stamps = [
         np.round(1e6 * time_s).astype(np.int64) for s in segments.values() for time_s in (s.command_s, s.measured_s)

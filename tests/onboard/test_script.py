@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.onboard.plan import plan_onboard
@@ -53,7 +53,7 @@ def aircraft(threshold: str = "interval") -> Aircraft:
     return Aircraft.model_validate({"surfaces": surfaces, "servos": servos})
 
 
-def made(plane: Aircraft, count: int, seed: int = 1) -> tuple[IntArray, dict[str, Segment], Flight]:
+def made(plane: Aircraft, count: int, seed: int = 1) -> tuple[IntArray, dict[str, Series], Flight]:
     """A healthy flight across the instant at which 32 bits of microseconds are full."""
     rng = np.random.default_rng(seed)
     time_us = 2**32 - 10_000_000 + np.cumsum(rng.integers(19_400, 20_600, count))
@@ -66,11 +66,11 @@ def made(plane: Aircraft, count: int, seed: int = 1) -> tuple[IntArray, dict[str
         moved_deg = plane.model(name).simulate(time_s, asked_deg, time_s) + 0.1 * rng.normal(size=count)
         assert surface.measured is not None
         positions[k + 1] = surface.measured.from_deg(moved_deg).astype(np.float32).astype(float)
-        segments[name] = Segment(name, time_s, asked_deg, time_s, surface.measured.to_deg(positions[k + 1]))
+        segments[name] = Series(name, time_s, asked_deg, time_s, surface.measured.to_deg(positions[k + 1]))
     return time_us, segments, Flight(time_us, pulses, positions)
 
 
-def audited(plane: Aircraft, name: str, segment: Segment) -> tuple[Residuals, Threshold]:
+def audited(plane: Aircraft, name: str, segment: Series) -> tuple[Residuals, Threshold]:
     surface = plane.surfaces[name]
     generator = ResidualGenerator.fitting(plane.model(name), segment, surface.filter_pole_rad_s)
     residuals = generator.run(segment)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import servofd
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.detection.verdict import LogAudit
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.jobs.workflow import FailedLog
@@ -81,7 +81,7 @@ def slow_servo(limit_deg_s: float | None) -> Explanation:
     known = ServoModel.of(servo_named("hs225bb-eq31"))
     true = known if limit_deg_s is None else known + RateLimit(limit_deg_s)
     measured_deg = true.simulate(time_s, command_deg, time_s) + 0.1 * np.random.default_rng(0).standard_normal(3000)
-    return explain_gap(Segment("elevator", time_s, command_deg, time_s, measured_deg), known)
+    return explain_gap(Series("elevator", time_s, command_deg, time_s, measured_deg), known)
 
 
 @pytest.fixture(scope="module")

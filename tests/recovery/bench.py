@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.servo.effects import RateLimit
 from servofd.servo.library import servo_named
@@ -30,7 +30,7 @@ def sweep(
     duration_s: float = 120.0,
     amplitude: float = 1.0,
     rate_deg_s: float | None = None,
-) -> Segment:
+) -> Series:
     """Chirp of thesis 3.2.3 on a library servo."""
     rng = np.random.default_rng(seed)
     time_s = np.round(np.arange(round(100.0 * duration_s)) / 100.0, 9)
@@ -39,19 +39,19 @@ def sweep(
     if rate_deg_s is not None:
         model = model + RateLimit(rate_deg_s)
     measured_deg = model.simulate(time_s, command_deg, time_s) + noise_deg * rng.standard_normal(time_s.size)
-    return Segment("elevator", time_s, command_deg, time_s, quantized(measured_deg, bits))
+    return Series("elevator", time_s, command_deg, time_s, quantized(measured_deg, bits))
 
 
-def step(size_deg: float, *, noise_deg: float = 0.05, seed: int = 0) -> Segment:
+def step(size_deg: float, *, noise_deg: float = 0.05, seed: int = 0) -> Series:
     """Step up and back of an HS-225BB at 100 Hz."""
     rng = np.random.default_rng(seed)
     time_s = np.round(np.arange(400) / 100.0, 9)
     command_deg = np.where((time_s > 1.0) & (time_s < 2.5), size_deg / 2.0, -size_deg / 2.0)
     deflection_deg = ServoModel.of(servo_named("hs225bb-eq31")).simulate(time_s, command_deg, time_s)
-    return Segment("elevator", time_s, command_deg, time_s, deflection_deg + noise_deg * rng.standard_normal(400))
+    return Series("elevator", time_s, command_deg, time_s, deflection_deg + noise_deg * rng.standard_normal(400))
 
 
-def written(path: Path, segment: Segment) -> Path:
+def written(path: Path, segment: Series) -> Path:
     """The same as a plain table."""
     rows = np.column_stack([segment.measured_s, segment.command_deg, segment.measured_deg])
     np.savetxt(path, rows, delimiter=",", header="time_s,elevator_cmd_deg,elevator_pos_deg", comments="", fmt="%.6f")

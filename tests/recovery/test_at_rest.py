@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.errors import NoMeasurement
 from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import explain_gap
@@ -17,11 +17,11 @@ TIME_S = np.arange(0.0, 120.0, 0.1)
 HELD_DEG = 10.0 * (TIME_S // 12.0 % 3.0 - 1.0)
 
 
-def slow(pulled_deg: FloatArray, command_deg: FloatArray = HELD_DEG, step_deg: float = 0.088, seed: int = 0) -> Segment:
+def slow(pulled_deg: FloatArray, command_deg: FloatArray = HELD_DEG, step_deg: float = 0.088, seed: int = 0) -> Series:
     """A servo sampled at 10 Hz by a converter, while something pulls its surface away."""
     moved = MODEL.simulate(TIME_S, command_deg, TIME_S) + pulled_deg
     moved += 0.02 * np.random.default_rng(seed).standard_normal(TIME_S.size)
-    return Segment("rudder", TIME_S, command_deg, TIME_S, step_deg * np.round(moved / step_deg))
+    return Series("rudder", TIME_S, command_deg, TIME_S, step_deg * np.round(moved / step_deg))
 
 
 @pytest.mark.parametrize("width_deg", [0.5, 1.5])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hidden_physics import Air, Effects, deflection, hidden
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.servo.context import Context
@@ -26,10 +26,10 @@ def sines(seed: int) -> FloatArray:
     return np.asarray(np.sum(waves, axis=0))
 
 
-def run(seed: int, effects: Effects, noise_deg: float = 0.05) -> Segment:
+def run(seed: int, effects: Effects, noise_deg: float = 0.05) -> Series:
     rng = np.random.default_rng([seed, 1])
     moved = deflection(effects, TIME_S, sines(seed), Air.steady(8.0, 20.0, 6.0), rng)
-    return Segment("servo", TIME_S, sines(seed), TIME_S, moved + noise_deg * rng.standard_normal(TIME_S.size))
+    return Series("servo", TIME_S, sines(seed), TIME_S, moved + noise_deg * rng.standard_normal(TIME_S.size))
 
 
 def explained(effects: Effects, runs: int = 4) -> Explanation:
@@ -39,7 +39,7 @@ def explained(effects: Effects, runs: int = 4) -> Explanation:
 @pytest.mark.slow
 def test_a_current_limit_is_named_and_measured() -> None:
     record = hidden(3, {"current_limit": {"knee_deg": 3.0}}, "sweep", 0.05, duration_s=30.0)
-    segment = Segment("servo", record.time_s, record.command_deg, record.time_s, record.measured_deg)
+    segment = Series("servo", record.time_s, record.command_deg, record.time_s, record.measured_deg)
     fitter = explain_gap(segment, KNOWN).selection
     assert fitter.final.names == ("current_limit",)
     assert fitter.final.values[0] == pytest.approx(3.0, rel=0.02)
@@ -73,7 +73,7 @@ def test_a_reading_that_moves_with_the_current_is_not_called_motion() -> None:
     """Spikes of current at each start, on a supply shared with the sensor."""
     plain = run(1, {})
     current_a = np.abs(np.gradient(plain.command_deg, TIME_S)) / 40.0
-    segment = Segment(
+    segment = Series(
         "servo",
         TIME_S,
         plain.command_deg,

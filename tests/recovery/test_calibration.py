@@ -17,12 +17,11 @@ from strangers import SIZES, SURFACES, Failure, Stranger, draw_failure, fly, str
 from fleet import FleetServo, deflection, flight
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft, plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.calibrating.flights import Flight
 from servofd.calibrating.result import Calibration
 from servofd.core.errors import CalibrationError
-from servofd.core.frozen import republished_rows
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_segment
 from servofd.detection.monitor import SurfaceMonitor
@@ -38,7 +37,7 @@ from servofd.simulation.flight import simulate_flight
 STYLES = ("lively", "calm", "hand_flown", "cruise")
 
 
-def flown(servo: FleetServo, seed: int, style: str, duration_s: float = 120.0) -> Segment:
+def flown(servo: FleetServo, seed: int, style: str, duration_s: float = 120.0) -> Series:
     """One more flight of the same servo, with jitter, lost rows, noise and a coarse converter."""
     rng = np.random.default_rng([seed, 77])
     grid_s = np.arange(round(duration_s * 100.0)) / 100.0
@@ -49,23 +48,23 @@ def flown(servo: FleetServo, seed: int, style: str, duration_s: float = 120.0) -
     position_deg = position_deg + servo.noise_deg * rng.standard_normal(grid_s.size)
     if servo.step_deg:
         position_deg = servo.step_deg * np.round(position_deg / servo.step_deg)
-    return Segment("x", time_s[kept], command_deg[kept], time_s[kept], position_deg[kept])
+    return Series("x", time_s[kept], command_deg[kept], time_s[kept], position_deg[kept])
 
 
-def calibrated(*segments: Segment) -> Calibration:
+def calibrated(*segments: Series) -> Calibration:
     return calibrate_aircraft(
         plain_aircraft(["x"], "hs225bb-eq31"), {"x": [Flight(f"{k}.csv", s) for k, s in enumerate(segments)]}
     )
 
 
-def judged(aircraft: Aircraft, segment: Segment) -> SurfaceAudit:
+def judged(aircraft: Aircraft, segment: Series) -> SurfaceAudit:
     surface = aircraft.surfaces["x"]
     assert surface.measured is not None
     read = replace(segment, surface="x", measured_deg=surface.measured.to_deg(segment.measured_deg))
     return audit_segment(read, aircraft, duration_s=segment.duration_s)
 
 
-def followed(aircraft: Aircraft, segment: Segment) -> tuple[tuple[Fault, ...], FloatArray]:
+def followed(aircraft: Aircraft, segment: Series) -> tuple[tuple[Fault, ...], FloatArray]:
     """What a monitor finds sample by sample: faults, and residuals [deg]."""
     monitor = SurfaceMonitor("x", aircraft.surfaces["x"], aircraft.model("x"))
     assert ("airspeed_m_s" in monitor.needs) == bool(segment.context.airspeed_s.size)  # as in its good flights
@@ -86,12 +85,12 @@ def followed(aircraft: Aircraft, segment: Segment) -> tuple[tuple[Fault, ...], F
 
 def of_stranger(
     aircraft: Stranger, number: int, style: str, surface: str, failure: Failure | None = None, until_s: float = np.inf
-) -> Segment:
+) -> Series:
     log = fly(aircraft, number, style, duration_s=240.0 if style == "mixed" else 120.0, failure=failure)
     place = SURFACES.index(surface)
     context = Context(log.command_s, log.airspeed_m_s, log.command_s, log.supply_v)
     asked, seen = log.command_s < until_s, log.position_s < until_s
-    return Segment(
+    return Series(
         "x", log.command_s[asked], log.command_deg[asked, place], log.position_s[seen], log.position_deg[seen, place],
         context=context,
     )  # fmt: skip
@@ -128,7 +127,7 @@ def test_play_dead_band_and_friction_are_told_with_what_they_may_be(
 ) -> None:
     plane = plain_aircraft(["x"], "s9254")
     log = simulate_flight(plane, duration_s=120.0, seed=seed, noise_deg=0.05, effects={"x": [effect]})
-    segment = Segment("x", log.time_s, log.command_deg[:, 0], log.time_s, log.measured_deg[:, 0])
+    segment = Series("x", log.time_s, log.command_deg[:, 0], log.time_s, log.measured_deg[:, 0])
     (one,) = calibrated(segment).surfaces
     dead, rub, loose = (one.estimates[name] for name in ("deadband_deg", "friction_deg", "play_deg"))
     assert dead.value + 2.0 * rub.value + loose.value == pytest.approx(width_deg, rel=0.1)
@@ -217,7 +216,7 @@ def test_positions_that_pause_are_no_change_of_the_servo() -> None:
 def test_a_jam_of_most_of_the_flight_is_refused_with_its_time(seed: int) -> None:
     plane = plain_aircraft(["x"], "s9254")
     log = simulate_flight(plane, seed=seed, faults={"x": Stuck(20.0)})
-    segment = Segment("x", log.time_s, log.command_deg[:, 0], log.time_s, log.measured_deg[:, 0])
+    segment = Series("x", log.time_s, log.command_deg[:, 0], log.time_s, log.measured_deg[:, 0])
     with pytest.raises(CalibrationError, match="not a good flight") as refused:
         calibrated(segment)
     found = re.search(r"since ([\d.]+) s", str(refused.value))
@@ -315,8 +314,7 @@ def test_a_stream_finds_what_an_audit_finds() -> None:
     aircraft = stranger(3)
     known = calibrated(of_stranger(aircraft, 1, "mixed", "rudder")).aircraft
     segment = of_stranger(aircraft, 4, "turbulence", "rudder", Failure("bias", "rudder", 60.0, 2.0))
-    fresh = ~republished_rows(segment.measured_s, segment.measured_deg, [])  # which a log leaves out of its segment
-    segment = replace(segment, measured_s=segment.measured_s[fresh], measured_deg=segment.measured_deg[fresh])
+
     verdict = judged(known, segment)
     faults, streamed = followed(known, segment)
     assert verdict.residuals is not None

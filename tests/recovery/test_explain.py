@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.locate import bad_seconds, blocks
 from servofd.discrepancy.record import comb_step_deg, record_of, simulate
@@ -22,7 +22,7 @@ KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 
 
 def explained(log: Hidden, *, context: bool = True) -> Explanation:
-    segment = Segment("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
+    segment = Series("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
     there = Context(airspeed_s=log.time_s, airspeed_m_s=log.airspeed_m_s, voltage_s=log.time_s, voltage_v=log.supply_v)
     return explain_gap(replace(segment, context=there) if context else segment, KNOWN)
 
@@ -46,7 +46,7 @@ def test_without_effects_it_is_the_linear_servo(name: str) -> None:
     command_deg = 6.0 * np.sin(time_s) + 2.0 * np.sin(17.0 * time_s)
     model = ServoModel.of(servo_named(name)).linear()
     expected = model.simulate(time_s, command_deg, time_s)
-    segment = Segment("x", time_s, command_deg, time_s, np.full(time_s.size, expected[0]))
+    segment = Series("x", time_s, command_deg, time_s, np.full(time_s.size, expected[0]))
     record = record_of(segment, model)
     moved = simulate(record, record.plant.neutral)
     assert np.abs(moved - expected).max() < 1e-6
@@ -68,7 +68,7 @@ def test_shorter_steps_change_nothing(change: dict[str, float], monkeypatch: pyt
 
     time_s = np.arange(0.0, 20.0, 0.01)
     command_deg = 8.0 * np.sign(np.sin(1.3 * time_s)) + 2.0 * np.sin(5.0 * time_s)
-    record = record_of(Segment("x", time_s, command_deg, time_s, np.full(time_s.size, 8.0)), KNOWN.linear())
+    record = record_of(Series("x", time_s, command_deg, time_s, np.full(time_s.size, 8.0)), KNOWN.linear())
     coarse = simulate(record, record.plant.neutral._replace(**change))
     monkeypatch.setattr(physics, "_SUBSTEP_S", 2.5e-4)
     fine = simulate(record, record.plant.neutral._replace(**change))
@@ -79,7 +79,7 @@ def test_shorter_steps_change_nothing(change: dict[str, float], monkeypatch: pyt
 def test_a_rate_limit_is_the_largest_speed() -> None:
     time_s = np.arange(0.0, 4.0, 0.01)
     command_deg = np.where(time_s < 1.0, 0.0, 40.0)
-    record = record_of(Segment("x", time_s, command_deg, time_s, np.zeros(time_s.size)), KNOWN.linear())
+    record = record_of(Series("x", time_s, command_deg, time_s, np.zeros(time_s.size)), KNOWN.linear())
     moved = simulate(record, record.plant.neutral._replace(rate_up_deg_s=100.0))
     steady = (time_s > 1.15) & (time_s < 1.3)
     assert np.polyfit(time_s[steady], moved[steady], 1)[0] == pytest.approx(100.0, rel=2e-3)
@@ -121,7 +121,7 @@ def test_lost_rows_and_jitter_are_no_effect() -> None:
     kept = rng.random(log.time_s.size) > 0.03
     parts = [values[kept] for values in (log.time_s, log.command_deg, log.position_deg)]
     parts[0] = parts[0] + 0.001 * rng.uniform(-1.0, 1.0, kept.sum())
-    segment = Segment("elevator", parts[0], parts[1], parts[0], parts[2])
+    segment = Series("elevator", parts[0], parts[1], parts[0], parts[2])
     assert explain_gap(segment, KNOWN).conclusion == "nothing_missing"
 
 
@@ -192,7 +192,7 @@ def test_what_no_model_contains_is_not_explained(seed: int) -> None:
 def test_seconds_of_a_healthy_servo_are_not_bad_and_those_of_a_slow_one_are() -> None:
     healthy, slow = (hide(FineServo(rate_deg_s=rate), seed=6, noise_deg=0.1) for rate in (np.inf, 40.0))
     for log, least, most in ((healthy, 0, 0), (slow, 5, 30)):
-        segment = Segment("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
+        segment = Series("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
         record = record_of(segment, KNOWN)
         error_deg = record.measured_deg - simulate(record, record.plant.neutral)
         found = blocks(record, error_deg, 0.1)
@@ -208,7 +208,7 @@ def test_an_interval_in_which_a_lost_row_may_hide_does_not_count() -> None:
     time_s = np.delete(time_s, 500)
     time_s[500] = time_s[499] + 0.0155
     command_deg = 5.0 * np.sin(30.0 * time_s)
-    record = record_of(Segment("elevator", time_s, command_deg, time_s, np.zeros(time_s.size)), KNOWN)
+    record = record_of(Series("elevator", time_s, command_deg, time_s, np.zeros(time_s.size)), KNOWN)
     since_s = time_s - time_s[500]
     assert not record.counts[(since_s >= 0.0) & (since_s < 0.15)].any()
     assert record.counts[(since_s > 0.2) & (since_s < 4.0)].all()
@@ -240,10 +240,10 @@ def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: fl
     time_s = np.arange(0.0, 60.0, 0.01)
     model = ServoModel.of(servo_named("hs225bb-eq31"))
     command_deg = COMMANDS[command](time_s, np.random.default_rng(5))
-    record = record_of(Segment("x", time_s, command_deg, time_s, 0.0 * time_s), model)
+    record = record_of(Series("x", time_s, command_deg, time_s, 0.0 * time_s), model)
     moved_deg = simulate(record, record.plant.neutral)
     noisy_deg = moved_deg + noise_deg * np.random.default_rng(6).standard_normal(time_s.size)
-    found = explain_gap(Segment("x", time_s, command_deg, time_s, step_deg * np.round(noisy_deg / step_deg)), model)
+    found = explain_gap(Series("x", time_s, command_deg, time_s, step_deg * np.round(noisy_deg / step_deg)), model)
     assert found.conclusion == "explained"
     assert found.selection.final.names == ("quantization",)
     assert found.selection.final.values[0] == pytest.approx(step_deg, rel=1e-3)

@@ -12,7 +12,7 @@ import pytest
 
 import logparsers
 from servofd.aircraft.schema import Aircraft, load_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
@@ -221,7 +221,7 @@ def test_a_model_says_which_context_its_effects_depend_on() -> None:
 
 @pytest.mark.parametrize(("name", "size"), CASES.values(), ids=CASES)
 def test_the_audit_simulates_what_was_fitted(name: str, size: dict[str, float | str]) -> None:
-    segment = Segment("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 1.0), context=CONTEXT)
+    segment = Series("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 1.0), context=CONTEXT)
     record = record_of(segment, KNOWN)
     fitted = simulate(record, effects_installed(record.plant.neutral, {name: size}))
     model = extended(name, size)
@@ -295,7 +295,7 @@ def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Fault, kind: 
     }
     aircraft = Aircraft.model_validate({"surfaces": {"elevator": entry}})
     flown = simulate_flight(aircraft, command="lively", duration_s=24.0, seed=4, faults={"elevator": fault})
-    segment = Segment("elevator", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
+    segment = Series("elevator", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
     generator = ResidualGenerator.fitting(aircraft.model("elevator"), segment)
     judged = judge(generator, segment, generator.run(segment), aircraft.surfaces["elevator"])
     assert [found.kind for found in judged.faults][:1] == [kind]
@@ -373,7 +373,7 @@ def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[st
     log = hide(FineServo(backlash_deg=0.8), duration_s=12.0)
     known = {"servo": "hs225bb-eq31", "command": {"channel": "c", "unit": "deg"}, "threshold": "interval"}
     surface = Aircraft.model_validate({"surfaces": {"x": {**known, "effects": effects}}})
-    segment = Segment("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
+    segment = Series("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
     generator = ResidualGenerator.fitting(surface.model("x"), segment)
     stream = Stream(generator, surface.surfaces["x"], segment.period_s, rhythm(log.time_s))
     pieces = []

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fitter
@@ -38,7 +38,7 @@ def flown(
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, duration_s, 0.01)
     command_deg = COMMANDS[command](time_s, rng)
-    empty = record_of(Segment("x", time_s, command_deg, time_s, 0.0 * time_s), KNOWN)
+    empty = record_of(Series("x", time_s, command_deg, time_s, 0.0 * time_s), KNOWN)
     moved_deg = simulate(empty, installed(empty.plant.neutral, effects, values))
     return replace(empty, measured_deg=moved_deg + noise_deg * rng.standard_normal(time_s.size))
 
@@ -50,7 +50,7 @@ def test_the_noise_of_a_surface_at_rest_is_that_of_its_comb(seed: int) -> None:
     noise = rng.normal(0.0, 0.05 + 0.002 * seed, 6000)
     read_deg: FloatArray = np.round(CONVERTER_DEG * np.round(noise / CONVERTER_DEG), 3)
     time_s: FloatArray = np.arange(0.0, 60.0, 0.01)
-    record = record_of(Segment("x", time_s, 0.0 * time_s, time_s, read_deg), KNOWN)
+    record = record_of(Series("x", time_s, 0.0 * time_s, time_s, read_deg), KNOWN)
     assert record.step_deg == pytest.approx(CONVERTER_DEG, rel=2e-3)
     assert noise_floor_deg(record, read_deg) == pytest.approx(float(np.std(read_deg)), rel=0.05)
 

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.errors import IdentificationError
 from servofd.identification.choice import rate_limits
 from servofd.identification.identify import identify
@@ -164,7 +164,7 @@ def test_irregular_stamps_are_used_as_they_are() -> None:
     time_s = regular.measured_s + rng.uniform(0.0, 0.005, regular.measured_s.size)
     measured_deg = ServoModel.of(HS225).simulate(time_s, regular.command_deg, time_s)
     measured_deg += 0.1 * rng.standard_normal(time_s.size)
-    result = identify(Segment("x", time_s, regular.command_deg, time_s, measured_deg))
+    result = identify(Series("x", time_s, regular.command_deg, time_s, measured_deg))
     assert result.servo.linear.delay_s == pytest.approx(0.004, abs=3e-4)
     assert any("time stamps are irregular" in note for note in result.notes)
 
@@ -209,7 +209,7 @@ def test_the_sampled_response_is_that_of_the_simulation() -> None:
     time_s = np.arange(4000) / 100.0
     w = 2.0 * np.pi * 3.0
     command_deg = np.sin(w * time_s)
-    simulated_deg = ServoCandidate(servo).simulate(prepared(Segment("x", time_s, command_deg, time_s, 0.0 * time_s)))
+    simulated_deg = ServoCandidate(servo).simulate(prepared(Series("x", time_s, command_deg, time_s, 0.0 * time_s)))
     gain = servo.sampled_response(np.array([w]), 0.01)[0]
     expected_deg = np.imag(gain * np.exp(1j * w * time_s))
     np.testing.assert_allclose(simulated_deg[1000:], expected_deg[1000:], atol=1e-9)
@@ -222,6 +222,6 @@ def test_a_dead_band_from_a_slow_triangle() -> None:
     seen_deg = play(command_deg, 1.5, float(command_deg[0]))
     measured_deg = ServoModel.of(HS225).simulate(time_s, seen_deg, time_s)
     measured_deg += 0.05 * np.random.default_rng(0).standard_normal(time_s.size)
-    segment = Segment("x", time_s, command_deg, time_s, measured_deg)
+    segment = Series("x", time_s, command_deg, time_s, measured_deg)
     result = identify(segment)
     assert result.servo.dead_band_deg == pytest.approx(1.5, abs=0.05)

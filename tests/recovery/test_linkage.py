@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.record import record_of, simulate
 from servofd.core.loops import play
@@ -22,7 +22,7 @@ COMMAND_DEG = 5.0 * np.sin(2.0 * np.pi * (0.5 + 0.7 * COMMAND_S) * COMMAND_S)
 
 
 def moved(physics: Physics, at_s: FloatArray) -> FloatArray:
-    segment = Segment("x", COMMAND_S, COMMAND_DEG, at_s, np.zeros(at_s.size), command_period_s=0.01)
+    segment = Series("x", COMMAND_S, COMMAND_DEG, at_s, np.zeros(at_s.size), command_period_s=0.01)
     return simulate(record_of(segment, KNOWN), physics)
 
 
@@ -48,7 +48,7 @@ def test_a_tip_a_sensor_and_a_play_follow_the_shaft_as_if_integrated_finely(at_s
 def test_a_servo_within_its_friction_stays_where_it_is() -> None:
     """A ramp of 0.5 deg/s is as much as a friction of 0.6 deg after 1.2 s; the torque is a tenth of a second behind."""
     time_s = np.arange(0.0, 3.0, 0.01)
-    record = record_of(Segment("x", time_s, 0.5 * time_s, time_s, np.zeros(time_s.size)), KNOWN)
+    record = record_of(Series("x", time_s, 0.5 * time_s, time_s, np.zeros(time_s.size)), KNOWN)
     moved_deg = simulate(record, FREE._replace(friction_deg=0.6))
     assert np.ptp(moved_deg[time_s < 1.2]) == 0.0
     assert moved_deg[time_s < 1.25][-1] > 0.0

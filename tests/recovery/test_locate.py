@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.locate import (
     EVEN,
@@ -43,7 +43,7 @@ def flown(seed: int = 0) -> tuple[FloatArray, FloatArray]:
 def record(wrong_deg: FloatArray, seed: int = 0, context: Context | None = None) -> tuple[Record, FloatArray]:
     """A flight whose position is off by so much, and the error of the healthy model [deg]."""
     command_deg, moved_deg = flown(seed)
-    segment = Segment("x", TIME_S, command_deg, TIME_S, moved_deg + wrong_deg, context=context or Context())
+    segment = Series("x", TIME_S, command_deg, TIME_S, moved_deg + wrong_deg, context=context or Context())
     made = record_of(segment, KNOWN)
     return made, made.measured_deg - simulate(made, made.plant.neutral)
 
@@ -120,5 +120,5 @@ def test_the_band_of_a_gap_and_the_end_of_coherence() -> None:
 def test_a_short_record_has_no_spectrum() -> None:
     made, error_deg = record(noise_deg(5))
     few = slice(0, 150)
-    short = record_of(Segment("x", TIME_S[few], flown()[0][few], TIME_S[few], made.measured_deg[few]), KNOWN)
+    short = record_of(Series("x", TIME_S[few], flown()[0][few], TIME_S[few], made.measured_deg[few]), KNOWN)
     assert spectrum(short, error_deg[few]) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.jobs.explaining import UNKNOWN_SERVO
@@ -32,7 +32,7 @@ def moved(command_deg: FloatArray, fastest_deg_s: float) -> FloatArray:
 def explained(command_deg: FloatArray, fastest_deg_s: float) -> Explanation:
     noise_deg = 0.1 * np.random.default_rng(0).standard_normal(_TIME_S.size)
     measured_deg = moved(command_deg, fastest_deg_s) + noise_deg
-    segment = Segment("elevator", _TIME_S, command_deg, _TIME_S, measured_deg)
+    segment = Series("elevator", _TIME_S, command_deg, _TIME_S, measured_deg)
     return explain_gap(segment, ServoModel.of(UNKNOWN_SERVO), free_poles=True)
 
 

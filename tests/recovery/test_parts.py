@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.core.errors import ConfigError
 from servofd.discrepancy.explanation import explain_gap, fault_start_s
 from servofd.discrepancy.fit import Fitter
@@ -59,7 +59,7 @@ def test_a_jam_in_a_short_flight_is_no_missing_effect() -> None:
     time_s, noise_deg = record.time_s, 0.1 * np.random.default_rng(0).standard_normal(record.time_s.size)
     jammed_deg = np.where(time_s > 13.0, record.measured_deg[1300] + noise_deg, record.measured_deg)
     found = explain_gap(
-        Segment("x", record.commands.effective_s, record.commands.command_deg, time_s, jammed_deg), KNOWN
+        Series("x", record.commands.effective_s, record.commands.command_deg, time_s, jammed_deg), KNOWN
     )
     assert found.conclusion == "unexplained"
     assert found.fault_s == pytest.approx(13.0, abs=0.5)

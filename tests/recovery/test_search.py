@@ -12,7 +12,7 @@ from hidden_effects import Case, judge
 from hidden_logs import SURFACE, write
 from hidden_physics import Effects, draw, hidden
 from hidden_score import ask, score
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.servo.catalogue import CurrentLimit, RateLimit, installed
 from servofd.servo.effects import Effect
@@ -29,7 +29,7 @@ def swept(effects: tuple[type[Effect], ...], values: list[float], seed: int) -> 
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 60.0, 0.01)
     command_deg = COMMANDS["chirp"](time_s, rng)
-    empty = record_of(Segment("x", time_s, command_deg, time_s, 0.0 * time_s), KNOWN)
+    empty = record_of(Series("x", time_s, command_deg, time_s, 0.0 * time_s), KNOWN)
     moved_deg = simulate(empty, installed(empty.plant.neutral, effects, values))
     return replace(empty, measured_deg=moved_deg + NOISE_DEG * rng.standard_normal(time_s.size))
 

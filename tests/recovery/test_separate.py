@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.record import Record, record_of
@@ -22,7 +22,7 @@ NOISE_DEG = 0.1
 @pytest.fixture(scope="module")
 def record() -> Record:
     time_s = np.arange(0.0, 10.0, 0.01)
-    segment = Segment("x", time_s, np.sin(time_s), time_s, np.sin(time_s))
+    segment = Series("x", time_s, np.sin(time_s), time_s, np.sin(time_s))
     return record_of(segment, ServoModel.of(servo_named("hs225bb-eq31")))
 
 

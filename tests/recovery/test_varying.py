@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.varying import varying
 from servofd.servo.effects import Extension
@@ -30,7 +30,7 @@ def explained(slope: float = SLOPE) -> Explanation:
         limit_deg_s = AT_ZERO + slope * load_g
         physics = Physics(delay_s=KNOWN.delay_s, rate_up_deg_s=limit_deg_s, rate_down_deg_s=limit_deg_s)
         moved_deg = (KNOWN + Extension(physics)).simulate(time_s, command_deg, time_s)
-        runs.append(Segment("servo", time_s, command_deg, time_s, moved_deg + NOISE_DEG * rng.standard_normal(400)))
+        runs.append(Series("servo", time_s, command_deg, time_s, moved_deg + NOISE_DEG * rng.standard_normal(400)))
     return explain_gap(runs, KNOWN, on_bench=True)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
-from servofd.aircraft.segment import Segment
+from servofd.aircraft.series import Series
 from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.statistics import Estimate
@@ -32,11 +32,11 @@ PLANE = plain_aircraft(["rudder"], "hs225bb-eq31")
 START = datetime.datetime(2026, 5, 1, 9, 0, tzinfo=datetime.UTC)
 
 
-def flown(width_deg: float = 0.0, seed: int = 1, command: str = "flight", **changed: FloatArray) -> Segment:
+def flown(width_deg: float = 0.0, seed: int = 1, command: str = "flight", **changed: FloatArray) -> Series:
     faults = {"rudder": DeadBand(0.0, width_deg=width_deg)} if width_deg else {}
     flight = simulate_flight(PLANE, command=command, duration_s=40.0, seed=seed, faults=faults)
     columns = {"command_deg": flight.command_deg[:, 0], "measured_deg": flight.measured_deg[:, 0]} | changed
-    return Segment("rudder", flight.time_s, columns["command_deg"], flight.time_s, columns["measured_deg"])
+    return Series("rudder", flight.time_s, columns["command_deg"], flight.time_s, columns["measured_deg"])
 
 
 def logs(widths_deg: list[float], start: datetime.datetime | None = None, identity: str = "") -> list[FlownLog]:
@@ -128,7 +128,7 @@ def test_a_flight_in_which_the_surface_jammed_is_no_account_of_its_servo() -> No
 
 def test_a_short_flight_is_refused() -> None:
     whole = flown()
-    short = Segment(
+    short = Series(
         "rudder", whole.command_s[:200], whole.command_deg[:200], whole.measured_s[:200], whole.measured_deg[:200]
     )
     with pytest.raises(NoMeasurement, match="too short a flight"):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from logparsers.records import FlightLog
-    from servofd.aircraft.segment import Segment
+    from servofd.aircraft.series import LeftOut, Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
@@ -41,8 +41,7 @@ class Trace:
     asked_s: FloatArray
     asked_deg: FloatArray
     """Each command on its own time stamp, shape (m,)."""
-    frozen_s: float = 0.0
-    frozen_to_end: bool = False
+    left_out: tuple[LeftOut, ...] = ()
     context: Context = NO_CONTEXT
 
     def __post_init__(self) -> None:
@@ -70,26 +69,24 @@ class Trace:
             threshold_deg,
             segment.command_s,
             segment.command_deg,
-            segment.frozen_s,
-            segment.frozen_to_end,
+            segment.left_out,
             segment.context,
         )
 
-    def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Segment:
-        """What an audit starts from, see `Segment`: as of a log, without commands that are no numbers or come again."""
-        from servofd.aircraft.segment import WARM_UP_STEPS, Segment, sent_period_s
+    def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Series:
+        """What an audit starts from, see `Series`: as of a log, without commands that are no numbers or come again."""
+        from servofd.aircraft.series import WARM_UP_STEPS, Series, marks_of, sent_period_s
 
         given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
         seen = _rising(self.time_s)
-        return Segment(
+        return Series(
             surface,
             self.asked_s[given],
             self.asked_deg[given],
             self.time_s[seen],
             self.measured_deg[seen],
             command_period_s,
-            self.frozen_s,
-            self.frozen_to_end,
+            marks_of(self.left_out, self.time_s[seen]),
             self.context,
             sent_period_s(self.asked_s[given][: WARM_UP_STEPS + 1]) if is_streamed else None,
         )

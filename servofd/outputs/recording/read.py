@@ -23,6 +23,7 @@ from servofd.servo.context import Context
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from servofd.aircraft.series import LeftOut
     from servofd.core.types import FloatArray, IntArray
 
 _CURVES = "Scalars:scalars"
@@ -42,12 +43,12 @@ def read_recording(path: str | Path) -> Recording:
             if stored.entities
             else f"{path}: an empty recording; 'servofd audit LOG --rrd FILE' writes one"
         )
-    audit, notes, frozen = audit_of(stored.properties, name)
+    audit, notes, left_out = audit_of(stored.properties, name)
     context = _context(stored)
     traces = {
         s.surface: trace
         for s in audit.surfaces
-        if (trace := _trace(stored, s.surface, frozen.get(s.surface, (0.0, False)), context)) is not None
+        if (trace := _trace(stored, s.surface, left_out.get(s.surface, ()), context)) is not None
     }
     attitude, position, geo = (stored.rows(place) for place in (ATTITUDE, LOCAL, GEO))
     return Recording(audit, traces, attitude, position, geo, notes)
@@ -173,7 +174,7 @@ def _values(chunk: Any) -> dict[str, Any]:  # noqa: ANN401
     return found
 
 
-def _trace(stored: _Stored, surface: str, frozen: tuple[float, bool], context: Context) -> Trace | None:
+def _trace(stored: _Stored, surface: str, left_out: tuple[LeftOut, ...], context: Context) -> Trace | None:
     deflection = stored.curves(surface_place(surface, "deflection"))
     residual = stored.curves(surface_place(surface, "residual"))
     if deflection is None or residual is None:
@@ -195,8 +196,7 @@ def _trace(stored: _Stored, surface: str, frozen: tuple[float, bool], context: C
         threshold_deg=judged[:rows, 1],
         asked_s=asked_s,
         asked_deg=asked_deg,
-        frozen_s=frozen[0],
-        frozen_to_end=frozen[1],
+        left_out=left_out,
         context=context,
     )
 

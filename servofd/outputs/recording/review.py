@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft.segment import is_streamed
+from servofd.aircraft.series import is_streamed
 from servofd.core.errors import RecordingError
 from servofd.detection.audit import audit_segment, judged_by
 from servofd.detection.verdict import Statistics

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft.schema import Aircraft
+from servofd.aircraft.series import LeftOut
 from servofd.core.errors import RecordingError
 from servofd.core.evidence import Detectable, ModelOrigin
 from servofd.core.statistics import Estimate
@@ -43,8 +44,8 @@ class Verdicts(NamedTuple):
 
     audit: LogAudit
     notes: tuple[str, ...]
-    frozen: Mapping[str, tuple[float, bool]]
-    """By surface: for how long its telemetry repeated itself [s], and whether to the end."""
+    left_out: Mapping[str, tuple[LeftOut, ...]]
+    """By surface: stretches that do not count, and why."""
 
 
 def verdicts_of(recording: Recording) -> dict[str, Any]:
@@ -57,7 +58,7 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
         entry, trace = document["surfaces"][surface.surface], recording.traces.get(surface.surface)
         entry |= {"expected": surface.expected}
         if trace is not None:
-            entry |= {"frozen_s": trace.frozen_s, "frozen_to_end": trace.frozen_to_end}
+            entry |= {"left_out": trace.left_out}
     document |= {"vehicle": log.vehicle, "firmware": log.firmware, "span_s": log.span_s, "notes": recording.notes}
     document["start_utc"] = log.start_utc.isoformat() if log.start_utc else None
     return {
@@ -110,12 +111,11 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
         document = json.loads(properties["verdicts"])
         aircraft = Aircraft.model_validate_json(properties["models"])
         surfaces = tuple(_surface(key, entry) for key, entry in document["surfaces"].items())
-        frozen = {
-            key: (entry["frozen_s"], entry["frozen_to_end"])
+        left_out = {
+            key: tuple(LeftOut(*each) for each in entry.get("left_out", ()))
             for key, entry in document["surfaces"].items()
-            if "frozen_s" in entry
         }
-        return Verdicts(LogAudit(_log(document), aircraft, surfaces), tuple(document["notes"]), frozen)
+        return Verdicts(LogAudit(_log(document), aircraft, surfaces), tuple(document["notes"]), left_out)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
         raise RecordingError(
             f"{name}: its verdicts cannot be read ({type(error).__name__}); audit the log again"

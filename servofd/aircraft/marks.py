@@ -1,0 +1,509 @@
+"""Which samples of a log are no measurements of a surface, and why: the rules, for whole logs and for live streams.
+
+A row of telemetry is a time, a position and the command in force then. Rules that look at one surface take its rows
+(`Rows`); a bus that stands still shows in the rows of all surfaces together (`standing`). Each rule looks no further
+ahead than `WAIT_S`, so that a monitor marks the same samples as an audit once it has waited for so long.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from servofd.core.series import latest
+from servofd.servo.kernel import compiled, inner
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servofd.core.types import BoolArray, FloatArray, IntArray
+
+    Marks = NDArray[np.int8]
+
+
+class Why(IntEnum):
+    """Why a sample does not count; the first three leave its value, the others are no measurement."""
+
+    COUNTS = 0
+    GAP = 1
+    """No command is known, or the last one is older than a second."""
+    UNSETTLED = 2
+    """Within a second of an unknown beginning: nobody knows what moved the servo before."""
+    MISSING = 3
+    """The log holds no value."""
+    DUPLICATE = 4
+    """A row written again before the servo answered anew, within 0.1 s."""
+    HELD = 5
+    """A logger or a late bus that repeats the last value for up to 0.25 s while the servo moves."""
+    FROZEN = 6
+    """All servos that report repeat their readings at once while some are asked to move."""
+    ECHO = 7
+    """The command, written where the position belongs."""
+    SPIKE = 8
+    """A reading that jumps away and back within 60 ms, as no command asked."""
+    BOOT = 9
+    """Of another boot of the vehicle than the longest in the log."""
+    TORQUE_OFF = 10
+    """The log says that the servo was not powered."""
+
+
+NO_OTHERS: Final = -1
+"""In place of whether other values of a telemetry changed: there are none."""
+LAST_WITH_VALUE: Final = Why.UNSETTLED
+"""Samples marked so, or less, keep their value."""
+
+WAIT_S: Final = 0.25
+"""Longest time for which a row is undecided [s]: a late bus is back by then (answers of an ArduPlane's six Volz servos
+came up to 0.2 s late, software in the loop)."""
+DUPLICATE_S: Final = 0.1
+"""Readings of that bus are refreshed every 45 ms, at times after 80 ms; rows that repeat for less are no news."""
+FROZEN_S: Final = 0.1
+"""All servos must stand still for so long [s]: longer than one of them takes to answer, by the issue's definition."""
+ASKED_DEG: Final = 0.5
+"""Readings of a servo that is asked to move so far change: no known telemetry is coarser but by its own steps."""
+_STEPS: Final = 2.5
+"""More than two steps of a reading at once are motion: noise moves a quantised reading by one, rarely by two."""
+_LATELY_S: Final = 0.1
+"""The command of so long ago is what a servo follows now: hobby servos have lags of 30 to 160 ms."""
+_UNDER_WAY_S: Final = 1.0
+"""For so long after its last change a servo that was under way is expected to go on: the slowest of the library
+crosses its travel within it."""
+_SILENT_S: Final = 1.0
+"""A servo that has sent no row for so long does not report."""
+_FEWEST_ROWS: Final = 200
+"""Rows at rest that tell for how long a reading may stay the same: four seconds at 50 Hz."""
+_OWED, _OWED_BESIDE = 3.0, 10.0
+"""Times the longest that a reading at rest, or other values of its telemetry, stayed the same before. Those may rest
+with the servo: the current of a Volz that jams does."""
+_FEWEST_REPEATS: Final = 3.0
+"""The same where the reading has never repeated."""
+_DEAD_S: Final = 0.5
+"""A servo whose position, voltage and current all repeat for so long while it is asked to move has no telemetry."""
+TINY_DEG: Final = 1e-6
+"""Smaller differences are rounding of text and of single precision."""
+
+
+_MEMORY: Final = 14
+(
+    _NEWEST,
+    _CHANGED,
+    _REPEATS,
+    _THEN,
+    _BEFORE,
+    _LAG,
+    _ASKED,
+    _STEP,
+    _ROWS,
+    _LONGEST,
+    _SAME,
+    _SAME_ROWS,
+    _SAME_LONGEST,
+    _STOOD,
+) = range(_MEMORY)
+
+
+def new_bus(servos: int) -> FloatArray:
+    """Memory of `standing` for so many servos, before any row.
+
+    Examples
+    --------
+    >>> new_bus(4).shape
+    (4, 14)
+    """
+    memory = np.zeros((servos, _MEMORY))
+    memory[:, [_NEWEST, _CHANGED]] = -np.inf
+    memory[:, [_THEN, _BEFORE, _LAG, _ASKED]] = np.nan
+    memory[:, _STEP] = np.inf
+    return memory
+
+
+@inner
+def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, other: int) -> None:
+    """Take a row of one servo into its memory."""
+    if np.isnan(m[_LAG]):
+        m[_LAG] = m[_ASKED] = asked_deg
+    else:
+        m[_LAG] += (1.0 - np.exp(-max(time_s - m[_NEWEST], 0.0) / _LATELY_S)) * (m[_ASKED] - m[_LAG])
+    m[_ASKED], m[_NEWEST] = asked_deg, time_s
+    rests = abs(m[_ASKED] - m[_LAG]) <= ASKED_DEG
+    m[_ROWS] += rests
+    m[_SAME_ROWS] += other >= 0
+    m[_SAME] += other == 0
+    if other == 1:
+        if not m[_STOOD]:
+            m[_SAME_LONGEST] = max(m[_SAME_LONGEST], m[_SAME])
+        m[_SAME] = 0.0
+    if moved_deg != 0.0 or other == 1:
+        if rests and not m[_STOOD]:
+            m[_LONGEST] = max(m[_LONGEST], m[_REPEATS])
+        m[_STOOD] = 0.0
+        m[_CHANGED], m[_REPEATS], m[_THEN], m[_BEFORE] = time_s, 0.0, asked_deg, m[_LAG]
+        if moved_deg > TINY_DEG:
+            m[_STEP] = min(m[_STEP], moved_deg)
+    else:
+        m[_REPEATS] += 1.0
+
+
+@inner
+def _is_asked(m: FloatArray, time_s: float) -> bool:
+    """Whether a servo was asked to move since its reading changed last, or was under way then."""
+    least_deg = ASKED_DEG if np.isinf(m[_STEP]) else max(ASKED_DEG, _STEPS * m[_STEP])
+    if abs(m[_ASKED] - m[_THEN]) > least_deg:
+        return True
+    return bool(time_s - m[_CHANGED] <= _UNDER_WAY_S and abs(m[_ASKED] - m[_BEFORE]) > least_deg)
+
+
+@inner
+def _owes(rows: float, longest: float, repeats: float, times: float) -> bool:
+    """Whether values that never stayed the same for long should have changed by now."""
+    return rows >= _FEWEST_ROWS and repeats >= max(_FEWEST_REPEATS, times * longest)
+
+
+@inner
+def _all_stand(memory: FloatArray, time_s: float) -> bool:
+    """Whether all servos that report have repeated for long enough while at least one was asked to move.
+
+    Two have to bear witness, asked or flickering: one that jams while the others rest stands alone.
+    """
+    reporting = asked = witnesses = 0
+    latest_s = -np.inf
+    for j in range(memory.shape[0]):
+        m = memory[j]
+        if time_s - m[_NEWEST] > _SILENT_S:
+            continue
+        if m[_REPEATS] < 2.0:
+            return False
+        reporting += 1
+        latest_s = max(latest_s, m[_CHANGED])
+        is_asked = _is_asked(m, time_s)
+        asked += is_asked
+        if is_asked or _owes(m[_ROWS], m[_LONGEST], m[_REPEATS], _OWED):
+            witnesses += 1
+    return reporting >= 2 and asked >= 1 and witnesses >= 2 and time_s - latest_s >= FROZEN_S - TINY_DEG
+
+
+@compiled
+def standing(
+    memory: FloatArray, who: IntArray, time_s: FloatArray, moved_deg: FloatArray, asked_deg: FloatArray, other: Marks,
+    stands: BoolArray,
+) -> None:  # fmt: skip
+    """Tell of each row whether the bus stands still then.
+
+    The rows are those of all servos in order of time, shape (n,): whose it is, by how much its reading differs from
+    the one before [deg], the command in force [deg], and whether other values of its telemetry (voltage, current)
+    changed: 1, 0, or -1 where there are none. `memory` is from `new_bus` and moves on; `stands` is filled.
+    """
+    for k in range(time_s.size):
+        m = memory[who[k]]
+        _take(m, time_s[k], moved_deg[k], asked_deg[k], other[k])
+        stands[k] = m[_REPEATS] >= 2.0 and (
+            _all_stand(memory, time_s[k])
+            or (
+                time_s[k] - m[_CHANGED] >= _DEAD_S
+                and _owes(m[_SAME_ROWS], m[_SAME_LONGEST], m[_REPEATS], _OWED_BESIDE)
+                and _is_asked(m, time_s[k])
+            )
+        )
+        if stands[k]:
+            m[_STOOD] = 1.0
+
+
+class Rows(NamedTuple):
+    """Rows of one surface that hold a value, in order of time, shape (n,)."""
+
+    time_s: FloatArray
+    position_deg: FloatArray
+    asked_deg: FloatArray
+    """The command in force, in the same degrees as the position, without corrections that were fitted."""
+    other: Marks
+    """As `standing` takes it."""
+    stands: BoolArray
+    """What `standing` says."""
+    step_deg: float = np.inf
+    """Smallest change of the reading before these rows [deg]."""
+    refresh_s: float = 0.0
+    """How often the reading is refreshed, if rows are written more often [s]; see `refresh_of`."""
+
+
+def moved(position_deg: FloatArray) -> FloatArray:
+    """By how much each reading differs from the one before [deg], the first by infinity.
+
+    Examples
+    --------
+    >>> moved(np.array([1.0, 1.0, 3.0]))
+    array([inf,  0.,  2.])
+    """
+    return np.abs(np.diff(position_deg, prepend=np.inf))
+
+
+def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
+    """Why each row does not count, shape (n,), and how many of them are decided; all of them if nothing more comes.
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 2.0, 0.02)
+    >>> position_deg = 10.0 * np.sin(3.0 * time_s)
+    >>> position_deg[[30, 31, 32]], position_deg[60] = position_deg[29], 40.0
+    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=bool)
+    >>> why, _ = marked(Rows(time_s, position_deg, 10.0 * np.sin(3.0 * time_s + 0.1), none, never))
+    >>> [(int(k), Why(why[k]).name) for k in np.flatnonzero(why)]
+    [(30, 'DUPLICATE'), (31, 'DUPLICATE'), (32, 'DUPLICATE'), (60, 'SPIKE')]
+    """
+    why = np.zeros(rows.time_s.size, dtype=np.int8)
+    if why.size < 2:
+        return why, why.size if final else 0
+    undecided = [_spikes(rows, why), _repeats(rows, why), _echoes(rows, why)]
+    return why, why.size if final else min(undecided)
+
+
+def _repeats(rows: Rows, why: Marks) -> int:
+    """Mark what only repeats; the first row that is not decided yet."""
+    time_s, size = rows.time_s, rows.time_s.size
+    moved_deg = moved(rows.position_deg)
+    same = (moved_deg == 0.0) & (rows.other <= 0)
+    if not same.any():
+        return size
+    firsts = np.flatnonzero(~same)
+    run = np.cumsum(~same) - 1
+    lasts = np.append(firsts[1:], size) - 1
+    age_s = time_s - time_s[firsts[run]]
+    left_deg = np.append(moved_deg[firsts[1:]], np.nan)  # by how much the reading moves in the end
+    steps = np.where((moved_deg > TINY_DEG) & np.isfinite(moved_deg), moved_deg, np.inf)
+    least_deg = _STEPS * np.minimum(np.minimum.accumulate(steps)[lasts], rows.step_deg)
+    over = np.arange(lasts.size) < lasts.size - 1
+    clear = over & (left_deg > least_deg)
+    clear[clear] = left_deg[clear] > _CLEAR * _bend_deg(rows.position_deg[firsts], np.flatnonzero(clear))
+    span_s = age_s[lasts]
+    asked = np.abs(rows.asked_deg[lasts] - rows.asked_deg[firsts]) >= ASKED_DEG
+    silent = over & (rows.other[lasts] == 0)
+    again = (clear | silent) & (span_s < DUPLICATE_S - TINY_DEG)
+    late = clear & asked & (left_deg >= ASKED_DEG) & (span_s <= WAIT_S + TINY_DEG) & ~again
+    why[same & again[run]] = Why.DUPLICATE
+    why[same & late[run]] = Why.HELD
+    if rows.refresh_s > 0.0:
+        due = np.floor((age_s + TINY_DEG) / rows.refresh_s)
+        why[same & (np.diff(due, prepend=0.0) <= 0.0)] = Why.DUPLICATE
+    # What waits is decided with the first row that is old enough; the rows after that each by itself.
+    early = age_s < WAIT_S - TINY_DEG
+    until = np.minimum(firsts + np.add.reduceat(early, firsts), lasts)
+    stood = np.concatenate([[0], np.cumsum(rows.stands)])
+    at_first = stood[until + 1] > stood[firsts + 1]
+    why[same & np.where(early, at_first[run], rows.stands)] = Why.FROZEN
+    # Where voltage and current stand still as well, the telemetry was dead from the first of them on.
+    dead = (stood[lasts + 1] > stood[firsts + 1]) & (rows.other[lasts] >= 0)
+    why[same & dead[run]] = Why.FROZEN
+    return int(firsts[-1]) + 1 if span_s[-1] < WAIT_S - TINY_DEG else size
+
+
+def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
+    """Median second difference of the fresh readings before some of them: what is no steady motion, noise above all."""
+    if not where.size:
+        return np.zeros(0)
+    bends = np.abs(np.diff(fresh_deg, 2, prepend=fresh_deg[:1].repeat(_BEFORE_ROWS + 2)))
+    windows = np.lib.stride_tricks.sliding_window_view(bends, _BEFORE_ROWS)[where]
+    return np.asarray(np.median(windows, axis=1))
+
+
+_CLEAR: Final = 4.0
+"""Times that median: a jump of six standard deviations of noise is motion, and what did not show it was old."""
+_SPIKE_S: Final = 0.06
+"""A surface that is thrown so far and back for less was never there: servos of 60 deg in 0.1 s take as long to turn."""
+_LEAST_SPIKE_DEG: Final = 0.5
+"""Smaller ones move no residual beyond a threshold that noise leaves free."""
+_SPIKE_OF_NOISE: Final = 8.0
+"""Times the median second difference of the readings before: 13 standard deviations of white noise."""
+_BACK, _ASKED_FOR = 1.0 / 3.0, 0.5
+"""Share of a spike within which the reading is back; share of it that a command asked for within as long."""
+_BEFORE_ROWS, _FEWEST_BEFORE, _ASKED_BEFORE_S = 32, 4, 0.5
+"""Rows that tell the noise, at most and at least, and how long before its motion a servo may have been asked for it."""
+
+
+def _spikes(rows: Rows, why: Marks) -> int:
+    """Mark readings that jump away and back; the first row that is not decided yet."""
+    time_s, position_deg = rows.time_s, rows.position_deg
+    jump_deg = np.abs(np.diff(position_deg))
+    step_deg = np.minimum.accumulate(np.append(rows.step_deg, np.where(jump_deg > TINY_DEG, jump_deg, np.inf)))
+    least_deg = np.maximum(_LEAST_SPIKE_DEG, np.where(np.isinf(step_deg[:-1]), 0.0, _STEPS * step_deg[:-1]))
+    undecided, taken = time_s.size, _FEWEST_BEFORE
+    for k in (1 + np.flatnonzero(jump_deg > least_deg)).tolist():
+        if k < taken:
+            continue
+        away_deg = (position_deg[k:] - position_deg[k - 1]) * np.sign(position_deg[k] - position_deg[k - 1])
+        within = max(int(np.searchsorted(time_s, time_s[k] + _SPIKE_S + TINY_DEG, side="right")) - k - 1, 1)
+        near = np.flatnonzero(np.abs(away_deg[1 : within + 1]) <= _BACK * away_deg[0])
+        is_open = not near.size and k + within >= time_s.size
+        back = k + 1 + int(near[0]) if near.size else time_s.size - 1
+        if not (near.size or is_open) or not _is_unasked(rows, k, back, float(away_deg[0])):
+            continue
+        if is_open:
+            undecided = k
+            break
+        why[k:back] = Why.SPIKE
+        taken = back + 1
+    return undecided
+
+
+def _is_unasked(rows: Rows, first: int, back: int, size_deg: float) -> bool:
+    """Whether an excursion stands out of the noise, and no command of the last half second asked for the like."""
+    before = rows.position_deg[max(first - _BEFORE_ROWS, 0) : first]
+    if size_deg <= _SPIKE_OF_NOISE * float(np.median(np.abs(np.diff(before, 2)))):
+        return False
+    begin = int(np.searchsorted(rows.time_s, rows.time_s[first] - _ASKED_BEFORE_S))
+    return _swing_deg(rows.asked_deg[begin : back + 1], back - first + 1) < _ASKED_FOR * size_deg
+
+
+def _swing_deg(values_deg: FloatArray, width: int) -> float:
+    """By how much values differ at most that are so many samples apart."""
+    width = min(width, values_deg.size - 1)
+    return float(np.abs(values_deg[width:] - values_deg[: values_deg.size - width]).max(initial=0.0))
+
+
+_ECHOES: Final = 3
+"""New commands in a row that a position equals at once; a servo that comes close to one by chance misses the next."""
+
+
+def _echoes(rows: Rows, why: Marks) -> int:
+    """Mark positions that equal a moving command; the first row that is not decided yet."""
+    asked_deg = rows.asked_deg
+    equal = np.abs(rows.position_deg - asked_deg) <= TINY_DEG * np.maximum(1.0, np.abs(asked_deg))
+    new = equal & (np.abs(np.diff(asked_deg, prepend=asked_deg[0])) > TINY_DEG)
+    if not new.any():
+        return equal.size
+    run = np.cumsum(~equal)  # rows of one stretch of equality have the same number
+    echoed = np.bincount(run[new], minlength=int(run[-1]) + 1) >= _ECHOES
+    since = np.full(int(run[-1]) + 1, equal.size)
+    np.minimum.at(since, run[new], np.flatnonzero(new))
+    why[equal & echoed[run] & (np.arange(equal.size) >= since[run])] = Why.ECHO
+    return int(since[run[-1]]) if equal[-1] and not echoed[run[-1]] else equal.size
+
+
+_LEAST_COMMAND_SPIKE_DEG: Final = 2.0
+"""Smaller ones move no servo by more than the smallest fault that is told."""
+_COMMAND_SPIKE_S: Final = 0.0625
+"""A command that was in force for at most three rows of 50 Hz, with 2.5 ms for their jitter."""
+_ANSWER_S, _ANSWER = 0.3, 0.1
+"""A servo that gets a command answers within this time [s] by this share: one of 60 deg/s moves by a quarter of 15 deg
+in 60 ms, and the slowest lag of the library is 0.16 s."""
+
+
+def unanswered(command_s: FloatArray, command_deg: FloatArray, rows: Rows) -> BoolArray:
+    """Commands that jump away and back within 60 ms, once, while the position does not answer, shape (m,).
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 2.0, 0.02)
+    >>> asked_deg = np.where((time_s > 0.99) & (time_s < 1.03), 25.0, 5.0)
+    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=bool)
+    >>> np.flatnonzero(unanswered(time_s, asked_deg, Rows(time_s, np.full(100, 5.0), asked_deg, none, never)))
+    array([50, 51])
+    """
+    found = np.zeros(command_s.size, dtype=bool)
+    if command_s.size < 3 or rows.time_s.size < 2:
+        return found
+    jump_deg = np.diff(command_deg)
+    for k in (1 + np.flatnonzero(np.abs(jump_deg) > _LEAST_COMMAND_SPIKE_DEG)).tolist():
+        until = int(np.searchsorted(command_s, command_s[k] + _COMMAND_SPIKE_S, side="right"))
+        side = np.sign(jump_deg[k - 1])
+        away_deg = (command_deg[k:until] - command_deg[k - 1]) * side
+        near = np.flatnonzero(np.abs(away_deg[1:]) <= _BACK * away_deg[0])
+        if found[k - 1] or not near.size:
+            continue
+        back = k + 1 + int(near[0])
+        begin, end = np.searchsorted(command_s, (command_s[k] - _ASKED_BEFORE_S, command_s[k] + _ASKED_BEFORE_S))
+        around_deg = np.append(command_deg[begin:k], command_deg[back:end])
+        first, last = np.searchsorted(rows.time_s, (command_s[k], command_s[k] + _ANSWER_S)).tolist()
+        seen_deg = rows.position_deg[max(first - 1, 0) : last]
+        answer_deg = float(((seen_deg - seen_deg[0]) * side).max()) if last - first >= 2 else np.inf
+        if answer_deg < _ANSWER * away_deg[0] and _swing_deg(around_deg, back - k + 1) < _ASKED_FOR * away_deg[0]:
+            found[k:back] = True
+    return found
+
+
+def is_mostly_echo(rows: Rows, why: Marks) -> bool:
+    """Whether a position is the command wherever that moves, and so no measurement at all."""
+    new = np.abs(np.diff(rows.asked_deg, prepend=rows.asked_deg[:1])) > TINY_DEG
+    return bool(new.any() and np.all(why[new] == Why.ECHO))
+
+
+_HELD_STEPS, _SMALLEST = 3.0, 0.02
+"""A jump of so many steps of the readings is motion or noise, which goes on; that quantile of all jumps is a step."""
+_FEWEST_JUMPS, _ROWS_HELD = 30, 1.5
+"""Jumps that tell, and rows from one to the next beyond which readings are held."""
+_REGULAR, _ON_TIME = 0.6, 1.0 / 3.0
+"""Share of the jumps that follow the one before at the usual time, or a multiple, to within a third of it."""
+
+
+def refresh_of(time_s: FloatArray, position_deg: FloatArray) -> float:
+    """How often a reading is refreshed that comes steadily and more seldom than rows are written [s]; 0 if it does not.
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 10.0, 0.01)
+    >>> position_deg = np.sin(3.0 * time_s)
+    >>> refresh_of(time_s, position_deg), round(refresh_of(time_s, position_deg[5 * (np.arange(1000) // 5)]), 3)
+    (0.0, 0.05)
+    """
+    jumps_deg = moved(position_deg)
+    jumped = np.flatnonzero((jumps_deg > 0.0) & np.isfinite(jumps_deg))
+    if jumped.size < _FEWEST_JUMPS:
+        return 0.0
+    clear = jumps_deg[jumped] > _HELD_STEPS * float(np.quantile(jumps_deg[jumped], _SMALLEST))
+    apart = np.diff(jumped)[clear[1:] & clear[:-1]]
+    if apart.size < _FEWEST_JUMPS or np.median(apart) <= _ROWS_HELD:
+        return 0.0
+    ratio = apart / np.median(apart)
+    if np.mean(np.abs(ratio - np.maximum(np.round(ratio), 1.0)) < _ON_TIME) < _REGULAR:
+        return 0.0
+    return float(np.median(apart) * np.median(np.diff(time_s)))
+
+
+class Reported(NamedTuple):
+    """What a log says of one servo, as `bus_stands` takes it."""
+
+    time_s: FloatArray
+    position_deg: FloatArray
+    command_s: FloatArray
+    command_deg: FloatArray
+    other: Marks
+
+
+def bus_stands(servos: Sequence[Reported]) -> list[BoolArray]:
+    """Of each row of each servo, shape (n,), whether all telemetry stands still then; every row has a value.
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 5.0, 0.02)
+    >>> frozen = (time_s > 3.0) & (time_s < 3.5)
+    >>> def servo(phase):
+    ...     position_deg = 9.0 * np.sin(2.0 * time_s + phase)
+    ...     position_deg[frozen] = position_deg[150]
+    ...     none = np.full(time_s.size, -1, dtype=np.int8)
+    ...     return Reported(time_s, position_deg, time_s, 9.0 * np.sin(2.0 * time_s + phase + 0.1), none)
+    >>> rows, _ = bus_stands([servo(0.0), servo(1.0)])
+    >>> float(time_s[rows].min()) < 3.2, float(time_s[rows].max())
+    (True, 3.48)
+    """
+    sizes = [servo.time_s.size for servo in servos]
+    result = [np.zeros(size, dtype=bool) for size in sizes]
+    if not sum(sizes):
+        return result
+    time_s = np.concatenate([servo.time_s for servo in servos])
+    order = np.argsort(time_s, kind="stable")
+    who = np.repeat(np.arange(len(servos)), sizes)[order]
+    moved_deg = np.concatenate([moved(servo.position_deg) for servo in servos])[order]
+    asked = [
+        latest(servo.command_s, servo.command_deg, servo.time_s)
+        if servo.command_s.size
+        else np.zeros(servo.time_s.size)
+        for servo in servos
+    ]
+    other = np.concatenate([servo.other for servo in servos])[order]
+    stands = np.zeros(time_s.size, dtype=bool)
+    standing(new_bus(len(servos)), who, time_s[order], moved_deg, np.concatenate(asked)[order], other, stands)
+    for k, each in enumerate(result):
+        each[:] = stands[who == k]
+    return result

@@ -1,0 +1,549 @@
+"""Series: what was asked of one surface, what it did, on true time stamps, and which samples count.
+
+Logs meet aircraft here. What is no measurement is marked once (`servofd.aircraft.marks` has the rules), and no verb
+looks for it again.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from logparsers.errors import MissingChannel
+from logparsers.mavlink import dialect
+from logparsers.records import own
+from servofd.aircraft.marks import (
+    LAST_WITH_VALUE,
+    NO_OTHERS,
+    Reported,
+    Rows,
+    Why,
+    bus_stands,
+    is_mostly_echo,
+    marked,
+    refresh_of,
+    unanswered,
+)
+from servofd.core.errors import NoMeasurement
+from servofd.core.series import latest, stretches
+from servofd.servo.context import NO_CONTEXT, Context
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from logparsers.records import Channel, FlightLog
+    from servofd.aircraft.calibration import Calibration
+    from servofd.aircraft.marks import Marks
+    from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.core.types import BoolArray, FloatArray
+
+_LARGEST_DEG = 1e6
+"""No servo turns so far; a motor drive in millimetres may."""
+
+SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
+    "airspeed_m_s": dict.fromkeys(
+        (
+            *("airspeed_m_s", "ARSP[0].Airspeed", "ARSP.Airspeed", "CTUN.As", "VFR_HUD.airspeed"),
+            *("airspeed_validated[0].calibrated_airspeed_m_s", "airspeed_validated[0].equivalent_airspeed_m_s"),
+        ),
+        1.0,
+    ),
+    "servo_voltage_v": {"servo_voltage_v": 1.0, "volts": 1.0, "POWR.VServo": 1.0, "POWER_STATUS.Vservo": 1e-3},
+    "servo_current_a": {"servo_current_a": 1.0, "amps": 1.0},
+    "servo_temperature_c": {"servo_temperature_c": 1.0, "temp_c": 1.0},
+    "servo_load": dict.fromkeys(
+        ("servo_load", "load_torque_nm", "load_nm", "load_force_n", "load_n", "load_current_a", "disturbance"), 1.0
+    ),
+}
+"""Channels that tell about the surroundings of servos, the best first, and what turns each into m/s, V, A or °C.
+
+A load is what pushes the shaft from outside, in any unit; what a servo says of its own effort is none.
+"""
+OUTAGE_S = 1.0
+"""Longer steps are pauses of a link."""
+_FEWEST_STEPS, _SHORTEST, _WHOLE = 20, 10.0, 1.5
+"""Where more than half is lost, the shortest steps (this percentile) are whole, and most of them are longer."""
+WARM_UP_S, WARM_UP_STEPS = 10.0, 100
+"""A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
+SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
+
+SLOWEST_RATE_HZ = 8.0
+"""Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for
+5 deg (0.1 s at the slowest of the library), and a jam looks like a delay."""
+SLOWEST_LEFT_HZ = 4.0
+"""The same of a calibrated servo, whose delay is known, where only a link loses what would be more."""
+TOO_MANY_LOST = "more than half of all commands and positions are lost; a servo that is not calibrated cannot be judged"
+
+
+_MOSTLY_FRESH = 0.7
+"""A telemetry that writes each answer twice or more leaves less of its rows; single late answers leave more."""
+
+
+class LeftOut(NamedTuple):
+    """A stretch of measurements that do not count."""
+
+    why: str
+    """Name of a `Why`, in words."""
+    start_s: float
+    end_s: float
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return f"{self.why} from {self.start_s:.1f} to {self.end_s:.1f} s"
+
+
+def marks_of(left_out: Sequence[LeftOut], time_s: FloatArray) -> Marks:
+    """The reasons of some stretches for each measurement, shape (m,).
+
+    Examples
+    --------
+    >>> marks_of([LeftOut("frozen", 1.0, 2.0)], np.arange(4.0))
+    array([0, 6, 6, 0], dtype=int8)
+    """
+    why = np.zeros(time_s.size, dtype=np.int8)
+    for each in left_out:
+        first, last = np.searchsorted(time_s, (each.start_s, each.end_s + 1e-9))
+        why[first:last] = Why[each.why.upper().replace(" ", "_")]
+    return why
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """Command and measured deflection of one surface over one log.
+
+    Parameters
+    ----------
+    surface : str
+        Name of the surface.
+    command_s, command_deg : ndarray, shape (n,)
+        When each command was logged [s], rising, and what it asked for [deg], as the servo receives it.
+    measured_s, measured_deg : ndarray, shape (m,)
+        When the deflection was measured [s], rising, and what it was [deg]; NaN where it was not.
+    command_period_s : float or None
+        If given, the log holds fewer commands than the servo received (one every `command_period_s`), and the
+        command is taken to run straight between them. None: every command is in the log and holds until the next.
+
+    Examples
+    --------
+    >>> Series("rudder", np.arange(3.0), np.zeros(3), np.arange(3.0), np.zeros(3)).duration_s
+    2.0
+    """
+
+    surface: str
+    command_s: FloatArray
+    command_deg: FloatArray
+    measured_s: FloatArray
+    measured_deg: FloatArray
+    command_period_s: float | None = None
+    why: Marks = field(default_factory=lambda: np.zeros(0, dtype=np.int8))
+    """Why each measurement does not count, a `Why`, shape (m,). Left out: none is marked."""
+    context: Context = NO_CONTEXT
+    """Airspeed, supply and current, as far as they were logged."""
+    sent_period_s: float | None = None
+    """If given, commands were sent at this period [s], and most of them were lost on the way."""
+
+    def __post_init__(self) -> None:
+        for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
+            object.__setattr__(self, name, own(getattr(self, name)))
+        if self.command_s.shape != self.command_deg.shape or self.measured_s.shape != self.measured_deg.shape:
+            raise ValueError(f"{self.surface}: times and values differ in number")
+        if self.why.shape != self.measured_s.shape:
+            if self.why.any():
+                raise ValueError(f"{self.surface}: measurements and the reasons why they do not count differ in number")
+            object.__setattr__(self, "why", np.zeros(self.measured_s.size, dtype=np.int8))
+
+    @property
+    def counts(self) -> BoolArray:
+        """Measurements that count, shape (m,)."""
+        counts: BoolArray = self.why == Why.COUNTS
+        return counts
+
+    @property
+    def frozen_s(self) -> float:
+        """For how long the bus, or this servo's telemetry, stood still [s]."""
+        step_s = np.diff(self.measured_s, append=self.measured_s[-1:])
+        return float(step_s[self.why == Why.FROZEN].sum())
+
+    @property
+    def frozen_to_end(self) -> bool:
+        """Whether it stood still and never came back."""
+        return bool(self.why.size and self.why[-1] == Why.FROZEN)
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Stretches that do not count, and why; single rows that repeat or are missing are not told.
+
+        Examples
+        --------
+        >>> t, why = np.arange(5.0), np.array([2, 0, 6, 6, 0], dtype=np.int8)
+        >>> [each.sentence for each in Series("rudder", t, t, t, t, why=why).left_out]
+        ['unsettled from 0.0 to 0.0 s', 'frozen from 2.0 to 3.0 s']
+        """
+        told = ~np.isin(self.why, (Why.MISSING, Why.DUPLICATE, Why.HELD))
+        time_s, marks = self.measured_s[told], self.why[told]
+        found = [
+            LeftOut(why.name.lower().replace("_", " "), float(time_s[a]), float(time_s[b - 1]))
+            for why in Why
+            if why != Why.COUNTS
+            for a, b in stretches(marks == why)
+        ]
+        return tuple(sorted(found, key=lambda each: each.start_s))
+
+    @property
+    def repeats(self) -> BoolArray:
+        """Rows that only repeat the one before, and are none of their own, shape (m,)."""
+        repeats: BoolArray = (self.why == Why.DUPLICATE) | (self.why == Why.HELD)
+        return repeats
+
+    @property
+    def refreshed(self) -> str:
+        """A sentence, if positions came so much more seldom than rows that most of them only repeat; else nothing."""
+        fresh_s = self.measured_s[~self.repeats]
+        if fresh_s.size < 2 or fresh_s.size > _MOSTLY_FRESH * self.measured_s.size:
+            return ""
+        return (
+            f"positions are refreshed every {float(np.median(np.diff(fresh_s))):.3g} s and held in between: each is "
+            f"judged once ({fresh_s.size} of {self.measured_s.size} rows)"
+        )
+
+    def at(self, rows: BoolArray | slice, commands: BoolArray | slice = slice(None)) -> Series:
+        """The same surface in some of its measurements and commands.
+
+        Examples
+        --------
+        >>> t = np.arange(5.0)
+        >>> Series("x", t, t, t, t).at(t > 2.0).measured_s
+        array([3., 4.])
+        """
+        return replace(
+            self,
+            command_s=self.command_s[commands],
+            command_deg=self.command_deg[commands],
+            measured_s=self.measured_s[rows],
+            measured_deg=self.measured_deg[rows],
+            why=self.why[rows],
+        )
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last measurement [s]."""
+        return float(self.measured_s[-1] - self.measured_s[0]) if self.measured_s.size else 0.0
+
+    @property
+    def period_s(self) -> float:
+        """Usual time between two measurements that have a value [s]; NaN if there are fewer than two."""
+        steps_s = pace_steps(self.measured_s[np.isfinite(self.measured_deg)])
+        return float(np.median(steps_s)) if steps_s.size else float("nan")
+
+
+def pace_steps(time_s: FloatArray) -> FloatArray:
+    """Intervals that tell the pace of a stream [s], from time stamps [s] of shape (n,).
+
+    Those of the warm-up, so that a monitor in flight works with the same numbers as an audit of the whole log; all of
+    them if the pace changed after that.
+
+    Examples
+    --------
+    >>> pace_steps(np.arange(1000) * 0.5).size, pace_steps(np.arange(1000) * 0.01).size
+    (20, 100)
+    >>> pace_steps(np.concatenate([np.arange(0.0, 10.0, 0.25), np.arange(10.0, 100.0, 0.02)])).size
+    4539
+    >>> pace_steps(np.zeros(4))
+    array([0., 0., 0.])
+    """
+    last = int(np.searchsorted(time_s, time_s[:1] + WARM_UP_S, side="right").sum()) - 1
+    first_s = np.diff(time_s[: 1 + max(1, min(WARM_UP_STEPS, last))])
+    if first_s.size == 0:
+        return first_s
+    every = 1 + (time_s.size - 1) // _STEPS_FOR_PACE
+    early_s, usual_s = float(np.median(first_s)), float(np.median(time_s[1::every] - time_s[:-1:every]))
+    same = early_s <= SAME_PACE * usual_s and usual_s <= SAME_PACE * early_s
+    return first_s if same else np.diff(time_s)
+
+
+def sent_period_s(time_s: FloatArray) -> float | None:
+    """Period of a steady stream of which more than half is lost [s], from stamps of what arrived [s]; None if less is.
+
+    Examples
+    --------
+    >>> sent_s = np.arange(400) * 0.02
+    >>> sent_period_s(sent_s[np.random.default_rng(1).random(400) < 0.25]).__round__(3)
+    0.02
+    >>> sent_period_s(sent_s)
+    """
+    steps_s = np.diff(time_s)
+    steps_s = steps_s[steps_s <= OUTAGE_S]
+    if steps_s.size < _FEWEST_STEPS:
+        return None
+    shortest_s = float(np.percentile(steps_s, _SHORTEST))
+    halves = np.array_split(steps_s, 2)  # a stream whose rate has changed loses nothing
+    return shortest_s if all(np.median(half) > _WHOLE * shortest_s for half in halves) else None
+
+
+def too_far(segment: Series) -> str:
+    """Which angle no servo reaches, or nothing: of a log `cut` refuses it, a damaged recording may hold it.
+
+    Examples
+    --------
+    >>> t = np.arange(3) / 50.0
+    >>> too_far(Series("x", t, 1e9 * t, t, t))
+    'the command reaches 4e+07 deg: no servo turns so far'
+    """
+    for which, values_deg in (("command", segment.command_deg), ("position", segment.measured_deg)):
+        largest_deg = float(np.nanmax(np.abs(values_deg), initial=0.0))
+        if largest_deg > _LARGEST_DEG:
+            return f"the {which} reaches {largest_deg:.3g} deg: no servo turns so far"
+    return ""
+
+
+UNSETTLED_S: Final = 1.0
+"""After the first command and position the servo may still be on its way from where nobody knows: a calibrated surface
+has always been left alone for so long, and 66 of 75 healthy bench cycles that begin in motion were suspect without."""
+_TORQUE = re.compile(r"(torque|servo|motor).*(enabled?|_on|power(ed)?)$|^powered$", re.IGNORECASE)
+_STANDS_STILL = "all servos stopped reporting anything new while they were asked to move: look at the servo bus"
+
+
+def is_unsettled(command_s: FloatArray, measured_s: FloatArray, at_s: FloatArray) -> BoolArray:
+    """Whether instants are so early that nobody knows what moved the servo before, of shape (n,).
+
+    Examples
+    --------
+    >>> t = np.arange(5.0)
+    >>> is_unsettled(t + 0.5, t, t)
+    array([ True,  True, False, False, False])
+    """
+    early: BoolArray = at_s <= max(float(command_s[0]), float(measured_s[0])) + UNSETTLED_S
+    return early
+
+
+def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, BoolArray]:
+    """When the telemetry of an aircraft stood still, by surface, for each row of its position channel that has a value.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> log = logparsers.read("sample_logs/table_three_faults.csv")
+    >>> stands = bus_of(log, plain_aircraft(["aileron", "elevator", "rudder"]))
+    >>> sorted(stands), sum(int(rows.sum()) for rows in stands.values())
+    (['aileron', 'elevator', 'rudder'], 0)
+    """
+    reported = {}
+    for name, surface in aircraft.surfaces.items():
+        if surface.measured is None or surface.measured.channel not in log.channels:
+            continue
+        measured = log[surface.measured.channel]
+        known = np.isfinite(measured.values)
+        commands = _commands(log, surface.command)
+        if known.any() and not measured.is_constant:
+            position_deg = _uncorrected(surface.measured).to_deg(measured.values[known])
+            reported[name] = Reported(
+                measured.time_s[known], position_deg, *commands, _others(log, surface.alive, measured)
+            )
+    return dict(zip(reported, bus_stands(list(reported.values())), strict=True))
+
+
+def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, BoolArray] | None = None) -> Series:
+    """Take one surface out of a log, in degrees, and mark what does not count.
+
+    Parameters
+    ----------
+    log : FlightLog
+        What was recorded.
+    name : str
+        Name of the surface.
+    aircraft : Aircraft
+        Channels and calibrations of this surface, and of the others, which tell whether the bus stood still.
+    bus : mapping, optional
+        What `bus_of` says, for whoever takes several surfaces.
+
+    Raises
+    ------
+    NoMeasurement
+        If the log does not tell where the surface was, or what was asked of it; the message is the reason.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> log = logparsers.read("sample_logs/table_three_faults.csv")
+    >>> [each.sentence for each in cut(log, "rudder", plain_aircraft(["rudder"])).left_out]
+    ['unsettled from 0.0 to 1.0 s']
+    """
+    surface = aircraft.surfaces[name]
+    command = _channel(log, surface.command.channel, "command")
+    if surface.measured is None:
+        raise NoMeasurement("the aircraft file names no measured channel for this surface")
+    measured = _channel(log, surface.measured.channel, "position")
+    if measured.is_constant:
+        value = measured.values[np.isfinite(measured.values)][0]
+        raise NoMeasurement(f"position channel {measured.name!r} never changes (always {value:g}): not a measurement")
+    command_deg = surface.command.to_deg(command.values)
+    given = np.isfinite(command_deg)
+    if not given.any():
+        raise NoMeasurement(f"command channel {command.name!r} holds no command (a pulse of 0 us is none)")
+    command_s, command_deg = command.time_s[given], command_deg[given]
+    if surface.command_saturation_deg is not None:
+        command_deg = np.clip(command_deg, *surface.command_saturation_deg)
+    measured_deg = surface.measured.to_deg(measured.values)
+    for channel, values_deg in ((command, command_deg), (measured, measured_deg)):
+        largest_deg = float(np.nanmax(np.abs(values_deg)))
+        if largest_deg > _LARGEST_DEG:
+            raise NoMeasurement(
+                f"channel {channel.name!r} reaches {largest_deg:.3g} deg: check its unit and calibration"
+            )
+    reading_deg = _uncorrected(surface.measured).to_deg(measured.values)
+    stands = (bus if bus is not None else bus_of(log, aircraft)).get(name)
+    rows, why, never_sent = _marks(log, name, surface, replace(measured, values=reading_deg), stands)
+    if is_mostly_echo(rows, why[np.isfinite(measured.values)]):
+        raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
+    if np.count_nonzero((why <= LAST_WITH_VALUE) & np.isfinite(measured_deg)) < 2:
+        frozen = bool(np.any(why == Why.FROZEN))
+        raise NoMeasurement(_STANDS_STILL if frozen else "no position counts: " + _reasons(why))
+    return Series(
+        name,
+        command_s[~never_sent],
+        command_deg[~never_sent],
+        measured.time_s,
+        np.where(why > LAST_WITH_VALUE, np.nan, measured_deg),
+        surface.command_period_s,
+        why=why,
+        context=Context(
+            *(
+                column
+                for kind, sources in SURROUNDINGS.items()
+                for column in _signal(log, _sources(kind, sources, name, surface))
+            )
+        ),
+        sent_period_s=_sent_period_s(log, command.name, command_s),
+    )
+
+
+def _reasons(why: Marks) -> str:
+    """How many rows are left out for which reason."""
+    names = {each: int(np.count_nonzero(why == each)) for each in Why if each != Why.COUNTS}
+    return ", ".join(f"{count} {each.name.lower().replace('_', ' ')}" for each, count in names.items() if count)
+
+
+def _marks(
+    log: FlightLog, name: str, surface: Surface, measured: Channel, stands: BoolArray | None
+) -> tuple[Rows, Marks, BoolArray]:
+    """Rows with a value, why each row of the log does not count, and commands that were never sent."""
+    known = np.isfinite(measured.values)
+    time_s = measured.time_s
+    command_s, command_deg = _commands(log, surface.command)
+    others = _others(log, surface.alive, measured)
+    stands = np.zeros(others.size, dtype=bool) if stands is None else stands
+    position_deg = measured.values[known]
+    rows = Rows(time_s[known], position_deg, latest(command_s, command_deg, time_s[known]), others, stands)
+    never_sent = unanswered(command_s, command_deg, rows)
+    asked_deg = latest(command_s[~never_sent], command_deg[~never_sent], rows.time_s)
+    rows = rows._replace(asked_deg=asked_deg, refresh_s=refresh_of(rows.time_s, position_deg))
+    why = np.full(time_s.size, Why.MISSING, dtype=np.int8)
+    why[known], _ = marked(rows)
+    last = np.searchsorted(command_s, time_s, side="right") - 1
+    reasons = (
+        (Why.UNSETTLED, is_unsettled(command_s, rows.time_s, time_s)),
+        (Why.GAP, (last < 0) | (time_s - command_s[np.maximum(last, 0)] > OUTAGE_S)),
+        (Why.TORQUE_OFF, _without_torque(log, name, time_s)),
+        (Why.BOOT, _of_another_boot(log, time_s)),
+    )
+    for reason, here in reasons:
+        why[here & (why <= LAST_WITH_VALUE)] = reason
+    return rows, why, never_sent
+
+
+def _commands(log: FlightLog, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and values [deg] of commands, without what was fitted to make them those of the position."""
+    if calibration.channel not in log.channels:
+        return np.zeros(0), np.zeros(0)
+    channel = log[calibration.channel]
+    command_deg = _uncorrected(calibration).to_deg(channel.values)
+    given = np.isfinite(command_deg)
+    return channel.time_s[given], command_deg[given]
+
+
+def _uncorrected(calibration: Calibration) -> Calibration:
+    return calibration.model_copy(update={"correction": (1.0, 0.0)})
+
+
+def _others(log: FlightLog, alive: Sequence[str], measured: Channel) -> Marks:
+    """Whether other values of the same telemetry changed with each row that has a position: 1, 0, or -1 without any."""
+    known = np.isfinite(measured.values)
+    beside = [log[each] for each in alive if each in log.channels]
+    values = [each.values[known] for each in beside if np.array_equal(each.time_s, measured.time_s)]
+    if not values:
+        return np.full(int(np.count_nonzero(known)), NO_OTHERS, dtype=np.int8)
+    same = [(each[1:] == each[:-1]) | (np.isnan(each[1:]) & np.isnan(each[:-1])) for each in values]
+    return np.append(np.int8(1), ~np.all(same, axis=0)).astype(np.int8)
+
+
+def _without_torque(log: FlightLog, name: str, time_s: FloatArray) -> BoolArray:
+    """When a column says that the servo is not powered: its own, or else one that bears no surface's name."""
+    names = [each for each in log.channels if _TORQUE.search(each.rsplit(".", 1)[-1])]
+    own_first = [each for each in names if each.startswith(f"{name}_")] or names
+    for each in own_first[:1]:
+        channel = log[each]
+        known = np.isfinite(channel.values)
+        if known.any():
+            off: BoolArray = latest(channel.time_s[known], channel.values[known], time_s) <= 0.0
+            return off
+    return np.zeros(time_s.size, dtype=bool)
+
+
+def _of_another_boot(log: FlightLog, time_s: FloatArray) -> BoolArray:
+    """What does not belong to the longest flight of a log that was not divided at its boots."""
+    boot = np.searchsorted(np.array(log.boots_s), time_s, side="right")
+    if not boot.size or not boot.any():
+        return np.zeros(time_s.size, dtype=bool)
+    other: BoolArray = boot != np.bincount(boot).argmax()
+    return other
+
+
+def _sent_period_s(log: FlightLog, channel: str, command_s: FloatArray) -> float | None:
+    return sent_period_s(command_s[: WARM_UP_STEPS + 1]) if is_streamed(log.format, channel) else None
+
+
+def is_streamed(log_format: str, channel: str) -> bool:
+    """Whether a channel came in messages of its own over a link.
+
+    Examples
+    --------
+    >>> is_streamed("tlog", "1/1:SERVO_OUTPUT_RAW.servo2_raw"), is_streamed("tlog", "RCOU.C2")
+    (True, False)
+    """
+    name = channel.rpartition(":")[2].partition(".")[0].partition("[")[0]
+    return log_format in ("tlog", "live") and name in dialect().layouts
+
+
+def _sources(kind: str, sources: Mapping[str, float], name: str, surface: Surface) -> Mapping[str, float]:
+    """Channels of one surface: a load is its own, and may have its name before it, or be named by its aircraft file."""
+    if kind != "servo_load":
+        return sources
+    return {surface.load: 1.0} if surface.load else {f"{name}_{each}": 1.0 for each in sources} | dict(sources)
+
+
+def _signal(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    """Times and values of the first of these channels that holds any; empty if none does."""
+    for name, scale in sources.items():
+        if name in log.channels:
+            channel = log[name]
+            good = np.isfinite(channel.values)
+            if np.count_nonzero(good) > 1:
+                return channel.time_s[good], scale * channel.values[good]
+    return np.zeros(0), np.zeros(0)
+
+
+def _channel(log: FlightLog, name: str, kind: str) -> Channel:
+    try:
+        channel = log[name]
+    except MissingChannel as error:
+        draft = f"; 'servofd config {log.source}' drafts a file for such logs" if log.is_of_autopilot else ""
+        raise NoMeasurement(f"no {kind}: " + str(error).removeprefix(f"{log.label}: ") + draft) from None
+    if not np.any(np.isfinite(channel.values)):
+        raise NoMeasurement(f"{kind} channel {name!r} holds no value")
+    return channel

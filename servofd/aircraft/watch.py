@@ -1,0 +1,213 @@
+"""The marks of `servofd.aircraft.marks` sample by sample: rows of a stream wait until the rules have decided them."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from servofd.aircraft.marks import (
+    ASKED_DEG,
+    LAST_WITH_VALUE,
+    NO_OTHERS,
+    TINY_DEG,
+    WAIT_S,
+    Rows,
+    marked,
+    moved,
+    new_bus,
+    refresh_of,
+    standing,
+)
+from servofd.core.series import latest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.core.types import BoolArray, FloatArray
+
+STANDS_STILL_S: Final = 1.0
+"""A bus that stands still for so long is reported: nobody knows then where any surface is."""
+_KEPT_S, _KEPT_ROWS, _MOST_ROWS = 1.5, 100, 1000
+"""The rules look back by half a second and 34 fresh readings; half of 1000 rows are dropped at a time."""
+_ROWS_FOR_REFRESH = 200
+"""How often it is looked anew whether rows are written more often than readings are refreshed."""
+
+
+class New(NamedTuple):
+    """What came of one surface: commands and positions [deg], each by its times [s], before any fitted correction."""
+
+    command_s: FloatArray
+    command_deg: FloatArray
+    time_s: FloatArray
+    position_deg: FloatArray
+
+
+class Bus:
+    """Tells of rows of several surfaces, as they come, whether the telemetry of all of them stands still.
+
+    Examples
+    --------
+    >>> bus = Bus(["left", "right"])
+    >>> found = []
+    >>> for k in range(100):
+    ...     at_s, moved_deg = np.array([0.02 * k]), np.array([9.0 * np.sin(0.06 * min(k, 60))])
+    ...     asked_deg = np.array([9.0 * np.sin(0.06 * k)])
+    ...     rows = bus.take({name: New(at_s, asked_deg, at_s, moved_deg) for name in ("left", "right")})
+    ...     found.append(bool(rows["left"][0]))
+    >>> found.index(True), all(found[66:]), bus.since_s
+    (65, True, 1.3)
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._index = {name: k for k, name in enumerate(names)}
+        self._memory = new_bus(len(self._index))
+        self._asked: dict[str, tuple[float, float]] = {}
+        self._read: dict[str, float] = {}
+        self.since_s = float("inf")
+        """Since when it stands still [s]; infinity while it does not."""
+
+    def take(self, new: dict[str, New]) -> dict[str, BoolArray]:
+        """Take what came of some surfaces; of each of their rows, whether the bus stood still then."""
+        columns = [self._columns(name, each) for name, each in new.items()]
+        if not columns:
+            return {}
+        who, time_s, moved_deg, asked_deg = (np.concatenate(each) for each in zip(*columns, strict=True))
+        order = np.argsort(time_s, kind="stable")
+        stands = np.zeros(time_s.size, dtype=bool)
+        other = np.full(time_s.size, NO_OTHERS, dtype=np.int8)
+        standing(self._memory, who[order], time_s[order], moved_deg[order], asked_deg[order], other, stands)
+        if stands.size:
+            self.since_s = min(self.since_s, float(time_s[order][stands.argmax()])) if stands[-1] else float("inf")
+        back = np.empty(stands.size, dtype=bool)
+        back[order] = stands
+        sizes = [each.time_s.size for each in new.values()]
+        return dict(zip(new, np.split(back, np.cumsum(sizes)[:-1]), strict=True))
+
+    def _columns(self, name: str, new: New) -> tuple[FloatArray, ...]:
+        """Number of the servo, time, motion and command of each new row."""
+        before = self._asked.get(name)
+        command_s, command_deg = new.command_s, new.command_deg
+        if before is not None:
+            command_s, command_deg = np.append(before[0], command_s), np.append(before[1], command_deg)
+        if command_s.size:
+            self._asked[name] = float(command_s[-1]), float(command_deg[-1])
+        asked_deg = latest(command_s, command_deg, new.time_s) if command_s.size else np.zeros(new.time_s.size)
+        moved_deg = moved(new.position_deg)
+        if new.time_s.size:
+            moved_deg[0] = abs(new.position_deg[0] - self._read.get(name, np.inf))
+            self._read[name] = float(new.position_deg[-1])
+        return np.full(new.time_s.size, self._index[name]), new.time_s, moved_deg, asked_deg
+
+
+@dataclass(slots=True)
+class Watch:
+    """What the marks leave of the positions of one surface, as they come.
+
+    Examples
+    --------
+    >>> watch, time_s = Watch(), 0.02 * np.arange(60)
+    >>> position_deg, asked_deg = 10.0 * np.sin(3.0 * time_s), 10.0 * np.sin(3.0 * time_s + 0.1)
+    >>> position_deg[[30, 31, 32]], position_deg[50] = position_deg[29], 40.0
+    >>> came = []
+    >>> for k in range(60):
+    ...     came += watch.take(time_s[k : k + 1], position_deg[k : k + 1], asked_deg[k : k + 1])
+    >>> sorted(set(range(60)) - {round(at_s / 0.02) for at_s, _ in came})
+    [30, 31, 32, 50]
+    """
+
+    _rows: list[tuple[float, float, float, bool]] = field(default_factory=list)
+    """Times [s], positions, commands [deg] and whether the bus stood still, of the last rows."""
+    _values: list[float] = field(default_factory=list)
+    """What is passed on of each."""
+    _waiting: int = 0
+    """How many of the last rows are not decided."""
+    _run_s: float = float("-inf")
+    """Since when the reading is what it is [s]."""
+    _step_deg: float = float("inf")
+    _refresh_s: float = 0.0
+    _seen: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=3 * _ROWS_FOR_REFRESH))
+    _count: int = 0
+
+    def take(
+        self,
+        time_s: FloatArray,
+        position_deg: FloatArray,
+        asked_deg: FloatArray,
+        values: FloatArray | None = None,
+        stands: BoolArray | None = None,
+    ) -> list[tuple[float, float]]:
+        """Take rows, of shape (n,), and pass on those that are decided and count: their times [s] and `values`.
+
+        Parameters
+        ----------
+        time_s, position_deg, asked_deg : ndarray
+            As `Rows` has them; a position that is no number is not passed on.
+        values : ndarray, optional
+            What is passed on; positions if left out.
+        stands : ndarray of bool, optional
+            Whether the bus stood still; never if left out.
+        """
+        passed: list[tuple[float, float]] = []
+        flags = stands.tolist() if stands is not None else [False] * time_s.size
+        columns = time_s.tolist(), position_deg.tolist(), asked_deg.tolist(), flags
+        told = (position_deg if values is None else values).tolist()
+        for row, value in zip(zip(*columns, strict=True), told, strict=True):
+            if np.isfinite(row[1]) and not (self._rows and row[0] <= self._rows[-1][0]):
+                passed += self._next(row, value)
+        passed += self._decided(final=False) if self._waiting else []
+        if len(self._rows) > _MOST_ROWS and not self._waiting:
+            self._forget()
+        return passed
+
+    def finish(self) -> list[tuple[float, float]]:
+        """What still waited, at the end of the stream."""
+        return self._decided(final=True) if self._waiting else []
+
+    def _next(self, row: tuple[float, float, float, bool], value: float) -> list[tuple[float, float]]:
+        """Take one row; pass it on at once if nothing about it is odd."""
+        before = self._rows[-1] if self._rows else None
+        self._rows.append(row)
+        self._values.append(value)
+        self._follow(row)
+        jump_deg = float("inf") if before is None else abs(row[1] - before[1])
+        is_same = jump_deg == 0.0
+        if not is_same:
+            self._run_s = row[0]
+        is_plain = ASKED_DEG >= jump_deg > 0.0 or (is_same and self._refresh_s == 0.0 and row[0] - self._run_s > WAIT_S)
+        echoes = abs(row[1] - row[2]) <= TINY_DEG * max(1.0, abs(row[2]))
+        if self._waiting or not is_plain or echoes or row[3]:
+            self._waiting += 1
+            return []
+        return [(row[0], value)]
+
+    def _follow(self, row: tuple[float, float, float, bool]) -> None:
+        """Look now and then how often readings are refreshed."""
+        self._seen.append(row[:2])
+        self._count += 1
+        if self._refresh_s == 0.0 and self._count % _ROWS_FOR_REFRESH == 0:
+            self._refresh_s = refresh_of(*np.array(self._seen).T)
+
+    def _decided(self, *, final: bool) -> list[tuple[float, float]]:
+        """What of the waiting rows is decided and counts."""
+        time_s, position_deg, asked_deg, stands = np.array(self._rows, dtype=float).T
+        rows = Rows(
+            time_s, position_deg, asked_deg, np.full(time_s.size, NO_OTHERS, dtype=np.int8), stands != 0.0,
+            self._step_deg, self._refresh_s,
+        )  # fmt: skip
+        why, decided = marked(rows, final=final)
+        first = len(self._rows) - self._waiting
+        decided = max(decided, first)
+        passed = [(self._rows[k][0], self._values[k]) for k in range(first, decided) if why[k] <= LAST_WITH_VALUE]
+        self._waiting = len(self._rows) - decided
+        return passed
+
+    def _forget(self) -> None:
+        """Drop the oldest rows; of their motion the smallest step is remembered."""
+        time_s, position_deg = np.array(self._rows, dtype=float).T[:2]
+        kept = min(int(np.searchsorted(time_s, time_s[-1] - _KEPT_S)), time_s.size - _KEPT_ROWS)
+        steps_deg = np.abs(np.diff(position_deg[: kept + 1]))
+        self._step_deg = min(self._step_deg, float(steps_deg[steps_deg > TINY_DEG].min(initial=np.inf)))
+        del self._rows[:kept], self._values[:kept]
