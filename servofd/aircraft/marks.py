@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.core.series import latest
-from servofd.servo.kernel import compiled, inner
+from servofd.core.loops import compiled, inner
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
