@@ -278,7 +278,9 @@ def _repeats(rows: Rows, why: Marks) -> int:
     clear = over & (left_deg > least_deg)
     clear[clear] = left_deg[clear] > _CLEAR * _bend_deg(rows.position_deg[firsts], np.flatnonzero(clear))
     span_s = age_s[lasts]
-    asked = np.abs(rows.asked_deg[lasts] - rows.asked_deg[firsts]) >= ASKED_DEG
+    before = np.searchsorted(time_s, time_s[firsts] - _ANSWER_S)
+    asked_deg = rows.asked_deg[np.stack([before, firsts, lasts])]  # a servo may still follow what came before
+    asked = np.ptp(asked_deg, axis=0) >= ASKED_DEG
     silent = over & (rows.other[lasts] == 0)
     again = (clear | silent) & (span_s < DUPLICATE_S - TINY_DEG)
     late = clear & asked & (left_deg >= ASKED_DEG) & (span_s <= WAIT_S + TINY_DEG) & ~again
@@ -300,16 +302,17 @@ def _repeats(rows: Rows, why: Marks) -> int:
 
 
 def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
-    """Median second difference of the fresh readings before some of them: what is no steady motion, noise above all."""
+    """Second difference of the fresh readings before some of them, where they move most steadily: noise."""
     if not where.size:
         return np.zeros(0)
     bends = np.abs(np.diff(fresh_deg, 2, prepend=fresh_deg[:1].repeat(_BEFORE_ROWS + 2)))
     windows = np.lib.stride_tricks.sliding_window_view(bends, _BEFORE_ROWS)[where]
-    return np.asarray(np.median(windows, axis=1))
+    return np.asarray(np.percentile(windows, _STEADIEST, axis=1))
 
 
-_CLEAR: Final = 4.0
-"""Times that median: a jump of six standard deviations of noise is motion, and what did not show it was old."""
+_STEADIEST, _CLEAR = 25.0, 8.0
+"""Percentile of those second differences, and how many times as far a reading jumps that was old: by six standard
+deviations of white noise."""
 _SPIKE_S: Final = 0.06
 """A surface that is thrown so far and back for less was never there: servos of 60 deg in 0.1 s take as long to turn."""
 _LEAST_SPIKE_DEG: Final = 0.5

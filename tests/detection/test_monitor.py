@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.marks import Why
+from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
 from servofd.detection.judge import judge
 from servofd.detection.monitor import Event, Look, SurfaceMonitor

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.marks import Why
+from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray

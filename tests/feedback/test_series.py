@@ -1,0 +1,209 @@
+"""What is no measurement is marked once, with its reason, in every format, and every verb and the monitor see it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servofd.aircraft.marks import LAST_WITH_VALUE, Why
+from servofd.aircraft.schema import load_aircraft, plain_aircraft
+from servofd.aircraft.series import Series, bus_of, cut
+from servofd.aircraft.watch import Bus, New, Watch
+from servofd.core.errors import NoMeasurement
+from servofd.core.types import BoolArray, FloatArray
+from servofd.feedback.flown import one_log, surfaces_of
+from servofd.jobs.bench import bench_tests
+from servofd.jobs.workflow import audit, flights_of
+from servofd.simulation.pulses import outputs_of
+from servofd.simulation.flight import SimulatedFlight, simulate_flight
+from servofd.simulation.writers import write_flight
+
+FORMATS = (".csv", ".bin", ".tlog", ".ulg")
+SPOILT_S = {"FROZEN": (20.0, 20.6), "HELD": (20.0, 20.18), "DUPLICATE": (20.0, 20.06), "ECHO": (20.0, 21.0)}
+HZ = 50.0
+
+
+def flown() -> SimulatedFlight:
+    aircraft = load_aircraft("simulated")
+    return simulate_flight(aircraft, duration_s=30.0, rate_hz=HZ, seed=5, noise_deg=0.02, outputs=outputs_of(aircraft))
+
+
+def spoilt(flight: SimulatedFlight, reason: str) -> tuple[SimulatedFlight, BoolArray]:
+    """The flight with one reason in it, and the rows of the second surface that are concerned."""
+    deg, rows = flight.measured_deg.copy(), np.zeros(flight.time_s.size, dtype=bool)
+    fastest = 900 + int(np.argmax(np.abs(np.diff(deg[900:1200, 1]))))
+    if reason == "SPIKE":
+        rows[[fastest, 1300]] = True
+        deg[rows, 1] += 25.0
+        return replace(flight, measured_deg=deg), rows
+    begin_s, end_s = SPOILT_S[reason]
+    first, last = fastest, fastest + round((end_s - begin_s) * HZ)
+    rows[first:last] = True
+    if reason == "ECHO":
+        deg[rows, 1] = flight.command_deg[rows, 1]
+    elif reason == "FROZEN":
+        deg[rows] = deg[first - 1]
+    else:
+        deg[rows, 1] = deg[first - 1, 1]
+    return replace(flight, measured_deg=deg), rows
+
+
+@pytest.mark.parametrize(
+    ("reason", "suffix"),
+    [
+        (reason, suffix)
+        for reason in ("FROZEN", "HELD", "DUPLICATE", "ECHO", "SPIKE")
+        for suffix in FORMATS
+        if (reason, suffix) != ("ECHO", ".bin")  # its position comes in steps of the converter, and equals no command
+    ],
+)
+def test_each_reason_is_marked_in_each_format(reason: str, suffix: str, tmp_path: Path) -> None:
+    flight, rows = spoilt(flown(), reason)
+    path = tmp_path / f"flight{suffix}"
+    write_flight(path, flight, load_aircraft("simulated"))
+    log = one_log(path)
+    aircraft = surfaces_of(log, load_aircraft("simulated"))
+    # The writer's voltage and current go on while the position is held, as those of a servo do that jams.
+    quiet = {name: entry.model_copy(update={"alive": ()}) for name, entry in aircraft.surfaces.items()}
+    series = cut(log, flight.surfaces[1], aircraft.model_copy(update={"surfaces": quiet}))
+    marked = series.why == Why[reason]
+    found_s = np.flatnonzero(marked)
+    assert marked.size == rows.size
+    assert np.count_nonzero(marked & rows) >= 0.8 * np.count_nonzero(rows)
+    assert np.count_nonzero(marked & ~rows) <= 0.01 * rows.size, found_s  # coarse readings repeat by chance
+    assert not np.isfinite(series.measured_deg[marked]).any()
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_clean_flight_has_none_but_its_unknown_beginning(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"flight{suffix}"
+    write_flight(path, flown(), load_aircraft("simulated"))
+    log = one_log(path)
+    aircraft = surfaces_of(log, load_aircraft("simulated"))
+    for name in aircraft.surfaces:
+        assert [each.why for each in cut(log, name, aircraft).left_out] == ["unsettled"]
+
+
+def test_every_verb_sees_the_same_marks(tmp_path: Path) -> None:
+    flight, _ = spoilt(flown(), "FROZEN")
+    path = tmp_path / "flight.bin"
+    write_flight(path, flight, load_aircraft("simulated"))
+    aircraft, name = load_aircraft("simulated"), flight.surfaces[1]
+    log = one_log(path)
+    why = cut(log, name, surfaces_of(log, aircraft)).why
+    (result,) = audit(path, servofd_job(aircraft))
+    audited = next(surface.segment for surface in result.surfaces if surface.surface == name)
+    calibrated = flights_of(path, aircraft)[name][0].segment
+    (identified,) = bench_tests(path, aircraft, name)
+    for series in (audited, calibrated, identified.segment):
+        assert series is not None
+        np.testing.assert_array_equal(series.why, why)
+
+
+def servofd_job(aircraft: object) -> object:
+    from servofd.batch.key import Job
+
+    return Job(aircraft=aircraft)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("reason", ["FROZEN", "HELD", "DUPLICATE", "ECHO", "SPIKE"])
+@pytest.mark.parametrize("at_once", [1, 7])
+def test_a_stream_passes_on_what_a_log_keeps(reason: str, at_once: int, tmp_path: Path) -> None:
+    flight, _ = spoilt(flown(), reason)
+    path = tmp_path / "flight.csv"
+    write_flight(path, flight, load_aircraft("simulated"))
+    log = one_log(path)
+    aircraft = surfaces_of(log, load_aircraft("simulated"))
+    bus, watches = Bus(list(aircraft.surfaces)), {name: Watch() for name in aircraft.surfaces}
+    passed: dict[str, list[float]] = {name: [] for name in watches}
+    series = {name: cut(log, name, aircraft, bus_of(log, aircraft)) for name in watches}
+    read = {name: log[entry.measured.channel] for name, entry in aircraft.surfaces.items() if entry.measured}
+    for first in range(0, flight.time_s.size, at_once):
+        rows = slice(first, first + at_once)
+        new = {
+            name: New(each.command_s[rows], each.command_deg[rows], read[name].time_s[rows], read[name].values[rows])
+            for name, each in series.items()
+        }
+        stands = bus.take(new)
+        for name, each in new.items():
+            row = watches[name].take(each.time_s, each.position_deg, each.command_deg, stands=stands[name])
+            passed[name] += [at_s for at_s, _ in row]
+    for name, each in series.items():
+        passed[name] += [at_s for at_s, _ in watches[name].finish()]
+        assert passed[name] == each.measured_s[each.why <= LAST_WITH_VALUE].tolist(), name
+
+
+def table(path: Path, columns: dict[str, FloatArray]) -> Path:
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    return path
+
+
+TIME_S = np.arange(0.0, 30.0, 0.02)
+ASKED_DEG = 10.0 * np.sin(2.0 * TIME_S)
+
+
+def followed(rng: np.random.Generator) -> FloatArray:
+    return 10.0 * np.sin(2.0 * TIME_S - 0.1) + 0.05 * rng.standard_normal(TIME_S.size)
+
+
+def one(path: Path, **columns: FloatArray) -> Series:
+    named = {"time_s": TIME_S, "rudder_cmd_deg": ASKED_DEG} | columns
+    return cut(one_log(table(path, named)), "rudder", plain_aircraft(["rudder"]))
+
+
+def test_where_the_torque_is_off_nothing_counts(tmp_path: Path) -> None:
+    off = (TIME_S >= 12.0) & (TIME_S < 14.0)
+    position_deg = followed(np.random.default_rng(1))
+    series = one(tmp_path / "a.csv", rudder_pos_deg=position_deg, torque_enabled=1.0 - off)
+    np.testing.assert_array_equal(series.why == Why.TORQUE_OFF, off)
+    assert [each.why for each in series.left_out] == ["unsettled", "torque off"]
+
+
+def test_one_servo_that_stands_still_alone_is_jammed_and_not_frozen(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    columns = {"time_s": TIME_S}
+    for k, name in enumerate(("rudder", "aileron", "elevator")):
+        columns |= {
+            f"{name}_cmd_deg": ASKED_DEG * (k != 2),
+            f"{name}_pos_deg": followed(rng) if k < 2 else 0.0 * TIME_S,
+        }
+    columns["elevator_pos_deg"] = np.round(0.02 * rng.standard_normal(TIME_S.size), 1)  # at rest, and coarse
+    columns["rudder_pos_deg"][700:] = columns["rudder_pos_deg"][700]
+    log = one_log(table(tmp_path / "a.csv", columns))
+    aircraft = plain_aircraft(["rudder", "aileron", "elevator"])
+    assert not (cut(log, "rudder", aircraft).why == Why.FROZEN).any()
+    # A jam beside a servo at rest whose reading never changes is a jam as well.
+    assert not (cut(log, "rudder", plain_aircraft(["rudder", "elevator"])).why == Why.FROZEN).any()
+
+
+def test_a_command_that_was_never_sent_is_left_out(tmp_path: Path) -> None:
+    asked_deg = ASKED_DEG.copy()
+    asked_deg[[600, 601]] = 60.0
+    position_deg = followed(np.random.default_rng(3))
+    series = one(tmp_path / "a.csv", rudder_cmd_deg=asked_deg, rudder_pos_deg=position_deg)
+    assert TIME_S.size - series.command_s.size == 2
+    assert series.command_deg.max() < 11.0
+
+
+def test_an_echo_of_the_whole_command_is_no_measurement(tmp_path: Path) -> None:
+    with pytest.raises(NoMeasurement, match="an echo of the command"):
+        one(tmp_path / "a.csv", rudder_pos_deg=ASKED_DEG)
+
+
+@pytest.mark.parametrize(
+    ("hz", "rows"), [(1.0, 30), (50.0, 2), (20_000.0, 2000)], ids=["1 Hz", "two samples", "20 kHz"]
+)
+def test_odd_logs_make_a_series_or_say_why_not(tmp_path: Path, hz: float, rows: int) -> None:
+    time_s = np.arange(rows) / hz
+    columns = {
+        "time_s": time_s,
+        "rudder_cmd_deg": 500.0 * np.sign(np.sin(7.0 * time_s + 0.1)),
+        "rudder_pos_deg": 500.0 * np.sin(7.0 * time_s),
+    }
+    columns["rudder_pos_deg"][rows // 2 : rows // 2 + rows // 10] = np.nan
+    series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
+    assert series.measured_s.size == rows
+    assert series.why.dtype == np.int8
