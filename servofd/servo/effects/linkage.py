@@ -13,12 +13,14 @@ _PUSH_PER_PA_S = 25.0 / 300.0
 """How fast the air pushes a surface through its play: in 0.04 s at 300 Pa (22 m/s)."""
 _SURE_PER_DEG = 10.0
 """A load of a tenth of a degree decides to which side of its play the air pushes a surface."""
+_MOST_TURNS, _HALVINGS = 4, 40
+"""How often in one step an output may fall behind and catch up, and how exactly it is known when."""
 
 
 class RateLimit(Effect):
     """Largest speed of the output, which follows what a faster servo would do."""
 
-    name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 1
+    name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 2
     parameters = (
         Parameter(
             "rate_limit_deg_s", ("follow_up_deg_s", "follow_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
@@ -35,9 +37,50 @@ class RateLimit(Effect):
         return {**super().sizes, "follow_down_deg_s": self.down_deg_s}
 
     @staticmethod
-    def act(x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float) -> tuple[float, float]:
-        at += min(max(x - at, -down_deg_s * now.step_s), up_deg_s * now.step_s)
-        return at, at
+    def act(
+        x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float, lag: float
+    ) -> tuple[float, float, float]:
+        """It follows until the servo is too fast, on a cubic from step to step, and then runs until it meets it again."""
+        step_s, begins, was = now.step_s, now.speed_deg_s, at + lag
+        if step_s <= 0.0:
+            return at, at, lag
+        mean = (x - was) / step_s
+        ends = begins + 8.0 * (0.5 * (was + x) - now.position_deg) / step_s
+        between = 3.0 * mean - begins - ends  # all speeds of the step lie between these three
+        if lag == 0.0 and max(begins, between, ends) <= up_deg_s and min(begins, between, ends) >= -down_deg_s:
+            return x, x, 0.0
+        # At a share of the step, its speed is begins + linear * share + square * share^2.
+        linear, square, share = 2.0 * (between - begins), begins - 2.0 * between + ends, 0.0
+        for _ in range(_MOST_TURNS):
+            speed, faster = begins + share * (linear + share * square), linear + 2.0 * share * square
+            if lag == 0.0:  # when it is too fast upwards, and when downwards
+                when = 2.0
+                for sign in (1.0, -1.0):
+                    short = (up_deg_s if sign > 0.0 else down_deg_s) - sign * speed
+                    within = faster * faster + 4.0 * sign * square * short
+                    below = sign * faster + math.sqrt(max(within, 0.0))
+                    after = 0.0 if short <= 0.0 else 2.0 * short / below if within >= 0.0 and below > short else 2.0
+                    if after < when:
+                        when, lag = after, sign
+                if share + when >= 1.0:
+                    return x, x, 0.0
+                share += when
+                at = was + step_s * share * (begins + share * (0.5 * linear + share * square / 3.0))
+            limit = up_deg_s if lag > 0.0 else -down_deg_s
+            last = at + limit * step_s * (1.0 - share)
+            if lag * (x - last) > 0.0:
+                return last, last, x - last
+            low, high = share, 1.0
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (low + high)
+                there = was + step_s * middle * (begins + middle * (0.5 * linear + middle * square / 3.0))
+                if lag * (there - at - limit * step_s * (middle - share)) > 0.0:
+                    low = middle
+                else:
+                    high = middle
+            at += limit * step_s * (high - share)
+            share, lag = high, 0.0
+        return x, x, 0.0
 
 
 class Resonance(Effect):
