@@ -21,6 +21,7 @@ class RateLimit(Effect):
     """Largest speed of the output, which follows what a faster servo would do."""
 
     name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 2
+    longest_s = 5e-3
     parameters = (
         Parameter(
             "rate_limit_deg_s", ("follow_up_deg_s", "follow_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
@@ -41,14 +42,18 @@ class RateLimit(Effect):
         x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float, lag: float
     ) -> tuple[float, float, float]:
         """It follows until the servo is too fast, on a cubic from step to step, and then runs until it meets it again."""
-        step_s, begins, was = now.step_s, now.speed_deg_s, at + lag
+        step_s, was = now.step_s, at + lag
+        # Travels of the step at its first and last speed, and between; all of its speeds lie between these three.
+        most, least = up_deg_s * step_s, -down_deg_s * step_s
+        begins, mean = now.speed_deg_s * step_s, x - was
+        ends = begins + 8.0 * (0.5 * (was + x) - now.position_deg)
+        between = 3.0 * mean - begins - ends
+        if lag == 0.0 and least <= begins <= most and least <= between <= most and least <= ends <= most:
+            return x, x, 0.0
         if step_s <= 0.0:
             return at, at, lag
-        mean = (x - was) / step_s
-        ends = begins + 8.0 * (0.5 * (was + x) - now.position_deg) / step_s
-        between = 3.0 * mean - begins - ends  # all speeds of the step lie between these three
-        if lag == 0.0 and max(begins, between, ends) <= up_deg_s and min(begins, between, ends) >= -down_deg_s:
-            return x, x, 0.0
+        if between * mean < 0.0:  # so fast that no cubic tells how it went: on a straight line
+            begins = between = ends = mean
         # At a share of the step, its speed is begins + linear * share + square * share^2.
         linear, square, share = 2.0 * (between - begins), begins - 2.0 * between + ends, 0.0
         for _ in range(_MOST_TURNS):
@@ -56,7 +61,7 @@ class RateLimit(Effect):
             if lag == 0.0:  # when it is too fast upwards, and when downwards
                 when = 2.0
                 for sign in (1.0, -1.0):
-                    short = (up_deg_s if sign > 0.0 else down_deg_s) - sign * speed
+                    short = (most if sign > 0.0 else -least) - sign * speed
                     within = faster * faster + 4.0 * sign * square * short
                     below = sign * faster + math.sqrt(max(within, 0.0))
                     after = 0.0 if short <= 0.0 else 2.0 * short / below if within >= 0.0 and below > short else 2.0
@@ -65,20 +70,20 @@ class RateLimit(Effect):
                 if share + when >= 1.0:
                     return x, x, 0.0
                 share += when
-                at = was + step_s * share * (begins + share * (0.5 * linear + share * square / 3.0))
-            limit = up_deg_s if lag > 0.0 else -down_deg_s
-            last = at + limit * step_s * (1.0 - share)
+                at = was + share * (begins + share * (0.5 * linear + share * square / 3.0))
+            limit = most if lag > 0.0 else least
+            last = at + limit * (1.0 - share)
             if lag * (x - last) > 0.0:
                 return last, last, x - last
             low, high = share, 1.0
             for _ in range(_HALVINGS):
                 middle = 0.5 * (low + high)
-                there = was + step_s * middle * (begins + middle * (0.5 * linear + middle * square / 3.0))
-                if lag * (there - at - limit * step_s * (middle - share)) > 0.0:
+                there = was + middle * (begins + middle * (0.5 * linear + middle * square / 3.0))
+                if lag * (there - at - limit * (middle - share)) > 0.0:
                     low = middle
                 else:
                     high = middle
-            at += limit * step_s * (high - share)
+            at += limit * (high - share)
             share, lag = high, 0.0
         return x, x, 0.0
 
