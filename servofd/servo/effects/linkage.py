@@ -52,8 +52,6 @@ class RateLimit(Effect):
             return x, x, 0.0
         if step_s <= 0.0:
             return at, at, lag
-        if between * mean < 0.0:  # so fast that no cubic tells how it went: on a straight line
-            begins = between = ends = mean
         # At a share of the step, its speed is begins + linear * share + square * share^2.
         linear, square, share = 2.0 * (between - begins), begins - 2.0 * between + ends, 0.0
         for _ in range(_MOST_TURNS):
