@@ -56,24 +56,33 @@ class RateLimit(Effect):
         linear, square, share = 2.0 * (between - begins), begins - 2.0 * between + ends, 0.0
         for _ in range(_MOST_TURNS):
             speed, faster = begins + share * (linear + share * square), linear + 2.0 * share * square
+            short = -1.0
             if lag == 0.0:  # when it is too fast upwards, and when downwards
                 when = 2.0
                 for sign in (1.0, -1.0):
-                    short = (most if sign > 0.0 else -least) - sign * speed
-                    within = faster * faster + 4.0 * sign * square * short
+                    slack = (most if sign > 0.0 else -least) - sign * speed
+                    within = faster * faster + 4.0 * sign * square * slack
                     below = sign * faster + math.sqrt(max(within, 0.0))
-                    after = 0.0 if short <= 0.0 else 2.0 * short / below if within >= 0.0 and below > short else 2.0
+                    after = 0.0 if slack <= 0.0 else 2.0 * slack / below if within >= 0.0 and below > slack else 2.0
                     if after < when:
                         when, lag = after, sign
                 if share + when >= 1.0:
                     return x, x, 0.0
                 share += when
                 at = was + share * (begins + share * (0.5 * linear + share * square / 3.0))
+            else:
+                lag = 1.0 if lag > 0.0 else -1.0
+                short = lag * ((most if lag > 0.0 else least) - speed)
             limit = most if lag > 0.0 else least
             last = at + limit * (1.0 - share)
-            if lag * (x - last) > 0.0:
-                return last, last, x - last
             low, high = share, 1.0
+            if lag * (x - last) > 0.0:  # unless it was met before, where the servo turned
+                within = faster * faster + 4.0 * lag * square * short
+                below = lag * faster + math.sqrt(max(within, 0.0))
+                high = share + 2.0 * short / below if short > 0.0 and within >= 0.0 and below > short else 1.0
+                there = was + high * (begins + high * (0.5 * linear + high * square / 3.0))
+                if high >= 1.0 or lag * (there - at - limit * (high - share)) > 0.0:
+                    return last, last, x - last
             for _ in range(_HALVINGS):
                 middle = 0.5 * (low + high)
                 there = was + middle * (begins + middle * (0.5 * linear + middle * square / 3.0))
@@ -83,7 +92,8 @@ class RateLimit(Effect):
                     high = middle
             at += limit * (high - share)
             share, lag = high, 0.0
-        return x, x, 0.0
+        at += min(max(x - at, least * (1.0 - share)), most * (1.0 - share))
+        return at, at, x - at
 
 
 class Resonance(Effect):
