@@ -76,8 +76,7 @@ def timed(action: object, clock: Callable[[], float] = time.thread_time) -> floa
 
 def peer(segment: Series, generator: ResidualGenerator) -> tuple[float, float]:
     """Processor time of python-control for the first samples, and how far its residual is from ours."""
-    plan = generator.model.plan
-    design = design_pulse_filter(generator.model.transfer, plan.delay_s, 1.0 / RATE_HZ, POLE_RAD_S)
+    design = design_pulse_filter(generator.model.transfer, generator.model.delay_s, 1.0 / RATE_HZ, POLE_RAD_S)
     order = max(design.b[0].size, design.md.size)
     md = np.append(design.md, np.zeros(order - design.md.size))
     parts = [

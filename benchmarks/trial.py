@@ -217,8 +217,7 @@ def _evidence(log: Judged, twin: FleetFlight) -> tuple[FloatArray, FloatArray, f
     truth, residuals = log.flight.truth, log.residuals
     assert truth is not None  # noqa: S101 - the caller has looked
     start_s = truth.start_s
-    plan = log.generator.model.plan
-    commands = commands_at_servo(log.segment, plan.delay_s, log.generator.longest_gap_s(log.segment))
+    commands = commands_at_servo(log.segment, log.generator.model.delay_s, log.generator.longest_gap_s(log.segment))
     noise = float(np.hypot(log.flight.servo.noise_deg, log.flight.servo.step_deg / np.sqrt(12.0)))
     known = slice(int(np.argmax(residuals.settled)), residuals.time_s.size)
     window = Window.of(log.generator.model, _SURFACE.tolerances, noise, residuals, commands, known)

@@ -124,8 +124,7 @@ def residuals(_: Path) -> Iterable[Row]:
     theirs_s *= time_s.size / residual.PEER_SAMPLES
     what = f"residual, {time_s.size:,} samples"
     yield Row(what, "python-control `forced_response`", ours_s, theirs_s, f"differ by {difference_deg:.0e} deg at most")
-    plan = model.plan
-    design = design_pulse_filter(model.transfer, plan.delay_s, 1.0 / residual.RATE_HZ, residual.POLE_RAD_S)
+    design = design_pulse_filter(model.transfer, model.delay_s, 1.0 / residual.RATE_HZ, residual.POLE_RAD_S)
     rest_deg = command_deg[0]
 
     def filtered() -> object:

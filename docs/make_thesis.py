@@ -16,7 +16,7 @@ from servofd.detection.residual import ResidualGenerator
 from servofd.identification.identify import identify
 from servofd.outputs.figure import save_figure
 from servofd.outputs.identify_report import identify_figures
-from servofd.servo.effects import Delay, LinearDynamics
+from servofd.servo.effects.commands import Delay
 from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -154,7 +154,7 @@ def bench_chirp(seed: int) -> Series:
     servo, rng = servo_named("hs225bb-eq31"), np.random.default_rng(seed)
     shift = seed - (BENCH_SERVOS - 1) / 2
     transfer = servo.transfer.with_bandwidth_scaled(1.0 + BENCH_SCATTER * shift)
-    model = ServoModel((Delay(servo.delay_s + BENCH_DELAY_S * shift), LinearDynamics(transfer)))
+    model = ServoModel(transfer) + Delay(servo.delay_s + BENCH_DELAY_S * shift)
     time_s = np.round(np.arange(12000) / RATE_HZ, 9)
     command_deg = chirp(time_s, rng)
     measured_deg = model.simulate(time_s, command_deg, time_s) + BENCH_NOISE_DEG * rng.standard_normal(time_s.size)
@@ -195,12 +195,8 @@ def thresholds() -> str:
     for seed in range(FLEET):
         gain, bias_deg = spread.uniform(0.97, 1.03), spread.uniform(-0.3, 0.3)
         transfer = nominal.transfer.with_bandwidth_scaled(spread.uniform(0.9, 1.1))
-        real = ServoModel(
-            (
-                Delay(nominal.delay_s + spread.uniform(-0.003, 0.003)),
-                LinearDynamics(TransferFunction(tuple(gain * c for c in transfer.numerator), transfer.denominator)),
-            )
-        )
+        scaled = TransferFunction(tuple(gain * c for c in transfer.numerator), transfer.denominator)
+        real = ServoModel(scaled) + Delay(nominal.delay_s + spread.uniform(-0.003, 0.003))
         command_deg = flight(time_s, spread)
         noise_deg = 0.1 * spread.standard_normal(time_s.size)
         measured_deg = real.simulate(time_s, command_deg, time_s) + bias_deg + noise_deg
@@ -224,7 +220,7 @@ def chirp_residual() -> str:
     measured_deg = model.simulate(time_s, command_deg, time_s)
     segment = Series("chirp", time_s, command_deg, time_s, measured_deg)
     exact = ResidualGenerator(model, POLE_RAD_S).run(segment)
-    undelayed = ResidualGenerator(ServoModel((LinearDynamics(model.transfer),)), POLE_RAD_S).run(segment)
+    undelayed = ResidualGenerator(ServoModel(model.transfer), POLE_RAD_S).run(segment)
     noisy = measured_deg + 0.25 * np.random.default_rng(1).standard_normal(time_s.size)
     with_noise = ResidualGenerator(model, POLE_RAD_S).run(Series("chirp", time_s, command_deg, time_s, noisy))
 

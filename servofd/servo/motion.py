@@ -161,7 +161,7 @@ def _machine(
         acts[STEPPED.index(act.effect.slot)] = True
         if act.effect.slot in INSIDE_LOOP or act.effect.memory:
             acts[-1], longest_s = True, min(longest_s, act.effect.longest_s)
-    if acts[: len(INSIDE_LOOP)].any():
+    if acts[-1]:
         fastest = max(loop.natural_rad_s for loop in loops)
         longest_s = min(longest_s, max(_FASTEST_TIMES_STEP / fastest, _SHORTEST_S))
     facts = np.array([[o.gain, o.error_s, o.per_error, float(o.leaves), float(o.filters)] for o in loops])

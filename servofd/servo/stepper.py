@@ -214,7 +214,7 @@ def run(
     speed_deg_s : ndarray, shape (k,) or (0,)
         Speed of the first shaft.
     """
-    commands, instants, count = effective_s.size, at_s.size, p.shape[0]
+    commands, instants, count, states = effective_s.size, at_s.size, p.shape[0], x.shape[1] // 3
     now_s, u, s, commanded = clock[0], clock[1], clock[2], clock[3] > 0.0
     commanding, erring, loaded, grips, races, stops, hangs, reads, bends = (
         acts[0], acts[1], acts[2], acts[3], acts[4], acts[5], acts[6], acts[7], acts[8],
@@ -236,8 +236,12 @@ def run(
                 commanded = True
             elif commanded:
                 u += s * (at_s[k] - now_s)
-            elif math.isnan(measured):
-                u, s = command_deg[c] if c < commands and effective_s[c] <= at_s[instants - 1] else 0.0, 0.0
+            elif math.isnan(measured):  # the first command to come, unless they begin anew before that
+                end = k + 1
+                while end < anew.size and not anew[end]:
+                    end += 1
+                awaited = c < commands and (end >= anew.size or effective_s[c] <= at_s[end - 1])
+                u, s = command_deg[c] if awaited else 0.0, 0.0
             else:  # what holds it can only have been an earlier command
                 u, s = (measured - (p[0, BIAS] if BIAS >= 0 else 0.0)) / (p[0, GAIN] if GAIN >= 0 else 1.0), 0.0
                 u /= facts[0, 0]
@@ -268,11 +272,14 @@ def run(
                 at = now_s + n * whole_s + h
                 for v in range(count):
                     gain, error_s, per_error = facts[v, 0], facts[v, 1], facts[v, 2]
-                    away = 0.0
+                    away, out, was, parted = 0.0, int(facts[v, 3]), 0.0, 0.0
+                    if hangs:
+                        was, parted = x[v, out], b[v, 3 * out] * come
+                        for j in range(states):
+                            parted += a[v, states * out + j] * x[v, j]
                     if not inside:
                         advance(x, v, a, b, steps, grid_s, h, come, s)
-                        y1, v1 = x[v, 0], 0.0
-                        shaft = x[v, int(facts[v, 3])]
+                        shaft = x[v, out]
                     else:
                         y, fast, w = x[v, 0], x[v, 1], x[v, 2]
                         middle = y + 0.5 * h * fast
@@ -335,15 +342,21 @@ def run(
                             y1, v1 = min(max(y1, -_FAR_DEG), _FAR_DEG) if y1 == y1 else 0.0, 0.0
                             w1 = 0.0
                         x[v, 0], x[v, 1], x[v, 2] = y1, v1, w1
-                        shaft = x[v, int(facts[v, 3])]
+                        shaft = x[v, out]
                     if hangs:
+                        arriving = b[v, 3 * out] * (come + s * h)
+                        for j in range(states):
+                            arriving += a[v, states * out + j] * x[v, j]
+                        middle = 0.5 * (was + shaft) + 0.125 * h * (parted - arriving)  # of a cubic
                         then = Now(
-                            at, h, shaft * gain, v1 * gain, error_s, 0.0, away, pressure, supply, power, current, external
-                        )
+                            at, h, middle * gain, parted * gain, error_s, 0.0, away,
+                            pressure, supply, power, current, external,
+                        )  # fmt: skip
                         m[v, 0] = output(shaft * gain, then, p, v, m)
         if left > NO_STEP_S:
             u += s * left
-        now_s = until
+        if until > now_s:  # of a stamp that goes back, or is none, nothing is known
+            now_s = until
         if arrives:
             u, s, commanded = command_deg[c], slope_deg_s[c], True
             c += 1

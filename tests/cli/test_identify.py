@@ -18,7 +18,8 @@ from servofd.aircraft.series import Series
 from servofd.cli import main
 from servofd.identification.identify import identify
 from servofd.outputs.identify_report import identify_figures
-from servofd.servo.effects import Delay, LinearDynamics, RateLimit
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import find_servo, servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
@@ -309,7 +310,7 @@ def test_a_position_before_its_command_is_told() -> None:
 def test_a_fast_servo_at_its_rate_limit_has_no_poles_of_infinity_and_no_lag_well_known() -> None:
     time_s = np.arange(2000) / 50.0
     command_deg = 4.0 * np.sin(2.0 * np.pi * np.expm1(np.log(20.0) * time_s / 40.0) * 40.0 / np.log(20.0))
-    model = ServoModel((Delay(0.004), LinearDynamics(TransferFunction((150.0,), (1.0, 150.0))), RateLimit(120.0)))
+    model = ServoModel(TransferFunction((150.0,), (1.0, 150.0))) + Delay(0.004) + RateLimit(120.0)
     measured_deg = model.simulate(time_s, command_deg, time_s) + 0.5 * NOISE_DEG[: time_s.size]
     steps: list[str] = []
     result = identify(Series("x", time_s, command_deg, time_s, measured_deg), progress=steps.append)

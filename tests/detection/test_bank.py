@@ -15,7 +15,7 @@ from servofd.detection.contradiction import wiring_problem
 from servofd.detection.judge import confirmed, joined, name_fault, narendra, refine_onset_s, scores
 from servofd.detection.threshold import Episode
 from servofd.detection.verdict import Fault as Found
-from servofd.servo.effects import RateLimit
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.faults import (
     Bias,
     DeadBand,

@@ -8,7 +8,7 @@ import pytest
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.detection.residual import ResidualGenerator
-from servofd.servo.effects import Delay, LinearDynamics
+from servofd.servo.effects.commands import Delay
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
@@ -17,7 +17,7 @@ from servofd.simulation.commands import COMMANDS
 SERVO = servo_named("hs225bb-eq31")
 TIME_S = np.arange(6000) / 500.0
 COMMAND_DEG = COMMANDS["lively"](TIME_S, np.random.default_rng(1))
-GENERATOR = ResidualGenerator(ServoModel((Delay(SERVO.delay_s), LinearDynamics(SERVO.transfer))), 50.0)
+GENERATOR = ResidualGenerator(ServoModel(SERVO.transfer) + Delay(SERVO.delay_s), 50.0)
 GAIN, DELAY_S, BANDWIDTH = 0.01, 0.5e-3, 0.01
 
 
@@ -25,7 +25,7 @@ def residual(gain: float = 0.0, delay_s: float = 0.0, bandwidth: float = 0.0) ->
     """Of a servo that is off by so much, shape (n,)."""
     transfer = SERVO.transfer.with_bandwidth_scaled(1.0 + bandwidth)
     scaled = TransferFunction(tuple((1.0 + gain) * c for c in transfer.numerator), transfer.denominator)
-    real = ServoModel((Delay(SERVO.delay_s + delay_s), LinearDynamics(scaled)))
+    real = ServoModel(scaled) + Delay(SERVO.delay_s + delay_s)
     measured_deg = real.simulate(TIME_S, COMMAND_DEG, TIME_S)
     return GENERATOR.run(Series("x", TIME_S, COMMAND_DEG, TIME_S, measured_deg)).residual_deg
 

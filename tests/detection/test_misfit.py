@@ -11,7 +11,8 @@ from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import ResidualGenerator
-from servofd.servo.effects import Delay, LinearDynamics, RateLimit
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import second_order
 from servofd.servo.servo_model import ServoModel
 
@@ -19,8 +20,7 @@ TIME_S = np.arange(0.0, 60.0, 0.05)
 
 
 def servo(rate_deg_s: float) -> ServoModel:
-    dynamics = LinearDynamics(second_order(2.0 * np.pi * 6.0, 0.8))
-    return ServoModel((Delay(0.08), dynamics, RateLimit(rate_deg_s)))
+    return ServoModel(second_order(2.0 * np.pi * 6.0, 0.8)) + Delay(0.08) + RateLimit(rate_deg_s)
 
 
 def steps(size_deg: float, seed: int) -> FloatArray:
@@ -71,5 +71,5 @@ def test_the_rate_limit_of_a_fitted_servo_is_that_of_the_surface(scale: float) -
     result = servofd.audit(pd.DataFrame({"time_s": TIME_S, **columns}))[0]
     verdict = result.surfaces[0]
     assert verdict.model.origin == "fitted"
-    assert result.aircraft.model("x").plan.rate_up_deg_s == pytest.approx(200.0, rel=0.05)
+    assert result.aircraft.model("x").physics.follow_up_deg_s == pytest.approx(200.0, rel=0.05)
     assert verdict.status != "fault"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from servofd.core.types import FloatArray
-from servofd.servo.effects import Delay, LinearDynamics, RateLimit
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
@@ -26,14 +27,8 @@ def deviating(
     bias_deg: float = 0.0,
 ) -> FloatArray:
     """Deflection, of shape (n,), of a servo that is off by so much; without any noise."""
-    plan = MODEL.plan
-    servo = ServoModel(
-        (
-            Delay(plan.delay_s + delay_s),
-            LinearDynamics(_scaled(MODEL.transfer, 1.0 + bandwidth)),
-            RateLimit((1.0 + rate) * plan.rate_up_deg_s),
-        )
-    )
+    servo = ServoModel(_scaled(MODEL.transfer, 1.0 + bandwidth)) + Delay(MODEL.delay_s + delay_s)
+    servo += RateLimit((1.0 + rate) * MODEL.physics.follow_up_deg_s)
     return (1.0 + gain) * servo.simulate(time_s, command_deg, time_s) + bias_deg
 
 

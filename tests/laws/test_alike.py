@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servofd.servo.effects import Delay, Extension, LinearDynamics, RateLimit
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.faults import Slow
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel, plant_of

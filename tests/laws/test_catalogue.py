@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import pytest
 
-from servofd.servo.catalogue import CATALOGUE, installed
-from servofd.servo.effects import Effect
+from servofd.servo.catalogue import catalogue, installed
+from servofd.servo.effect import Effect
 from servofd.servo.physics import Physics
 
-every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.key())
+every_effect = pytest.mark.parametrize("effect", catalogue(), ids=lambda effect: effect.key())
 
 
 @every_effect

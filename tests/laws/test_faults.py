@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servofd.core.errors import ConfigError
-from servofd.servo.effects import Delay, LinearDynamics, PositionLimit, RateLimit
+from servofd.servo.effects.linkage import PositionLimit, RateLimit
 from servofd.servo.faults import (
     FAULTS,
     Bias,
@@ -145,7 +145,7 @@ def test_a_loss_of_effectiveness_scales_the_motion(gain: float) -> None:
 @given(scale=st.floats(0.05, 1.0))
 @settings(max_examples=30, deadline=None)
 def test_a_slow_servo_is_a_healthy_one_in_stretched_time(scale: float) -> None:
-    model = ServoModel((LinearDynamics(servo_named("hs225bb-eq31").transfer), Delay(0.0)))
+    model = ServoModel(servo_named("hs225bb-eq31").transfer)
     since_s = np.linspace(0.0, 2.0, 400)
     command_s, command_deg = np.array([0.0, 1.0]), np.array([0.0, 5.0])
     slow = Slow(0.5, bandwidth_scale=scale).deflection(model, command_s, command_deg, 1.0 + since_s)
@@ -204,7 +204,7 @@ def test_a_floating_surface_does_not_know_its_command(one: int, two: int, seed: 
 def test_a_floating_surface_moves_within_its_band() -> None:
     since_s = np.arange(20_000) / 20.0
     moved = Floating(0.0, amplitude_deg=3.0, bandwidth_hz=1.5, mean_deg=-2.0, seed=4).moved(
-        MODEL.parameters(), since_s, np.zeros(since_s.size)
+        MODEL.servo(), since_s, np.zeros(since_s.size)
     )
     power = np.abs(np.fft.rfft((moved + 2.0) * np.hanning(since_s.size))) ** 2
     frequency_hz = np.fft.rfftfreq(since_s.size, 1 / 20.0)
@@ -236,8 +236,9 @@ def test_a_servo_with_a_lower_rate_limit_keeps_its_poles() -> None:
     assert (Slow(START_S).bandwidth_scale, Slow(START_S).rate_scale) == (0.5, 1.0)
     assert Slow(START_S, rate_scale=0.16).bandwidth_scale == 1.0
     assert Slow(START_S, 0.4, 0.16).bandwidth_scale == 0.4
-    healthy, limited = MODEL.parameters(), Slow(START_S, rate_scale=0.16).become(MODEL.parameters())
-    np.testing.assert_array_equal(limited.decay_rad_s, healthy.decay_rad_s)  # type: ignore[union-attr]
+    healthy = MODEL.servo()
+    limited = Slow(START_S, rate_scale=0.16).become(healthy)
+    assert (limited.transfer, limited.physics.scales) == (healthy.transfer, healthy.physics.scales)
     assert limited.rate_up_deg_s == pytest.approx(0.16 * RATE_DEG_S)
 
 

@@ -22,7 +22,7 @@ from servofd.detection.residual import (
     followed,
     lag_weights,
 )
-from servofd.servo.effects import LinearDynamics, PositionLimit
+from servofd.servo.effects.linkage import PositionLimit
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
@@ -46,7 +46,7 @@ def observed(
     transfer: TransferFunction, commands: FloatArray, at_s: FloatArray, measured_deg: FloatArray, restart: list[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Simulated position and residual."""
-    servo = ServoModel((LinearDynamics(transfer),)).servo()
+    servo = ServoModel(transfer).servo()
     restarts = np.array(restart + [RESTART_NONE] * (at_s.size - len(restart)), dtype=np.int8)
     simulated_deg = followed(servo, Commands(*commands), at_s, measured_deg, restarts)
     return simulated_deg, filtered(filter_of(transfer), at_s, measured_deg - simulated_deg, restarts)
@@ -171,7 +171,7 @@ def test_the_residual_undoes_the_servo_and_leaves_lags_of_its_filter(transfer: T
 
 
 def test_a_stop_is_where_the_position_ends() -> None:
-    model = ServoModel((LinearDynamics(EQ31), PositionLimit(-2.0, 3.0)))
+    model = ServoModel(EQ31) + PositionLimit(-2.0, 3.0)
     found_deg = model.simulate(STEPS[0], STEPS[1], 0.5 + AT_S)
     np.testing.assert_allclose(found_deg, np.clip(exact(EQ31, 10.0, STEPS, 0.5 + AT_S), -2.0, 3.0), atol=1e-9)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from servofd.core.errors import ConfigError
-from servofd.servo.catalogue import CATALOGUE, effects_installed, table_of
-from servofd.servo.effects import Effect, Parameter
+from servofd.servo.catalogue import catalogue, effects_installed, table_of
+from servofd.servo.effect import Effect, Parameter
 from servofd.servo.physics import Physics
 
-NUMBERS = [(effect, parameter) for effect in CATALOGUE for parameter in effect.parameters]
+NUMBERS = [(effect, parameter) for effect in catalogue() for parameter in effect.parameters]
 
 
 def named(value: object) -> str:
@@ -52,13 +52,13 @@ def test_a_search_begins_at_even_ratios_within_the_range(parameter: Parameter) -
 
 
 def test_steps_are_sought_at_the_resolutions_that_sensors_have() -> None:
-    (steps,) = next(effect for effect in CATALOGUE if effect.key() == "quantization (position)").parameters
+    (steps,) = next(effect for effect in catalogue() if effect.key() == "quantization (position)").parameters
     for step_deg in (360.0 / 4096.0, 360.0 / 1024.0, 0.1, 0.18, 0.5, 1.0, 2.0):
         assert min(abs(start / step_deg - 1.0) for start in steps.grid) < 1e-9
 
 
 def test_a_number_that_is_written_keeps_seven_digits_and_the_period_of_frames_ten() -> None:
-    effects = {effect.name: effect for effect in reversed(CATALOGUE)}
+    effects = {effect.name: effect for effect in reversed(catalogue())}
     written = table_of(
         [effects["pwm_frame"], effects["backlash"]], np.array([0.012345678912345, 0.123456789123, 1.23456789])
     )

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from servofd.core.errors import DesignError
-from servofd.servo.effects import LinearDynamics, Place
 from servofd.servo.faults import Floating
 from servofd.servo.library import library, servo_named
 from servofd.servo.loop_steps import ROW

@@ -19,7 +19,7 @@ from servofd.outputs.audit_report import audit_report
 from servofd.outputs.explain_report import explain_report
 from servofd.outputs.page import html_page
 from servofd.outputs.palette import BANNER_COLOURS
-from servofd.servo.effects import RateLimit
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 

@@ -17,7 +17,6 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
 from servofd.servo import catalogue
 from servofd.servo.catalogue import effects_installed
-from servofd.servo.effects import Extension
 from servofd.servo.faults import FAULTS, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel, plant_of
@@ -83,7 +82,7 @@ def test_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (physics.backlash_deg, physics.gain) == (0.8, 0.9)
     time_s = np.arange(0.0, 20.0, 0.01)
     command_deg = lively(time_s, np.random.default_rng(1))
-    moved_deg = (healthy + Extension(physics)).simulate(time_s, command_deg, time_s)
+    moved_deg = healthy.with_physics(physics).simulate(time_s, command_deg, time_s)
     # Play of 0.8 deg keeps a gear at most half of it from its motion; the horn scales that as well.
     lost_deg = np.abs(moved_deg - 0.9 * healthy.simulate(time_s, command_deg, time_s))
     assert lost_deg.max() == pytest.approx(0.9 * 0.4, rel=1e-6)

@@ -13,12 +13,15 @@ _PUSH_PER_PA_S = 25.0 / 300.0
 """How fast the air pushes a surface through its play: in 0.04 s at 300 Pa (22 m/s)."""
 _SURE_PER_DEG = 10.0
 """A load of a tenth of a degree decides to which side of its play the air pushes a surface."""
+_MOST_TURNS, _HALVINGS = 4, 40
+"""How often in one step an output may fall behind and catch up, and how exactly it is known when."""
 
 
 class RateLimit(Effect):
     """Largest speed of the output, which follows what a faster servo would do."""
 
-    name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 1
+    name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 2
+    longest_s = 5e-3
     parameters = (
         Parameter(
             "rate_limit_deg_s", ("follow_up_deg_s", "follow_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
@@ -35,9 +38,62 @@ class RateLimit(Effect):
         return {**super().sizes, "follow_down_deg_s": self.down_deg_s}
 
     @staticmethod
-    def act(x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float) -> tuple[float, float]:
-        at += min(max(x - at, -down_deg_s * now.step_s), up_deg_s * now.step_s)
-        return at, at
+    def act(
+        x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float, lag: float
+    ) -> tuple[float, float, float]:
+        """It follows until the servo is too fast, on a cubic from step to step, and then runs until it meets it again."""
+        step_s, was = now.step_s, at + lag
+        # Travels of the step at its first and last speed, and between; all of its speeds lie between these three.
+        most, least = up_deg_s * step_s, -down_deg_s * step_s
+        begins, mean = now.speed_deg_s * step_s, x - was
+        ends = begins + 8.0 * (0.5 * (was + x) - now.position_deg)
+        between = 3.0 * mean - begins - ends
+        if lag == 0.0 and least <= begins <= most and least <= between <= most and least <= ends <= most:
+            return x, x, 0.0
+        if step_s <= 0.0:
+            return at, at, lag
+        # At a share of the step, its speed is begins + linear * share + square * share^2.
+        linear, square, share = 2.0 * (between - begins), begins - 2.0 * between + ends, 0.0
+        for _ in range(_MOST_TURNS):
+            speed, faster = begins + share * (linear + share * square), linear + 2.0 * share * square
+            short = -1.0
+            if lag == 0.0:  # when it is too fast upwards, and when downwards
+                when = 2.0
+                for sign in (1.0, -1.0):
+                    slack = (most if sign > 0.0 else -least) - sign * speed
+                    within = faster * faster + 4.0 * sign * square * slack
+                    below = sign * faster + math.sqrt(max(within, 0.0))
+                    after = 0.0 if slack <= 0.0 else 2.0 * slack / below if within >= 0.0 and below > slack else 2.0
+                    if after < when:
+                        when, lag = after, sign
+                if share + when >= 1.0:
+                    return x, x, 0.0
+                share += when
+                at = was + share * (begins + share * (0.5 * linear + share * square / 3.0))
+            else:
+                lag = 1.0 if lag > 0.0 else -1.0
+                short = lag * ((most if lag > 0.0 else least) - speed)
+            limit = most if lag > 0.0 else least
+            last = at + limit * (1.0 - share)
+            low, high = share, 1.0
+            if lag * (x - last) > 0.0:  # unless it was met before, where the servo turned
+                within = faster * faster + 4.0 * lag * square * short
+                below = lag * faster + math.sqrt(max(within, 0.0))
+                high = share + 2.0 * short / below if short > 0.0 and within >= 0.0 and below > short else 1.0
+                there = was + high * (begins + high * (0.5 * linear + high * square / 3.0))
+                if high >= 1.0 or lag * (there - at - limit * (high - share)) > 0.0:
+                    return last, last, x - last
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (low + high)
+                there = was + middle * (begins + middle * (0.5 * linear + middle * square / 3.0))
+                if lag * (there - at - limit * (middle - share)) > 0.0:
+                    low = middle
+                else:
+                    high = middle
+            at += limit * (high - share)
+            share, lag = high, 0.0
+        at += min(max(x - at, least * (1.0 - share)), most * (1.0 - share))
+        return at, at, x - at
 
 
 class Resonance(Effect):
