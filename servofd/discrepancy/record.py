@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -365,6 +366,7 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     return _moved_from(record, physics, finer, _first_deg(record))
 
 
+@lru_cache(maxsize=256)
 def _first_deg(record: Record) -> float:
     """First position that was measured [deg]; 0 if none was."""
     known = np.flatnonzero(np.isfinite(record.measured_deg))
@@ -377,17 +379,19 @@ def _moved_from(record: Record, physics: Physics, finer: float, start_deg: float
     machine = machine_of(record.plant.transfer, (physics,), finer)
     moved_deg = machine.run(
         machine.new_state(), received(physics, commands), record.time_s,
-        anew=_FIRST_ALONE, measured_deg=np.array([start_deg]), around=_around(record, physics),
+        anew=_FIRST_ALONE, measured_deg=np.array([start_deg]),
+        around=_around(record, physics.load_late_s) if physics.needs else _NOTHING_LOGGED,
     )[0][:, 0]  # fmt: skip
     # A load that pushes harder the further it has pushed runs away from a motor at its limit.
     bounded: FloatArray = np.fmax(np.fmin(moved_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
     return bounded
 
 
-_FIRST_ALONE = np.ones(1, dtype=bool)
+_FIRST_ALONE, _NOTHING_LOGGED = np.ones(1, dtype=bool), np.zeros((0, 5))
 
 
-def _around(record: Record, physics: Physics) -> FloatArray:
+@lru_cache(maxsize=256)
+def _around(record: Record, late_s: float) -> FloatArray:
     """What was logged beside the servo, as the stepper takes it."""
     count = record.time_s.size
     columns = (
@@ -395,7 +399,7 @@ def _around(record: Record, physics: Physics) -> FloatArray:
         np.full(count, np.inf) if record.voltage_v is None else record.voltage_v,
         np.ones(count),
         np.zeros(count) if record.current_a is None else record.current_a,
-        np.zeros(count) if record.pushed is None else record.pushed.pushed(record.time_s, physics.load_late_s),
+        np.zeros(count) if record.pushed is None else record.pushed.pushed(record.time_s, late_s),
     )
     return np.column_stack(columns)
 

@@ -22,7 +22,7 @@ from servofd.servo.catalogue import (
     installed,
     plain,
 )
-from servofd.servo.loop import AFTER, BEFORE, INSIDE
+from servofd.servo.loop import AFTER, BEFORE, INSIDE, loop_of
 from servofd.servo.physics import RATE_FIELDS
 
 if TYPE_CHECKING:
@@ -523,7 +523,10 @@ def _lost_deg_s(record: Record, physics: Physics) -> float:
     """Speed that friction takes from a motor at its limit."""
     limits = (physics.rate_up_deg_s, physics.rate_down_deg_s, physics.deg_s_per_v)
     is_limited = physics.friction_deg > 0.0 and min(limits) < np.inf
-    return physics.friction_deg / record.plant.loop(physics).error_per_rate_s if is_limited else 0.0
+    if not is_limited:
+        return 0.0
+    loop = loop_of(record.plant.transfer, physics.scales)
+    return physics.friction_deg / (loop.error_s * loop.gain)
 
 
 def _half(effect: type[Effect]) -> float:

@@ -84,9 +84,16 @@ def _built_in() -> tuple[type[Effect], ...]:
 _added: tuple[type[Effect], ...] = ()
 
 
+@lru_cache(maxsize=1)
 def everything() -> tuple[type[Effect], ...]:
     """All effects and numbers of the servo's own, in the order in which they act."""
     return (*_built_in(), *_added)
+
+
+def _know(added: tuple[type[Effect], ...]) -> None:
+    global _added  # noqa: PLW0603 - one set of effects is known at a time
+    _added = added
+    everything.cache_clear()
 
 
 def catalogue() -> tuple[type[Effect], ...]:
@@ -115,23 +122,21 @@ def include(effect: type[Effect]) -> None:
     ConfigError
         If the package has an effect of this name and form.
     """
-    global _added  # noqa: PLW0603 - one set of effects is known at a time
     if effect.key() in {known.key() for known in _built_in()}:
         raise ConfigError(f"effect {effect.key()}: the catalogue has one of this name")
     fields_of((*_built_in(), effect))
-    _added = (*(each for each in _added if each.key() != effect.key()), effect)
+    _know((*(each for each in _added if each.key() != effect.key()), effect))
 
 
 @contextmanager
 def including(effect: type[Effect]) -> Iterator[None]:
     """Know an effect for a while."""
-    global _added  # noqa: PLW0603
     before = _added
     include(effect)
     try:
         yield
     finally:
-        _added = before
+        _know(before)
 
 
 @lru_cache(maxsize=8)

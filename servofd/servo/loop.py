@@ -104,19 +104,59 @@ def scaled(transfer: TransferFunction, scales: Scales) -> TransferFunction:
 
 def _polynomial(denominator: tuple[float, ...], scales: Scales) -> FloatArray:
     """Monic characteristic polynomial with its poles scaled."""
-    monic = np.array(denominator) / denominator[0]
-    if monic.size == _PHYSICAL:
-        monic[1] *= scales.damping * scales.pair
-        monic[2] *= scales.pair**2
-    else:
-        monic = _damped(monic, scales.damping)
-        if monic.size == _PHYSICAL + 1 and (scales.slow != 1.0 or scales.pair != 1.0):
-            slow, (total, product) = split(monic)
-            monic = np.polymul([1.0, scales.slow * slow], [1.0, scales.pair * total, scales.pair**2 * product])
-        elif monic.size <= _PHYSICAL:
-            monic = monic * scales.pair ** np.arange(monic.size)
+    if len(denominator) <= _PHYSICAL + 1:
+        return _monic(len(denominator) - 1, _poles(denominator, scales))
+    monic = _damped(np.array(denominator) / denominator[0], scales.damping)
     polynomial: FloatArray = monic * scales.bandwidth ** np.arange(monic.size)
     return polynomial
+
+
+class _Poles(NamedTuple):
+    """Of a servo of one to three: the slow one of three [rad/s], and what the others leave, s^2 + total s + product."""
+
+    slow: float
+    total: float
+    product: float
+
+    @property
+    def fastest(self) -> float:
+        """Size of the fastest [rad/s]."""
+        apart = 0.25 * self.total * self.total - self.product
+        return max(self.slow, math.sqrt(self.product) if apart < 0.0 else 0.5 * self.total + math.sqrt(apart))
+
+    def in_order(self) -> _Poles:
+        """The same with the slowest of the real ones as the slow one: a pair that is damped enough has a slower."""
+        apart = 0.25 * self.total * self.total - self.product
+        if self.slow == 0.0 or apart < 0.0:
+            return self
+        large = 0.5 * self.total + math.sqrt(apart)
+        small = self.product / large
+        return self if small >= self.slow else _Poles(small, self.slow + large, self.slow * large)
+
+
+def _poles(denominator: tuple[float, ...], scales: Scales) -> _Poles:
+    """Poles of a servo of one to three, scaled."""
+    slow, total, product = _as_known(denominator)
+    if len(denominator) > 2:  # noqa: PLR2004 - one pole is not damped
+        total *= scales.damping
+    slow, total, product = _Poles(slow, total, product).in_order()
+    pair = scales.pair * scales.bandwidth
+    return _Poles(slow * scales.slow * scales.bandwidth, total * pair, product * pair * pair)
+
+
+@lru_cache(maxsize=64)
+def _as_known(denominator: tuple[float, ...]) -> _Poles:
+    monic = np.array(denominator) / denominator[0]
+    if monic.size > _PHYSICAL:
+        slow, pair = split(monic)
+        return _Poles(slow, *pair)
+    return _Poles(0.0, float(monic[1]), float(monic[2]) if monic.size == _PHYSICAL else 0.0)
+
+
+def _monic(order: int, poles: _Poles) -> FloatArray:
+    """Characteristic polynomial of one to three poles."""
+    slow, total, product = poles
+    return np.array([1.0, slow + total, slow * total + product, slow * product][: order + 1])
 
 
 def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
@@ -130,20 +170,18 @@ def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
 
 
 def _damped(monic: FloatArray, scale: float) -> FloatArray:
-    """Characteristic polynomial with the damping of its fastest two poles scaled."""
-    if scale == 1.0 or monic.size <= _PHYSICAL:
+    """Characteristic polynomial of more than three poles with the damping of its fastest two scaled."""
+    if scale == 1.0:
         return monic
     roots = np.roots(monic)
     pair = np.argsort(np.abs(roots))[-2:]
-    if monic.size == _PHYSICAL + 1 and abs(roots[pair].sum().imag) > _TIED * abs(roots[pair[0]]):
-        pair = np.flatnonzero(roots.imag != 0.0)
     rest = np.delete(roots, pair)
     quadratic = np.array([1.0, -scale * roots[pair].sum().real, np.prod(roots[pair]).real])
     damped: FloatArray = np.polymul(np.poly(rest).real, quadratic)
     return damped
 
 
-@lru_cache(maxsize=128)  # of many runs each asks for the same
+@lru_cache(maxsize=512)  # of many runs each asks for the same
 def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSEST_S) -> Loop:
     """Matrices of a servo with its poles scaled, on a grid of steps [s] or a finer one.
 
@@ -156,12 +194,13 @@ def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSES
     """
     order = len(transfer.denominator) - 1
     is_physical = len(transfer.numerator) == 1 and 1 <= order <= _PHYSICAL
-    fastest = float(np.abs(scaled(transfer, scales).poles_rad_s).max())
+    poles = _poles(transfer.denominator, scales) if is_physical else None
+    fastest = poles.fastest if poles else float(np.abs(scaled(transfer, scales).poles_rad_s).max())
     # Halved until it is fine enough, so that servos whose poles differ a little share one grid.
     grid_s *= 0.5 ** max(math.ceil(math.log2(grid_s * fastest / _FASTEST_TIMES_GRID)), 0)
     rest: FloatArray
-    if is_physical:
-        a, b, facts = _physical(_polynomial(transfer.denominator, scales), scales)
+    if poles:
+        a, b, facts = _physical(order, poles, scales)
         rest = np.array([1.0, 0.0, float(facts.leaves == 2 or facts.filters)])
     else:
         a, b, facts = _canonical(scaled(transfer, scales))
@@ -184,18 +223,17 @@ class _Facts(NamedTuple):
     natural_rad_s: float
 
 
-def _physical(monic: FloatArray, scales: Scales) -> tuple[FloatArray, FloatArray, _Facts]:
+def _physical(order: int, poles: _Poles, scales: Scales) -> tuple[FloatArray, FloatArray, _Facts]:
     """Derivatives of shaft, speed and third state."""
-    a, b = np.zeros((3, 3)), np.zeros((3, 3))
-    order, stiffness, error_s = monic.size - 1, float(monic[-1]), float(monic[-2] / monic[-1])
+    a, b, monic = np.zeros((3, 3)), np.zeros((3, 3)), _monic(order, poles)
+    stiffness, error_s = float(monic[-1]), float(monic[-2] / monic[-1])
     stretch = np.array([0.0, 1.0, 0.0])
     if order == 1:
         a[0, 0], b[0] = -stiffness, (stiffness, stiffness, 1.0)
         return a, b, _Facts(1.0 / stiffness, stiffness, 0, False, stretch, stiffness)
     a[0, 1] = 1.0
-    if order == 2 or scales.place != INSIDE:
-        slow, pair = (0.0, (float(monic[1]), stiffness)) if order == 2 else split(monic)
-        damping, stiffness = pair
+    if order == 2 or scales.place != INSIDE:  # noqa: PLR2004 - poles
+        slow, damping, stiffness = poles.in_order()
         a[1, :2], b[1] = (-stiffness, -damping), (stiffness, stiffness, 1.0)
         filters = order == _PHYSICAL and scales.place == BEFORE
         if filters:
@@ -208,8 +246,7 @@ def _physical(monic: FloatArray, scales: Scales) -> tuple[FloatArray, FloatArray
     p = float(monic[1]) - q
     a[1, 1:], a[2] = (-p, 1.0), (-stiffness, -(float(monic[2]) - p * q), -q)
     b[1, 2], b[2, :2] = 1.0, stiffness
-    natural = float(np.abs(np.roots(monic)).max())
-    return a, b, _Facts(error_s, stiffness / q, 0, False, np.array([0.0, 1.0, 2.0]), natural)
+    return a, b, _Facts(error_s, stiffness / q, 0, False, np.array([0.0, 1.0, 2.0]), poles.fastest)
 
 
 def _canonical(transfer: TransferFunction) -> tuple[FloatArray, FloatArray, _Facts]:

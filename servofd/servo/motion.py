@@ -18,7 +18,7 @@ from servofd.servo.catalogue import everything
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.commands import Commands
-from servofd.servo.generate import INSIDE_LOOP, STEPPED, Stepper, stepper_of
+from servofd.servo.generate import INSIDE_LOOP, STEPPED, Act, Stepper, stepper_of
 from servofd.servo.loop import Loop, loop_of
 from servofd.servo.physics import RATE_FIELDS, Physics
 
@@ -143,16 +143,14 @@ def _machine(
     stepper = stepper_of(effects, any_order=loops[0].rest.size != 3)  # noqa: PLR2004 - states
     grid_s = min(loop.grid_s for loop in loops)
     loops = [loop if loop.grid_s == grid_s else loop_of(transfer, v.scales, grid_s) for loop, v in zip(loops, variants, strict=True)]
-    sizes = np.tile(stepper.off, (len(variants), 1))
-    where = {field: k for k, field in enumerate(stepper.fields)}
+    sizes, where = np.array([stepper.off] * len(variants)), _where(stepper)
     for row, each in zip(sizes, variants, strict=True):
         for name, value in each:
             if name in where:
                 row[where[name]] = value
     acts, longest_s = np.zeros(len(STEPPED) + 1, dtype=bool), math.inf
-    for act in stepper.acts:
-        if acting.isdisjoint(act.switches):
-            continue
+    switched = _switched(stepper)
+    for act in {act: None for name in acting for act in switched.get(name, ())}:
         if act.effect.slot in INSIDE_LOOP and not loops[0].is_physical:
             raise DesignError(
                 f"a servo of order {order} with {len(transfer.numerator) - 1} zeros has no {act.effect.name}: "
@@ -165,8 +163,21 @@ def _machine(
         fastest = max(loop.natural_rad_s for loop in loops)
         longest_s = min(longest_s, max(_FASTEST_TIMES_STEP / fastest, _SHORTEST_S))
     facts = np.array([[o.gain, o.error_s, o.per_error, float(o.leaves), float(o.filters)] for o in loops])
-    stacked = (np.stack([getattr(o, name) for o in loops]) for name in ("a", "b", "steps", "rest"))
+    each_of = ([getattr(o, name) for o in loops] for name in ("a", "b", "steps", "rest"))
+    stacked = (np.array(one) if len(one) > 1 else one[0][None] for one in each_of)  # of one servo they are not copied
     return Machine(stepper, tuple(loops), sizes, acts, min(longest_s, 1.0) / finer, (facts, *stacked))
+
+
+@lru_cache(maxsize=8)
+def _switched(stepper: Stepper) -> dict[str, list[Act]]:
+    """What acts where a field is not off."""
+    return {name: [act for act in stepper.acts if name in act.switches] for name in stepper.fields}
+
+
+@lru_cache(maxsize=8)
+def _where(stepper: Stepper) -> dict[str, int]:
+    """Where each field stands among the sizes."""
+    return {field: k for k, field in enumerate(stepper.fields)}
 
 
 def _of_first_order(physics: Physics) -> Physics:
@@ -197,11 +208,20 @@ def around(context: Context, at_s: FloatArray, physics: Physics, power: FloatArr
 def received(physics: Physics, commands: Commands) -> Commands:
     """Commands as they reach a servo: delayed, in steps, in pulse frames; by every effect on them, in their order."""
     acting = {name for name, _ in physics}
-    for effect in everything():
-        switches = {f for p in effect.parameters if not p.aside for f in p.fields}
-        if effect.slot is Slot.EVENTS and effect.act is not None and not acting.isdisjoint(switches):
+    for effect, switches in _on_commands(everything()):
+        if effect.act is not None and not acting.isdisjoint(switches):
             commands = effect.act(commands, *(getattr(physics, name) for name in effect.sees))
     return commands
+
+
+@lru_cache(maxsize=8)
+def _on_commands(effects: tuple[type[Effect], ...]) -> tuple[tuple[type[Effect], frozenset[str]], ...]:
+    """Effects on the commands, each with the sizes of which one at least is not off where it acts."""
+    return tuple(
+        (effect, frozenset(f for p in effect.parameters if not p.aside for f in p.fields))
+        for effect in effects
+        if effect.slot is Slot.EVENTS
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

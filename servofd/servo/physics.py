@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from servofd.servo.catalogue import everything, fields_of
@@ -11,6 +12,7 @@ from servofd.servo.loop import INSIDE, Scales
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from servofd.servo.effect import Effect
     from servofd.servo.transfer import TransferFunction
 
 RATE_FIELDS = (
@@ -25,19 +27,20 @@ RATE_FIELDS = (
     "deg_s_per_v",
 )
 """Sizes that limit a speed."""
+_SCALES = ("bandwidth_scale", "slow_scale", "pair_scale", "damping_scale", "slow_place", "torque_share")
 _BESIDE = {"slow_place": INSIDE, "run_slope": 0.0, "run_field": 0.0, "run_condition": 0.0}
 """Where the slow pole of a servo of three acts, and of a size that goes with a condition of the runs by how much it is
 larger in the run with the largest value than in the mean one, which size, and which condition."""
 
 
-def _off(field: str) -> float:
-    """Size of a field of a servo without effects."""
-    known = fields_of(everything())
-    if field in known:
-        return known[field]
-    if field in _BESIDE:
-        return _BESIDE[field]
-    raise AttributeError(f"no effect has a size {field!r}")
+@lru_cache(maxsize=8)
+def _off(effects: tuple[type[Effect], ...]) -> Mapping[str, float]:
+    """Sizes of a servo without effects."""
+    return {**_BESIDE, **fields_of(effects)}
+
+
+def _unknown(field: str) -> AttributeError:
+    return AttributeError(f"no effect has a size {field!r}")
 
 
 class Physics:
@@ -56,13 +59,21 @@ class Physics:
     _sizes: dict[str, float]
 
     def __init__(self, **sizes: float) -> None:
-        object.__setattr__(self, "_sizes", {name: float(v) for name, v in sizes.items() if v != _off(name)})
+        off = _off(everything())
+        if not sizes.keys() <= off.keys():
+            raise _unknown(next(name for name in sizes if name not in off))
+        object.__setattr__(self, "_sizes", {name: float(v) for name, v in sizes.items() if v != off[name]})
 
     def __getattr__(self, field: str) -> float:
         if field.startswith("__"):  # what pickle asks for
             raise AttributeError(field)
-        sizes = object.__getattribute__(self, "_sizes")
-        return sizes[field] if field in sizes else _off(field)
+        sizes: dict[str, float] = object.__getattribute__(self, "_sizes")
+        if field in sizes:
+            return sizes[field]
+        off = _off(everything())
+        if field not in off:
+            raise _unknown(field)
+        return off[field]
 
     def __setattr__(self, field: str, value: float) -> None:
         raise AttributeError(f"{field} of a servo cannot be changed; _replace makes another one")
@@ -99,17 +110,20 @@ class Physics:
     @property
     def scales(self) -> Scales:
         """How its poles differ from those of its type."""
-        return Scales(
-            self.bandwidth_scale, self.slow_scale, self.pair_scale, self.damping_scale, self.slow_place, self.torque_share
-        )
+        off, sizes = _off(everything()), self._sizes
+        return Scales(*(sizes.get(name, off[name]) for name in _SCALES))
 
     @property
     def needs(self) -> frozenset[str]:
         """What of the servo's surroundings its effects depend on."""
-        acting = {name for name, _ in self}
-        return frozenset(
-            need for e in everything() for need in e.needs if any(set(p.fields) & acting for p in e.parameters if not p.aside)
-        )
+        return _needs(frozenset(self._sizes), everything())
+
+
+@lru_cache(maxsize=512)
+def _needs(acting: frozenset[str], effects: tuple[type[Effect], ...]) -> frozenset[str]:
+    return frozenset(
+        need for e in effects for need in e.needs if any(acting.intersection(p.fields) for p in e.parameters if not p.aside)
+    )
 
 
 def loose_shares() -> Mapping[str, float]:
@@ -120,7 +134,12 @@ def loose_shares() -> Mapping[str, float]:
     >>> loose_shares()["backlash_deg"]
     0.5
     """
-    return {field: p.loose for e in everything() for p in e.parameters if p.loose > 0.0 for field in p.fields}
+    return _loose_shares(everything())
+
+
+@lru_cache(maxsize=8)
+def _loose_shares(effects: tuple[type[Effect], ...]) -> Mapping[str, float]:
+    return {field: p.loose for e in effects for p in e.parameters if p.loose > 0.0 for field in p.fields}
 
 
 @dataclass(frozen=True, slots=True)
