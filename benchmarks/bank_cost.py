@@ -91,9 +91,7 @@ def _classification_ms(kind: str, length_s: float) -> float:
 def _window(kind: str, length_s: float) -> Window:
     log = judged(flight(0, "lively", kind, "large"))
     truth = log.flight.truth
-    commands = commands_at_servo(
-        log.segment, log.generator.model.delay_s, log.generator.longest_gap_s(log.segment)
-    )
+    commands = commands_at_servo(log.segment, log.generator.model.delay_s, log.generator.longest_gap_s(log.segment))
     noise = noise_deg(log.residuals.error_deg[log.residuals.settled])
     start_s = truth.start_s if truth else 0.0
     at = int(np.searchsorted(log.residuals.time_s, start_s))

@@ -45,7 +45,7 @@ def has_compiler() -> bool:
 
 def made_by() -> str:
     """Compiler and processor that kept machine code is for."""
-    from llvmlite.binding import get_host_cpu_name
+    from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 
     return f"numba {numba.__version__}, Python {sys.version_info[:3]}, {get_host_cpu_name()}"
 

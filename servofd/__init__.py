@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit as SurfaceAudit
     from servofd.discrepancy.explanation import Explanation as Explanation
     from servofd.discrepancy.explanation import explain_gap as explain_gap
-    from servofd.servo.effect import Effect as Effect
-    from servofd.servo.effect import Parameter as Parameter
-    from servofd.servo.effect import Slot as Slot
     from servofd.fleet.run import audit_logs as audit_logs
     from servofd.identification.result import Identification as Identification
     from servofd.jobs.explaining import explain_logs as explain_logs
@@ -39,6 +36,9 @@ if TYPE_CHECKING:
     from servofd.results import explain as explain
     from servofd.results import identify as identify
     from servofd.results import trend as trend
+    from servofd.servo.effect import Effect as Effect
+    from servofd.servo.effect import Parameter as Parameter
+    from servofd.servo.effect import Slot as Slot
     from servofd.servo.library import Servo as Servo
     from servofd.servo.library import library as library
     from servofd.servo.library import servo_named as servo_named

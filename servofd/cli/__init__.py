@@ -29,7 +29,20 @@ if TYPE_CHECKING:
 __all__ = ["build_parser", "interruptible", "main", "parsed"]
 
 _SIMULATING = frozenset(
-    ("audit", "calibrate", "explain", "fleet", "identify", "monitor", "odds", "onboard", "serve", "simulate", "sweep", "trend")
+    (
+        "audit",
+        "calibrate",
+        "explain",
+        "fleet",
+        "identify",
+        "monitor",
+        "odds",
+        "onboard",
+        "serve",
+        "simulate",
+        "sweep",
+        "trend",
+    )
 )
 """Verbs that simulate servos."""
 _INTERRUPTED = 128 + signal.SIGINT
@@ -103,7 +116,7 @@ def _prepare() -> None:
     """Have compiled what a fresh machine compiles once."""
     from servofd.servo.prepare import compile_ahead
 
-    compile_ahead(lambda sentence: print(sentence, file=sys.stderr, flush=True))  # noqa: T201 - to who waits
+    compile_ahead(lambda sentence: print(sentence, file=sys.stderr, flush=True))
 
 
 def parsed(words: Sequence[str]) -> Options:

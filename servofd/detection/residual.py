@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from logparsers.records import own
 from servofd.aircraft.series import pace_steps
 from servofd.core.errors import DesignError
+from servofd.core.loops import compiled, fixed, inlined, inner
 from servofd.core.series import latest, subdivided
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.servo.context import NO_CONTEXT, Context
-from servofd.core.loops import compiled, fixed, inlined, inner
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
@@ -62,6 +62,7 @@ one is shorter than the last share of the median, as some are where commands com
 
 _SAME_STEP_S = 1e-7
 """Steps this close share their weights: a filter changes by less than 1e-5 of its input."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commands:

@@ -20,8 +20,7 @@ from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.validity import check, clear_of, driven, share_followed
 from servofd.servo.catalogue import is_built_in, plain, told_apart
-from servofd.servo.loop import AFTER, BEFORE, split
-from servofd.servo.loop import scaled
+from servofd.servo.loop import AFTER, BEFORE, scaled, split
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -123,9 +122,7 @@ class Elsewhere:
         return asdict(self)
 
 
-def judged_elsewhere(
-    path: str, segment: Series, model: ServoModel, physics: Physics
-) -> Elsewhere:
+def judged_elsewhere(path: str, segment: Series, model: ServoModel, physics: Physics) -> Elsewhere:
     """Errors of the servo as it was known, and with the effects that were found in another flight.
 
     Parameters

@@ -343,9 +343,7 @@ class Fitter:
             slow_scale=fast, pair_scale=total / product / max(by_pair_s + by_slow_s, 0.5 * by_pair_s), damping_scale=1.0
         )
 
-    def screened(
-        self, base: Fit, slopes: FloatArray, effect: type[Effect], place: float
-    ) -> tuple[float, Physics]:
+    def screened(self, base: Fit, slopes: FloatArray, effect: type[Effect], place: float) -> tuple[float, Physics]:
         """Best misfit that a coarse grid of one more effect reaches, and the servo there.
 
         What is fitted already gives way as far as its slopes tell.

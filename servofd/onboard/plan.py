@@ -247,7 +247,9 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         command=_polynomial(surface),
         position=(scale, offset_deg - physics.bias_deg),
         saturation_deg=surface.command_saturation_deg,
-        stops_deg=(physics.lower_deg, physics.upper_deg) if math.isfinite(physics.upper_deg - physics.lower_deg) else None,
+        stops_deg=(physics.lower_deg, physics.upper_deg)
+        if math.isfinite(physics.upper_deg - physics.lower_deg)
+        else None,
         delay_s=physics.delay_s + physics.lag_s + physics.offset_s + 0.5 * physics.frame_s,
         modes=modes,
         dc_gain=model.transfer.dc_gain,
@@ -278,11 +280,7 @@ def _output(surface: Surface) -> int:
 
 def _beyond(physics: Physics) -> list[str]:
     """Effects of a servo that the script can neither simulate nor allow for."""
-    return [
-        field.removesuffix("_deg")
-        for field, _ in physics
-        if field not in _KNOWN and field not in _WIDTHS
-    ]
+    return [field.removesuffix("_deg") for field, _ in physics if field not in _KNOWN and field not in _WIDTHS]
 
 
 def _losses(aircraft: Aircraft, name: str) -> list[str]:

@@ -15,50 +15,110 @@ from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.servo.effect import Effect, Parameter
 from servofd.servo.effects.commands import (
     ClockOffset as ClockOffset,
+)
+from servofd.servo.effects.commands import (
     CommandSteps as CommandSteps,
+)
+from servofd.servo.effects.commands import (
     Delay as Delay,
+)
+from servofd.servo.effects.commands import (
     PwmFrame as PwmFrame,
+)
+from servofd.servo.effects.commands import (
     SetPointRate as SetPointRate,
 )
 from servofd.servo.effects.linkage import (
     Backlash as Backlash,
+)
+from servofd.servo.effects.linkage import (
     Gain as Gain,
+)
+from servofd.servo.effects.linkage import (
     LinkageNonlinearity as LinkageNonlinearity,
+)
+from servofd.servo.effects.linkage import (
     PositionLimit as PositionLimit,
+)
+from servofd.servo.effects.linkage import (
     RateLimit as RateLimit,
+)
+from servofd.servo.effects.linkage import (
     Resonance as Resonance,
 )
 from servofd.servo.effects.motor import (
     AsymmetricRate as AsymmetricRate,
+)
+from servofd.servo.effects.motor import (
     CurrentLimit as CurrentLimit,
+)
+from servofd.servo.effects.motor import (
     DeadBand as DeadBand,
+)
+from servofd.servo.effects.motor import (
     InsensitiveBand as InsensitiveBand,
+)
+from servofd.servo.effects.motor import (
     MotorRate as MotorRate,
+)
+from servofd.servo.effects.motor import (
     VoltageRate as VoltageRate,
 )
 from servofd.servo.effects.own import (
     Damping as Damping,
+)
+from servofd.servo.effects.own import (
     Poles as Poles,
+)
+from servofd.servo.effects.own import (
     PolesAfter as PolesAfter,
+)
+from servofd.servo.effects.own import (
     PolesBefore as PolesBefore,
+)
+from servofd.servo.effects.own import (
     SlowDynamics as SlowDynamics,
 )
 from servofd.servo.effects.sensor import (
     Bias as Bias,
+)
+from servofd.servo.effects.sensor import (
     Quantization as Quantization,
+)
+from servofd.servo.effects.sensor import (
     SensorLag as SensorLag,
+)
+from servofd.servo.effects.sensor import (
     SupplyCoupling as SupplyCoupling,
 )
 from servofd.servo.effects.shaft import (
     AirLoad as AirLoad,
+)
+from servofd.servo.effects.shaft import (
     ExternalLoad as ExternalLoad,
+)
+from servofd.servo.effects.shaft import (
     Friction as Friction,
+)
+from servofd.servo.effects.shaft import (
     GravityLoad as GravityLoad,
+)
+from servofd.servo.effects.shaft import (
     LoadFriction as LoadFriction,
+)
+from servofd.servo.effects.shaft import (
     ServoStop as ServoStop,
+)
+from servofd.servo.effects.shaft import (
     ShaftSpeed as ShaftSpeed,
+)
+from servofd.servo.effects.shaft import (
     ShaftSpeedBySupply as ShaftSpeedBySupply,
+)
+from servofd.servo.effects.shaft import (
     StribeckFriction as StribeckFriction,
+)
+from servofd.servo.effects.shaft import (
     TiltedLoad as TiltedLoad,
 )
 

@@ -215,7 +215,11 @@ class Effect:
         given = {**dict(zip(names, values, strict=False)), **named}
         for p in self.parameters:
             value = given.get(p.name, p.off)
-            if math.isnan(value) or (p.low >= 0.0 and value < 0.0) or (p.low > 0.0 and value == 0.0 and p.name in given):
+            if (
+                math.isnan(value)
+                or (p.low >= 0.0 and value < 0.0)
+                or (p.low > 0.0 and value == 0.0 and p.name in given)
+            ):
                 bound = "positive" if p.low > 0.0 else "zero or more" if p.low == 0.0 else "a number"
                 raise ConfigError(f"{self.name}: {p.name} must be {bound}, not {value:g}")
         self.values: tuple[float, ...] = tuple(float(given.get(p.name, p.off)) for p in self.parameters)

@@ -38,8 +38,12 @@ if TYPE_CHECKING:
 STEPPED = (Slot.COMMAND, Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED, Slot.STOP, Slot.OUTPUT, Slot.READING)
 """Slots whose effects are compiled, in their order."""
 INSIDE_LOOP = STEPPED[:6]
-_ADVANCE, _ADVANCE_ANY, _RUN = "def advance(", "def advance_any(", "def run("
-_COMPILED = {"nudge": "inlined", "advance": "inlined", "advance_any": "inner", "run": "outer"}
+_BY_STATES = ("advance", "departs")
+"""Functions that are there for three states, and in another form for any number."""
+_COMPILED = {
+    "nudge": "inlined", "advance": "inlined", "advance_any": "inner", "departs": "inlined", "departs_any": "inner",
+    "run": "outer",
+}  # fmt: skip
 _BEGIN, _END = "# Slots begin here.\n", "# Slots end here.\n"
 _SEEN_FROM_OUTSIDE = "GAIN = BIAS = -1"
 
@@ -90,9 +94,7 @@ def _acts_of(effects: Sequence[type[Effect]]) -> tuple[tuple[Act, ...], int]:
 
 
 @lru_cache(maxsize=8)
-def stepper_of(
-    effects: tuple[type[Effect], ...], *, any_order: bool = False, is_compiled: bool = True
-) -> Stepper:
+def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is_compiled: bool = True) -> Stepper:
     """The stepper for some effects, and servos of three states or of any number.
 
     It is compiled, and the machine code kept in the user's cache folder; without a compiler, or where `is_compiled` is
@@ -171,7 +173,8 @@ class _Source:
     @property
     def is_plain(self) -> bool:
         """Whether it returns at its end alone, so that it can stand where it is called: to compile a function costs
-        0.1 s, whatever it does."""
+        0.1 s, whatever it does.
+        """
         returns = [node for node in ast.walk(self.tree) if isinstance(node, ast.Return)]
         return len(returns) == 1 and self.tree.body[-1] is returns[0]
 
@@ -238,19 +241,24 @@ def text_of(acts: Sequence[Act], off: Mapping[str, float], *, any_order: bool = 
     before, rest = source.split(_BEGIN)
     _, after = rest.split(_END)
     fields = list(off)
-    where = {name: fields.index(field) if field in fields else -1 for name, field in (("GAIN", "gain"), ("BIAS", "bias_deg"))}
+    where = {
+        name: fields.index(field) if field in fields else -1 for name, field in (("GAIN", "gain"), ("BIAS", "bias_deg"))
+    }
     before = before.replace(_SEEN_FROM_OUTSIDE, "\n".join(f"{name} = {k}" for name, k in where.items()))
-    before = before.replace("from servofd.core.types", "from logparsers.compiled import compile_steps\nfrom servofd.core.types")
+    before = before.replace(
+        "from servofd.core.types", "from logparsers.compiled import compile_steps\nfrom servofd.core.types"
+    )
     sources = [_Source.of(act, number) for number, act in enumerate(acts)]
     functions = [each.function for each in sources if not each.is_plain]
     functions += [_slot(slot, sources, off) for slot in STEPPED]
     functions.append(_rest(sources, off))
     slots = "\n\n".join(f"@compile_steps(kind='inlined')\n{each}" for each in functions)
-    begin, end = (_ADVANCE, _ADVANCE_ANY) if any_order else (_ADVANCE_ANY, _RUN)
-    unused = after[after.index(begin) : after.index(end)]
-    after = after.replace(unused, "")
-    if any_order:
-        after = after.replace("advance(x, v,", "advance_any(x, v,")
+    for name in _BY_STATES:
+        unused = name if any_order else f"{name}_any"
+        begin = after.index(f"def {unused}(")
+        after = after[:begin] + after[after.index("\ndef ", begin) + 1 :]
+        if any_order:
+            after = after.replace(f" {name}(x, v,", f" {name}_any(x, v,")
     for name, kind in _COMPILED.items():
         after = after.replace(f"\ndef {name}(", f"\n@compile_steps(kind={kind!r})\ndef {name}(")
     return f"{before}{slots}\n{after}"

@@ -4,9 +4,9 @@ With k = ωn², c = 2ζωn of the fast pair and the slow pole a of a servo of th
 and a third one, w; docs/explain.md, equations E1 to E4:
 
 ==========  ==================================================================================================
-before      y' = v,  v' = −k y − c v + k w,  w' = a (u − w): the slow pole filters the command
-inside      y' = v,  v' = −(a₂ − q) v + w,  w' = −K y − (a₁ − (a₂ − q) q) v − q w + K u: w is the motor's torque
-after       y' = v,  v' = −k y − c v + k u,  w' = a (y − w): it filters what the loop moves
+before      y' = v,  v' = -k y - c v + k w,  w' = a (u - w): the slow pole filters the command
+inside      y' = v,  v' = -(a₂ - q) v + w,  w' = -K y - (a₁ - (a₂ - q) q) v - q w + K u: w is the motor's torque
+after       y' = v,  v' = -k y - c v + k u,  w' = a (y - w): it filters what the loop moves
 ==========  ==================================================================================================
 
 A constant `push` adds to the error that drives the loop, a constant `pull` to the acceleration. A servo with zeros or
@@ -137,7 +137,7 @@ class _Poles(NamedTuple):
 def _poles(denominator: tuple[float, ...], scales: Scales) -> _Poles:
     """Poles of a servo of one to three, scaled."""
     slow, total, product = _as_known(denominator)
-    if len(denominator) > 2:  # noqa: PLR2004 - one pole is not damped
+    if len(denominator) > 2:
         total *= scales.damping
     slow, total, product = _Poles(slow, total, product).in_order()
     pair = scales.pair * scales.bandwidth
@@ -232,7 +232,7 @@ def _physical(order: int, poles: _Poles, scales: Scales) -> tuple[FloatArray, Fl
         a[0, 0], b[0] = -stiffness, (stiffness, stiffness, 1.0)
         return a, b, _Facts(1.0 / stiffness, stiffness, 0, False, stretch, stiffness)
     a[0, 1] = 1.0
-    if order == 2 or scales.place != INSIDE:  # noqa: PLR2004 - poles
+    if order == 2 or scales.place != INSIDE:
         slow, damping, stiffness = poles.in_order()
         a[1, :2], b[1] = (-stiffness, -damping), (stiffness, stiffness, 1.0)
         filters = order == _PHYSICAL and scales.place == BEFORE
@@ -255,12 +255,12 @@ def _canonical(transfer: TransferFunction) -> tuple[FloatArray, FloatArray, _Fac
     n = bottom.size - 1
     top = np.zeros(n)
     top[n - len(transfer.numerator) :] = np.array(transfer.numerator) / transfer.denominator[0]
-    a = np.eye(n, k=1)
+    a: FloatArray = np.eye(n, k=1)
     a[:, 0] = -bottom[1:]
     b = np.zeros((n, 3))
     b[:, 0] = top
     fastest = float(np.abs(transfer.poles_rad_s).max())
-    return a, b, _Facts(float(bottom[-2] / bottom[-1]), float(bottom[-1]), 0, False, np.arange(n) * 1.0, fastest)
+    return a, b, _Facts(float(bottom[-2] / bottom[-1]), float(bottom[-1]), 0, False, np.arange(n, dtype=np.float64), fastest)
 
 
 def _steps(a: FloatArray, b: FloatArray, grid_s: float, count: int) -> FloatArray:

@@ -122,7 +122,10 @@ class Physics:
 @lru_cache(maxsize=512)
 def _needs(acting: frozenset[str], effects: tuple[type[Effect], ...]) -> frozenset[str]:
     return frozenset(
-        need for e in effects for need in e.needs if any(acting.intersection(p.fields) for p in e.parameters if not p.aside)
+        need
+        for e in effects
+        for need in e.needs
+        if any(acting.intersection(p.fields) for p in e.parameters if not p.aside)
     )
 
 
@@ -158,4 +161,4 @@ class Plant:
     @property
     def has_places(self) -> bool:
         """Whether its slow pole may act elsewhere: one of three, and real."""
-        return len(self.transfer.denominator) == 4  # noqa: PLR2004 - coefficients of three poles
+        return len(self.transfer.denominator) == 4

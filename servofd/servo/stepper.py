@@ -13,6 +13,7 @@ what their effects remember; the first column of `m` is what left each servo las
 from __future__ import annotations
 
 import math
+
 from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.effect import Now
 
@@ -161,6 +162,19 @@ def advance_any(
                 x[v, i] += part * x[v, n + i]
 
 
+def departs(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: float) -> float:
+    """Speed of one of three states of the servo v."""
+    return (a[v, 3 * out] * x[v, 0] + a[v, 3 * out + 1] * x[v, 1]) + (a[v, 3 * out + 2] * x[v, 2] + b[v, 3 * out] * u)
+
+
+def departs_any(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: float) -> float:
+    """Speed of one of n states."""
+    n, total = x.shape[1] // 3, b[v, 3 * out] * u
+    for j in range(n):
+        total += a[v, n * out + j] * x[v, j]
+    return total
+
+
 def run(
     p: FloatArray,
     acts: BoolArray,
@@ -214,7 +228,7 @@ def run(
     speed_deg_s : ndarray, shape (k,) or (0,)
         Speed of the first shaft.
     """
-    commands, instants, count, states = effective_s.size, at_s.size, p.shape[0], x.shape[1] // 3
+    commands, instants, count = effective_s.size, at_s.size, p.shape[0]
     now_s, u, s, commanded = clock[0], clock[1], clock[2], clock[3] > 0.0
     commanding, erring, loaded, grips, races, stops, hangs, reads, bends = (
         acts[0], acts[1], acts[2], acts[3], acts[4], acts[5], acts[6], acts[7], acts[8],
@@ -274,9 +288,7 @@ def run(
                     gain, error_s, per_error = facts[v, 0], facts[v, 1], facts[v, 2]
                     away, out, was, parted = 0.0, int(facts[v, 3]), 0.0, 0.0
                     if hangs:
-                        was, parted = x[v, out], b[v, 3 * out] * come
-                        for j in range(states):
-                            parted += a[v, states * out + j] * x[v, j]
+                        was, parted = x[v, out], departs(x, v, a, b, out, come)
                     if not inside:
                         advance(x, v, a, b, steps, grid_s, h, come, s)
                         shaft = x[v, out]
@@ -284,7 +296,18 @@ def run(
                         y, fast, w = x[v, 0], x[v, 1], x[v, 2]
                         middle = y + 0.5 * h * fast
                         now = Now(
-                            at, h, middle * gain, fast * gain, error_s, 0.0, 0.0, pressure, supply, power, current, external
+                            at,
+                            h,
+                            middle * gain,
+                            fast * gain,
+                            error_s,
+                            0.0,
+                            0.0,
+                            pressure,
+                            supply,
+                            power,
+                            current,
+                            external,
                         )
                         wanted, slope = come, s
                         if commanding:  # its mean over the step
@@ -339,14 +362,12 @@ def run(
                             if kept != y1:
                                 y1, v1 = kept, 0.0
                         if not abs(y1) < _FAR_DEG:
-                            y1, v1 = min(max(y1, -_FAR_DEG), _FAR_DEG) if y1 == y1 else 0.0, 0.0
-                            w1 = 0.0
+                            y1 = 0.0 if math.isnan(y1) else min(max(y1, -_FAR_DEG), _FAR_DEG)
+                            v1 = w1 = 0.0
                         x[v, 0], x[v, 1], x[v, 2] = y1, v1, w1
                         shaft = x[v, out]
                     if hangs:
-                        arriving = b[v, 3 * out] * (come + s * h)
-                        for j in range(states):
-                            arriving += a[v, states * out + j] * x[v, j]
+                        arriving = departs(x, v, a, b, out, come + s * h)
                         middle = 0.5 * (was + shaft) + 0.125 * h * (parted - arriving)  # of a cubic
                         then = Now(
                             at, h, middle * gain, parted * gain, error_s, 0.0, away,
@@ -355,8 +376,7 @@ def run(
                         m[v, 0] = output(shaft * gain, then, p, v, m)
         if left > NO_STEP_S:
             u += s * left
-        if until > now_s:  # of a stamp that goes back, or is none, nothing is known
-            now_s = until
+        now_s = max(now_s, until)  # of a stamp that goes back, or is none, nothing is known
         if arrives:
             u, s, commanded = command_deg[c], slope_deg_s[c], True
             c += 1

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from servofd.servo.loop_steps import ROW
+from servofd.servo.position_loop import framed, new_memory, run
 
 from servofd.core.types import FloatArray
 from servofd.servo import position_loop
 from servofd.servo.library import servo_named
-from servofd.servo.loop_steps import ROW
 from servofd.servo.physics import AFTER, BEFORE, Physics, Plant, longest_step_s
-from servofd.servo.position_loop import framed, new_memory, run
 from servofd.servo.transfer import TransferFunction
 from tests.laws.slow_loop import SlowLoop
 

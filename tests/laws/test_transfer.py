@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from servofd.servo.loop_steps import ROW
 
 from servofd.core.errors import DesignError
 from servofd.servo.faults import Floating
 from servofd.servo.library import library, servo_named
-from servofd.servo.loop_steps import ROW
 from servofd.servo.motion import ExtendedMotion, ExtendedServo
 from servofd.servo.physics import Physics, Plant, longest_step_s, scaled_transfer
 from servofd.servo.servo_model import ServoModel, plant_of

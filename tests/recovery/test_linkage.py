@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import lsim
 
 from servofd.aircraft.series import Series
+from servofd.core.loops import play
 from servofd.core.types import FloatArray
 from servofd.discrepancy.record import record_of, simulate
-from servofd.core.loops import play
 from servofd.servo.library import servo_named
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel

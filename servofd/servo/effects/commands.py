@@ -81,7 +81,7 @@ class CommandGain(Effect):
     parameters = (Parameter("gain", ("command_gain",), 0.05, 3.0, 1.0, 0.15),)
 
     @staticmethod
-    def act(x: float, now: Now, gain: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, gain: float) -> float:
         return gain * x
 
 

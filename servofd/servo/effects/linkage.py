@@ -30,7 +30,7 @@ class RateLimit(Effect):
 
     def __init__(self, rate_limit_deg_s: float = math.inf, rate_down_deg_s: float | None = None) -> None:
         super().__init__(rate_limit_deg_s)
-        self.down_deg_s = rate_limit_deg_s if rate_down_deg_s is None else RateLimit(rate_down_deg_s).down_deg_s
+        self.down_deg_s: float = self.values[0] if rate_down_deg_s is None else RateLimit(rate_down_deg_s).values[0]
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -156,14 +156,12 @@ class LinkageNonlinearity(Effect):
 
     name, slot, rank = "linkage_nonlinearity", Slot.OUTPUT, 32
     parameters = (
-        Parameter(
-            "quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1
-        ),
+        Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1),
         Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4), travel_power=2),
     )
 
     @staticmethod
-    def act(x: float, now: Now, quadratic: float, cubic: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, quadratic: float, cubic: float) -> float:
         return x * (1.0 + x * (quadratic + x * cubic))
 
 
@@ -174,7 +172,7 @@ class Gain(Effect):
     parameters = (Parameter("gain", ("gain",), 0.2, 2.0, 1.0, 0.03, (0.8, 0.95, 1.05, 1.2)),)
 
     @staticmethod
-    def act(x: float, now: Now, gain: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, gain: float) -> float:
         return gain * x
 
 
@@ -193,5 +191,5 @@ class PositionLimit(Effect):
         self.values = (float(lower_deg), float(upper_deg))
 
     @staticmethod
-    def act(x: float, now: Now, lower_deg: float, upper_deg: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, lower_deg: float, upper_deg: float) -> float:
         return min(max(x, lower_deg), upper_deg)

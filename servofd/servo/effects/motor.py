@@ -23,7 +23,7 @@ class DeadBand(Effect):
     parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
 
     @staticmethod
-    def act(x: float, now: Now, width_deg: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, width_deg: float) -> float:
         return max(x - 0.5 * width_deg, 0.0) + min(x + 0.5 * width_deg, 0.0)
 
 
@@ -35,7 +35,7 @@ class InsensitiveBand(Effect):
     parameters = (Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
 
     @staticmethod
-    def act(x: float, now: Now, width_deg: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, width_deg: float) -> float:
         return 0.0 if abs(x) < 0.5 * width_deg else x
 
 
@@ -52,7 +52,7 @@ class CurrentLimit(Effect):
     )
 
     @staticmethod
-    def act(x: float, now: Now, knee_deg: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, knee_deg: float) -> float:
         return x / math.sqrt(1.0 + abs(x) / knee_deg)
 
 
@@ -87,9 +87,7 @@ class VoltageRate(Effect):
 
     name, slot, fixed, rank = "voltage_rate", Slot.ERROR, UNFOLLOWED, 19
     needs = ("servo_voltage_v",)
-    parameters = (
-        Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),
-    )
+    parameters = (Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),)
 
     @staticmethod
     def act(x: float, now: Now, deg_s_per_v: float) -> float:

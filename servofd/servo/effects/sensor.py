@@ -14,9 +14,7 @@ class SensorLag(Effect):
     name, slot, rank, memory = "sensor_lag", Slot.OUTPUT, 17, 2
     longest_s = 2.5e-3
     parameters = (
-        Parameter(
-            "time_constant_s", ("lag_s",), 0.0, 1.0, 0.0, 0.01, (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25)
-        ),
+        Parameter("time_constant_s", ("lag_s",), 0.0, 1.0, 0.0, 0.01, (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25)),
     )
 
     @staticmethod
@@ -36,7 +34,7 @@ class Bias(Effect):
     parameters = (Parameter("bias_deg", ("bias_deg",), -30.0, 30.0, 0.0, 0.3, (-1.0, 1.0)),)
 
     @staticmethod
-    def act(x: float, now: Now, bias_deg: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, bias_deg: float) -> float:
         return x + bias_deg
 
 
@@ -59,5 +57,5 @@ class Quantization(Effect):
     parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
 
     @staticmethod
-    def act(x: float, now: Now, step_deg: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, step_deg: float) -> float:
         return step_deg * math.floor(x / step_deg + 0.5)

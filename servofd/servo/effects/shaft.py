@@ -146,7 +146,7 @@ class ShaftSpeed(Effect):
     )
 
     @staticmethod
-    def act(x: float, now: Now, up_deg_s: float, down_deg_s: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, up_deg_s: float, down_deg_s: float) -> float:
         return min(max(x, -down_deg_s), up_deg_s)
 
 
@@ -171,10 +171,12 @@ class ServoStop(Effect):
 
     name, slot, form, rank = "position_limit", Slot.STOP, "servo", 11
     parameters = (
-        Parameter("lower_deg", ("stop_lower_deg",), -90.0, 0.0, -90.0, 2.0, (-15.0, -10.0, -6.0, -4.0, -2.0), -math.inf),
+        Parameter(
+            "lower_deg", ("stop_lower_deg",), -90.0, 0.0, -90.0, 2.0, (-15.0, -10.0, -6.0, -4.0, -2.0), -math.inf
+        ),
         Parameter("upper_deg", ("stop_upper_deg",), 0.0, 90.0, 90.0, 2.0, (2.0, 4.0, 6.0, 10.0, 15.0), math.inf),
     )
 
     @staticmethod
-    def act(x: float, now: Now, lower_deg: float, upper_deg: float) -> float:  # noqa: ARG004
+    def act(x: float, now: Now, lower_deg: float, upper_deg: float) -> float:
         return min(max(x, lower_deg), upper_deg)
