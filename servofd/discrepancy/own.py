@@ -9,7 +9,7 @@ from pathlib import Path
 
 from servofd.core.errors import ConfigError
 from servofd.servo.catalogue import include
-from servofd.servo.effect import Effect, Now, Slot
+from servofd.servo.effect import Effect
 from servofd.servo.generate import check
 
 

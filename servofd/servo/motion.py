@@ -20,7 +20,7 @@ from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.commands import Commands
 from servofd.servo.generate import INSIDE_LOOP, STEPPED, Act, Stepper, stepper_of
 from servofd.servo.loop import Loop, loop_of
-from servofd.servo.physics import RATE_FIELDS, Physics
+from servofd.servo.physics import Physics, rate_fields
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -140,9 +140,12 @@ def _machine(
         variants = tuple(_of_first_order(each) for each in variants)
     acting = {name for each in variants for name, _ in each}
     loops = [loop_of(transfer, each.scales) for each in variants]
-    stepper = stepper_of(effects, any_order=loops[0].rest.size != 3)  # noqa: PLR2004 - states
+    stepper = stepper_of(effects, any_order=loops[0].rest.size != 3)
     grid_s = min(loop.grid_s for loop in loops)
-    loops = [loop if loop.grid_s == grid_s else loop_of(transfer, v.scales, grid_s) for loop, v in zip(loops, variants, strict=True)]
+    loops = [
+        loop if loop.grid_s == grid_s else loop_of(transfer, v.scales, grid_s)
+        for loop, v in zip(loops, variants, strict=True)
+    ]
     sizes, where = np.array([stepper.off] * len(variants)), _where(stepper)
     for row, each in zip(sizes, variants, strict=True):
         for name, value in each:
@@ -286,7 +289,7 @@ def weaker(physics: Physics, share: float) -> Physics:
     >>> weaker(Physics(follow_up_deg_s=100.0), 0.2).follow_up_deg_s
     80.0
     """
-    return physics._replace(**{name: (1.0 - share) * getattr(physics, name) for name in RATE_FIELDS})
+    return physics._replace(**{name: (1.0 - share) * getattr(physics, name) for name in rate_fields()})
 
 
 def started_anew(
@@ -309,7 +312,9 @@ def started_anew(
     machine = machine_of(servo.transfer, (servo.physics,))
     commands = received(servo.physics, commands) if commands[0].size else commands
     beside = _around(servo, machine, at_s)
-    return machine.run(machine.new_state(), commands, at_s, anew=anew, measured_deg=measured_deg, around=beside)[0][:, 0]
+    return machine.run(machine.new_state(), commands, at_s, anew=anew, measured_deg=measured_deg, around=beside)[0][
+        :, 0
+    ]
 
 
 def _around(servo: AnyServo, machine: Machine, at_s: FloatArray) -> FloatArray:
@@ -382,7 +387,9 @@ class Motion:
         """Commands to come, shape (n,): when they reach the servo [s], what they ask for, and their slope; copied."""
         if not effective_s.size:
             return
-        new = received(self.servo.physics._replace(frame_s=0.0, frame_phase=0.0), (effective_s, command_deg, slope_deg_s))
+        new = received(
+            self.servo.physics._replace(frame_s=0.0, frame_phase=0.0), (effective_s, command_deg, slope_deg_s)
+        )
         at, deg, slope = (np.concatenate([old, each]) for old, each in zip(self._waiting, new, strict=True))
         self._waiting = at, deg, slope
 

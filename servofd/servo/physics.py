@@ -15,18 +15,6 @@ if TYPE_CHECKING:
     from servofd.servo.effect import Effect
     from servofd.servo.transfer import TransferFunction
 
-RATE_FIELDS = (
-    "rate_up_deg_s",
-    "rate_down_deg_s",
-    "speed_up_deg_s",
-    "speed_down_deg_s",
-    "speed_deg_s_per_v",
-    "follow_up_deg_s",
-    "follow_down_deg_s",
-    "set_point_deg_s",
-    "deg_s_per_v",
-)
-"""Sizes that limit a speed."""
 _SCALES = ("bandwidth_scale", "slow_scale", "pair_scale", "damping_scale", "slow_place", "torque_share")
 _BESIDE = {"slow_place": INSIDE, "run_slope": 0.0, "run_field": 0.0, "run_condition": 0.0}
 """Where the slow pole of a servo of three acts, and of a size that goes with a condition of the runs by how much it is
@@ -122,8 +110,16 @@ class Physics:
 @lru_cache(maxsize=512)
 def _needs(acting: frozenset[str], effects: tuple[type[Effect], ...]) -> frozenset[str]:
     return frozenset(
-        need for e in effects for need in e.needs if any(acting.intersection(p.fields) for p in e.parameters if not p.aside)
+        need
+        for e in effects
+        for need in e.needs
+        if any(acting.intersection(p.fields) for p in e.parameters if not p.aside)
     )
+
+
+def rate_fields() -> tuple[str, ...]:
+    """Sizes that limit a speed."""
+    return tuple(dict.fromkeys(f for e in everything() for p in e.parameters if p.limits_speed for f in p.fields))
 
 
 def loose_shares() -> Mapping[str, float]:
@@ -158,4 +154,4 @@ class Plant:
     @property
     def has_places(self) -> bool:
         """Whether its slow pole may act elsewhere: one of three, and real."""
-        return len(self.transfer.denominator) == 4  # noqa: PLR2004 - coefficients of three poles
+        return len(self.transfer.denominator) == 4
