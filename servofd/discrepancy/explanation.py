@@ -15,7 +15,7 @@ from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.locate import Block, blocks, sentences
 from servofd.discrepancy.noise import at_rest, noise_floor_deg, rest_sentence
 from servofd.discrepancy.record import joined, record_of, simulate
-from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, places_of, step_size_deg
+from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, step_size_deg
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.validity import check, clear_of, driven, share_followed
@@ -535,7 +535,7 @@ def linear_sentence(record: Record, selection: Selection) -> str:
 
 def form_of(effect: type[Effect], place: float) -> str | None:
     """Which machine an effect is, and on which side of the servo's slow pole it acts, where that matters."""
-    where = {BEFORE: "behind the slow pole", AFTER: "ahead of the slow pole"}.get(place) if places_of(effect) else None
+    where = {BEFORE: "behind the slow pole", AFTER: "ahead of the slow pole"}.get(place) if effect.places else None
     return "; ".join(filter(None, (effect.form, where))) or None
 
 

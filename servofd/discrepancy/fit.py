@@ -315,11 +315,11 @@ class Fitter:
         numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior and n.fields[0] in names]
         return any(abs(x) > _STRAIN for x in self._x(numbers, base.physics))
 
-    def smallest(self, parameter: Parameter, size: float) -> float:
+    def smallest(self, parameter: Parameter) -> float:
         """A size in degrees as this record is to be judged: of a drive that is off by micrometres, micrometres."""
         if self.record.free_poles and parameter.fields[0] == "delay_s":
             return _UNKNOWN_LATE_S
-        return size * self._scale(parameter)
+        return parameter.smallest * self._scale(parameter)
 
     def starts(self, base: Fit) -> list[Physics]:
         """Where a further effect may start: from what its own numbers came to, and from what is usual.

@@ -9,12 +9,10 @@ import numpy as np
 
 from servofd.core.statistics import MAD_TO_SIGMA, memory
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, comb_step_deg
-from servofd.servo.catalogue import Backlash, Bias, DeadBand, Friction, Gain, InsensitiveBand
 
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
-    from servofd.servo.effect import Effect
 
 _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""
@@ -144,11 +142,6 @@ def stepped_noise_deg(sigma_deg: float, step_deg: float) -> float:
     whole, rest = np.divmod(np.abs(nodes) * sigma_deg / step_deg, 1.0)
     squares = whole**2 + (2.0 * whole + 1.0) * rest
     return step_deg * float(np.sqrt(weights @ squares / weights.sum()))
-
-
-AT_REST: tuple[type[Effect], ...] = (Bias, Gain, Backlash, DeadBand, InsensitiveBand, Friction)
-"""Effects that show where a surface rests. The play of the linkage comes before that of the controller: it needs no
-more than a pull to be seen."""
 
 
 _SIGMAS = 4.0

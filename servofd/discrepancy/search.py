@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.detection.residual import Commands
 from servofd.discrepancy.fit import OWN_FIELDS, Fit, Fitter
-from servofd.discrepancy.noise import AT_REST, COARSE_STEP_DEG
+from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import liveliest, only, simulate
 from servofd.servo import catalogue
 from servofd.servo.catalogue import (
@@ -20,10 +20,10 @@ from servofd.servo.catalogue import (
     SlowDynamics,
     TiltedLoad,
     installed,
-    plain,
 )
+from servofd.servo.effect import Slot
 from servofd.servo.loop import AFTER, BEFORE, INSIDE, loop_of
-from servofd.servo.physics import RATE_FIELDS
+from servofd.servo.physics import rate_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,86 +33,18 @@ if TYPE_CHECKING:
     from servofd.servo.effect import Effect
     from servofd.servo.physics import Physics
 
-_PLACES: dict[type[Effect], tuple[float, ...]] = {
-    catalogue.DeadBand: (BEFORE, INSIDE, AFTER),
-    catalogue.InsensitiveBand: (BEFORE, INSIDE),
-    catalogue.Friction: (BEFORE, INSIDE, AFTER),
-    catalogue.StribeckFriction: (BEFORE, INSIDE, AFTER),
-    catalogue.MotorRate: (BEFORE, INSIDE, AFTER),
-    catalogue.AsymmetricRate: (BEFORE, INSIDE),
-    catalogue.ShaftSpeed: (BEFORE, AFTER, INSIDE),
-    catalogue.VoltageRate: (BEFORE, INSIDE, AFTER),
-    catalogue.ShaftSpeedBySupply: (BEFORE, AFTER, INSIDE),
-    catalogue.AirLoad: (BEFORE, INSIDE),
-    catalogue.GravityLoad: (BEFORE, INSIDE),
-    catalogue.TiltedLoad: (BEFORE, INSIDE),
-    catalogue.ExternalLoad: (BEFORE, INSIDE),
-    catalogue.LoadFriction: (BEFORE, INSIDE),
-    catalogue.CurrentLimit: (BEFORE, INSIDE),
-    catalogue.Backlash: (INSIDE, BEFORE, AFTER),
-}
-"""Effects that act within the loop, or before what may follow it, and so differ with the place of the slow pole."""
-_BEYOND_LOOP = (catalogue.Backlash,)
-"""Of these, what acts on what the loop moves: a slow pole before the loop is then one inside it, unless something
-within the loop tells them apart."""
-
-
-def places_of(effect: type[Effect]) -> tuple[float, ...]:
-    """Where the slow pole may lie with this effect; empty if it does not matter."""
-    return _PLACES.get(plain(effect), ())
-
 
 def common_places(effects: tuple[type[Effect], ...]) -> tuple[float, ...]:
     """Where the slow pole may lie with all of some effects; empty if it does not matter to any."""
-    placed = [effect for effect in effects if places_of(effect)]
+    placed = [effect for effect in effects if effect.places]
     if not placed:
         return ()
-    same = {BEFORE} if all(plain(effect) in _BEYOND_LOOP for effect in placed) else set()
+    # Beyond the loop a slow pole before it is one inside it, unless something within tells them apart.
+    same = {BEFORE} if all(effect.slot is Slot.OUTPUT for effect in placed) else set()
     if catalogue.SensorLag in effects:  # that and a slow pole after the loop are one thing
         same.add(AFTER)
-    return tuple(
-        each for each in places_of(placed[0]) if each not in same and all(each in places_of(other) for other in placed)
-    )
-
-
-SMALLEST = {
-    "gain": 0.02,
-    "bandwidth_scale": 0.08,
-    "damping_scale": 0.2,
-    "delay_s": 0.004,
-    "offset_s": 0.004,
-    "lag_s": 0.004,
-    "deadband_deg": 0.15,
-    "insensitive_deg": 0.15,
-    "friction_deg": 0.08,
-    "backlash_deg": 0.12,
-    "bias_deg": 0.2,
-    "droop_deg": 0.1,
-    "load_friction": 0.03,
-}
-"""What is smaller is the difference between two servos of a type, or no servo's at all; by field of `Physics`.
-
-A weight that turns the shaft by less than the least step of its pulses (1 us: 0.1 deg) can be nobody's finding."""
-SURPRISE = {
-    "clock_offset": 4.0,
-    "damping": 8.0,
-    "quantization": 24.0,
-    "supply_coupling": 8.0,
-    "load_friction": 8.0,
-    "current_limit": 8.0,
-    "linkage_nonlinearity": 12.0,
-    "resonance": 8.0,
-}
-"""Minus twice the logarithm of how much rarer than the others an effect is, or how much more it can pass for."""
-
-
-_EITHER = (
-    ("rate_limit", "voltage_rate"),
-    ("delay", "clock_offset"),
-    ("friction", "load_friction"),
-    ("gravity_load", "linkage_nonlinearity"),
-)
-"""Two forms of one thing, or one that bends the position much as the other does."""
+    first, *others = (effect.places or () for effect in placed)
+    return tuple(each for each in first if each not in same and all(each in other for other in others))
 
 
 class Candidate(NamedTuple):
@@ -135,7 +67,8 @@ def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
         if values is not None
     }
     if record.side is not None:
-        return list(AT_REST), [effect for effect in catalogue.catalogue() if effect not in AT_REST]
+        shown = sorted((e for e in catalogue.catalogue() if e.at_rest), key=lambda effect: effect.at_rest)
+        return shown, [effect for effect in catalogue.catalogue() if not effect.at_rest]
     able = [effect for effect in catalogue.catalogue() if set(effect.needs) <= held]
     unable = [effect for effect in catalogue.catalogue() if effect not in able and effect is not catalogue.ExternalLoad]
     linear: set[type[Effect]] = {
@@ -158,7 +91,8 @@ def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
 def excluded(known: tuple[type[Effect], ...]) -> set[str]:
     """Names that cannot come on top of known effects: they are there already, in this form or another."""
     names = {effect.name for effect in known}
-    return names | {other for pair in _EITHER for name in pair if name in names for other in pair}
+    other = {name for effect in known for name in effect.instead}
+    return names | other | {effect.name for effect in catalogue.everything() if names.intersection(effect.instead)}
 
 
 def candidates(
@@ -171,7 +105,7 @@ def candidates(
         if effect.name in names or effect is catalogue.PwmFrame:
             continue
         where: tuple[float, ...] = (place,)
-        if places_of(effect) and record.plant.has_places and record.side is None:
+        if effect.places and record.plant.has_places and record.side is None:
             where = common_places((*known, effect))
         found += [Candidate(effect, each) for each in where]
     if catalogue.SensorLag in known:
@@ -374,9 +308,8 @@ class Search:
         for effect in fit.effects:
             sizes = []
             for p, value in zip(effect.parameters, fit.values[first:].tolist(), strict=False):
-                least = SMALLEST.get(p.fields[0])
-                if least is not None and not p.aside:
-                    sizes.append(p.away(value, neutral) >= self.fitter.smallest(p, least))
+                if p.smallest and not p.aside:
+                    sizes.append(p.away(value, neutral) >= self.fitter.smallest(p))
             first += len(effect.parameters)
             if sizes and not any(sizes):
                 return False
@@ -481,7 +414,7 @@ class Search:
         record = self.fitter.record
         more_deg_s = _lost_deg_s(record, start) - _lost_deg_s(record, fitted)
         supply_v = 1.0 if record.voltage_v is None else float(np.nanmean(record.voltage_v))
-        limits = {name: getattr(start, name) for name in RATE_FIELDS}
+        limits = {name: getattr(start, name) for name in rate_fields()}
         more = {name: more_deg_s / (supply_v if name in _PER_V else 1.0) for name in limits}
         return start._replace(**{n: max(v + more[n], _SLOWEST * v) for n, v in limits.items() if v < np.inf})
 

@@ -21,7 +21,6 @@ from servofd.discrepancy.search import (
     LIMITS,
     NAMES,
     OCCAM,
-    SURPRISE,
     Search,
     common_places,
     fields_of,
@@ -30,7 +29,6 @@ from servofd.discrepancy.search import (
     step_size_deg,
 )
 from servofd.servo.catalogue import (
-    VARIED,
     AirLoad,
     Bias,
     Gain,
@@ -283,7 +281,7 @@ def _by_condition(search: Search, size: int) -> None:
         if any(is_law(effect) for effect in fit.effects):
             continue
         for k, effect in enumerate(fit.effects):
-            if effect not in VARIED:
+            if not effect.varies:
                 continue
             value = float(fit.values[sum(len(e.parameters) for e in fit.effects[:k])])
             for number, name in enumerate(fitter.record.condition_names):
@@ -334,7 +332,7 @@ def _beyond_bounds(search: Search, size: int) -> list[Fit]:
 def _cost(search: Search, fit: Fit) -> float:
     """BIC, and how surprising its names are."""
     count = sum(len(effect.parameters) for effect in fit.effects)
-    surprise = sum(SURPRISE.get(name, 0.0) for name in fit.names)
+    surprise = sum(effect.surprise for effect in fit.effects)
     if search.fitter.record.free_poles:
         surprise += min((_static_loss(search.fitter.record, fit) / _GAIN_SHARE) ** 2, _NO_GAIN)
     laws = _LAW * sum(is_law(effect) for effect in fit.effects)

@@ -14,7 +14,7 @@ import numpy as np
 from servofd.core.statistics import descended, deviations
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
-from servofd.servo.catalogue import ALIKE, FEWEST_RUNS, VARIED, is_law
+from servofd.servo.catalogue import ALIKE, FEWEST_RUNS, is_law, law_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -167,7 +167,7 @@ def _held_out(record: Record) -> BoolArray:
 def _error_deg(selection: Selection, run: Record, index: int, value: float) -> FloatArray:
     """Of one run, with one of the final values in another's place, where it counts."""
     fields, physics = selection.final.parameters[index].fields, selection.final.physics
-    if physics.run_slope and fields == VARIED[int(physics.run_field)].parameters[0].fields:
+    if physics.run_slope and fields == law_of(physics).fields:
         physics = physics._replace(run_slope=0.0)
     simulated_deg = simulate(run, physics._replace(**dict.fromkeys(fields, value)))
     error_deg: FloatArray = (run.measured_deg - simulated_deg)[run.counts]

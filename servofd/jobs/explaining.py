@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from logparsers import FlightLog, LogFile
     from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
+    from servofd.servo.effect import Effect
 
 _SAME_FAULT_S = 3.0
 UNKNOWN = "unknown"

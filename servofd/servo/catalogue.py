@@ -241,11 +241,12 @@ def effects_named(name: str) -> tuple[type[Effect], ...]:
     return tuple(effect for effect in (*catalogue(), *OWN, *_own_numbers()) if effect.name == name)
 
 
-VARIED: tuple[type[Effect], ...] = (
-    MotorRate, ShaftSpeed, RateLimit, SetPointRate, GravityLoad, Friction, StribeckFriction, DeadBand, Backlash,
-    CurrentLimit, Gain, Bias, Delay,
-)  # fmt: skip
-"""Effects whose first number may go with a condition."""
+@lru_cache(maxsize=8)
+def _varied(effects: tuple[type[Effect], ...]) -> tuple[type[Effect], ...]:
+    """Effects whose first number may go with a condition, as `run_field` counts them."""
+    return tuple(effect for effect in effects if effect.varies)
+
+
 FEWEST_RUNS = 5
 ALIKE = 0.98
 """Correlation beyond which two conditions cannot be told apart."""
@@ -263,12 +264,12 @@ def told_apart(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     return found
 
 
-_LAWS: dict[tuple[str, int, str], type[Effect]] = {}
+_LAWS: dict[tuple[type[Effect], int, str], type[Effect]] = {}
 
 
 def by_condition(effect: type[Effect], number: int, condition: str) -> type[Effect]:
     """The effect, its first number a line over a condition of the runs."""
-    key = effect.__name__, number, condition
+    key = effect, number, condition
     if key in _LAWS:
         return _LAWS[key]
     first = effect.parameters[0]
@@ -277,7 +278,11 @@ def by_condition(effect: type[Effect], number: int, condition: str) -> type[Effe
     slope = Parameter(f"{first.name}_by_run", ("run_slope",), -most, most, 0.0, first.typical, grid, aside=True)
     members = {
         "parameters": (*effect.parameters, slope),
-        "fixed": {**effect.fixed, "run_field": float(VARIED.index(effect)), "run_condition": float(number)},
+        "fixed": {
+            **effect.fixed,
+            "run_field": float(_varied(everything()).index(effect)),
+            "run_condition": float(number),
+        },
         "form": ", ".join(filter(None, (effect.form, f"by {condition}"))),
     }
     return _LAWS.setdefault(key, type(f"{effect.__name__}By{number}", (effect,), members))
@@ -290,14 +295,19 @@ def is_law(effect: type[Effect]) -> bool:
 
 def plain(effect: type[Effect]) -> type[Effect]:
     """The effect as it is with one size for all runs."""
-    return VARIED[int(effect.fixed["run_field"])] if is_law(effect) else effect
+    return _varied(everything())[int(effect.fixed["run_field"])] if is_law(effect) else effect
+
+
+def law_of(physics: Physics) -> Parameter:
+    """Which number goes with a condition, of a servo of which one does."""
+    return _varied(everything())[int(physics.run_field)].parameters[0]
 
 
 def at_run(physics: Physics, conditions: Sequence[float]) -> Physics:
     """The servo as it is in a run."""
     if physics.run_slope == 0.0 or not conditions:
         return physics
-    parameter = VARIED[int(physics.run_field)].parameters[0]
+    parameter = law_of(physics)
     value = getattr(physics, parameter.fields[0]) + physics.run_slope * conditions[int(physics.run_condition)]
     return physics._replace(**dict.fromkeys(parameter.fields, min(max(value, parameter.low), parameter.high)))
 

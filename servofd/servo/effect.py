@@ -15,6 +15,7 @@ from enum import Enum
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from servofd.core.errors import ConfigError
+from servofd.servo.loop import BEFORE, INSIDE
 
 Surroundings = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a", "servo_load"]
 
@@ -32,6 +33,10 @@ class Slot(Enum):
     OUTPUT = "what hangs on the shaft"
     READING = "what the sensor says of it"
     OWN = "the servo's own linear loop"
+
+
+_IN_LOOP = (Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED)
+"""Slots whose effects differ with the place of the slow pole."""
 
 
 class Now(NamedTuple):
@@ -107,6 +112,9 @@ class Parameter:
     """True for a number of no interest that the effect needs to fit; it is neither reported nor judged."""
     travel_power: int = 0
     """Power of the deflection that it is multiplied with: the same effect is smaller on a servo that turns further."""
+    smallest: float = 0.0
+    """Least deviation from neutral that may be reported: what is smaller is the difference between two servos of a type,
+    or no servo's at all."""
     width: float = 0.0
     """How far around the start the search goes; 0: to the neighbours on the grid."""
 
@@ -128,6 +136,11 @@ class Parameter:
             object.__setattr__(self, "off", self.neutral)
         if not self.grid and not self.kinked:
             object.__setattr__(self, "grid", self._usual_grid())
+
+    @property
+    def limits_speed(self) -> bool:
+        """Whether it is a largest speed, of which a weak servo has less."""
+        return self.off == math.inf and "deg_s" in self.name
 
     def _usual_grid(self) -> tuple[float, ...]:
         """From a third to ten typical sizes on either side of neutral, within the bounds."""
@@ -179,6 +192,18 @@ class Effect:
     """What the log must hold beside commands and positions."""
     fixed: ClassVar[Mapping[str, float]] = {}
     """Fields of `Physics` that the effect replaces."""
+    instead: ClassVar[tuple[str, ...]] = ()
+    """Names of effects on top of which it does not come, nor they on top of it: forms of one thing, or one that bends the
+    position much as the other does."""
+    places: ClassVar[tuple[float, ...] | None] = None
+    """Where the slow pole of a servo of three may lie with it (`servofd.servo.loop`), the likeliest first; empty if that
+    does not matter. What acts within the loop, or before what may follow it, differs with the place."""
+    varies: ClassVar[bool] = False
+    """Whether its first number may go with a condition of the runs."""
+    at_rest: ClassVar[int] = 0
+    """Rank where only rests can be judged; 0: what it does to a surface at rest is not seen there."""
+    surprise: ClassVar[float] = 0.0
+    """Minus twice the logarithm of how much rarer than the others it is, or how much more it can pass for."""
     rank: ClassVar[int] = 100
     """Simple before flexible: where data cannot tell two effects apart, the one of lower rank is named."""
     searched: ClassVar[bool] = True
@@ -204,6 +229,8 @@ class Effect:
         if not cls.parameters or not cls.__doc__:
             raise ConfigError(f"effect {cls.name}: it needs a parameter and a sentence that says what it is")
         cls.parameters = tuple(p if p.fields else replace(p, fields=(f"{cls.name}_{p.name}",)) for p in cls.parameters)
+        if cls.places is None:
+            cls.places = (BEFORE, INSIDE) if cls.slot in _IN_LOOP else ()
         if not cls.sees:
             cls.sees = tuple(dict.fromkeys(field for p in cls.parameters for field in p.fields))
 

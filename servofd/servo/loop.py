@@ -156,7 +156,8 @@ def _as_known(denominator: tuple[float, ...]) -> _Poles:
 def _monic(order: int, poles: _Poles) -> FloatArray:
     """Characteristic polynomial of one to three poles."""
     slow, total, product = poles
-    return np.array([1.0, slow + total, slow * total + product, slow * product][: order + 1])
+    monic: FloatArray = np.array([1.0, slow + total, slow * total + product, slow * product][: order + 1])
+    return monic
 
 
 def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
@@ -205,7 +206,7 @@ def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSES
     else:
         a, b, facts = _canonical(scaled(transfer, scales))
         # The companion's states at rest: each is what the one before it and the command leave of the balance.
-        rest = -np.linalg.solve(a, b[:, 0]) / transfer.dc_gain
+        rest = np.asarray(-np.linalg.solve(a, b[:, 0]) / transfer.dc_gain, dtype=float)
         b = b / transfer.dc_gain
     count = min(round(_LONGEST_S / grid_s), _MOST)
     return Loop(
@@ -227,7 +228,7 @@ def _physical(order: int, poles: _Poles, scales: Scales) -> tuple[FloatArray, Fl
     """Derivatives of shaft, speed and third state."""
     a, b, monic = np.zeros((3, 3)), np.zeros((3, 3)), _monic(order, poles)
     stiffness, error_s = float(monic[-1]), float(monic[-2] / monic[-1])
-    stretch = np.array([0.0, 1.0, 0.0])
+    stretch: FloatArray = np.array([0.0, 1.0, 0.0])
     if order == 1:
         a[0, 0], b[0] = -stiffness, (stiffness, stiffness, 1.0)
         return a, b, _Facts(1.0 / stiffness, stiffness, 0, False, stretch, stiffness)
@@ -260,7 +261,8 @@ def _canonical(transfer: TransferFunction) -> tuple[FloatArray, FloatArray, _Fac
     b = np.zeros((n, 3))
     b[:, 0] = top
     fastest = float(np.abs(transfer.poles_rad_s).max())
-    return a, b, _Facts(float(bottom[-2] / bottom[-1]), float(bottom[-1]), 0, False, np.arange(n, dtype=np.float64), fastest)
+    stretch: FloatArray = np.arange(n, dtype=float)
+    return a, b, _Facts(float(bottom[-2] / bottom[-1]), float(bottom[-1]), 0, False, stretch, fastest)
 
 
 def _steps(a: FloatArray, b: FloatArray, grid_s: float, count: int) -> FloatArray:

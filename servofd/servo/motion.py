@@ -20,7 +20,7 @@ from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.commands import Commands
 from servofd.servo.generate import INSIDE_LOOP, STEPPED, Act, Stepper, stepper_of
 from servofd.servo.loop import Loop, loop_of
-from servofd.servo.physics import RATE_FIELDS, Physics
+from servofd.servo.physics import Physics, rate_fields
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -289,7 +289,7 @@ def weaker(physics: Physics, share: float) -> Physics:
     >>> weaker(Physics(follow_up_deg_s=100.0), 0.2).follow_up_deg_s
     80.0
     """
-    return physics._replace(**{name: (1.0 - share) * getattr(physics, name) for name in RATE_FIELDS})
+    return physics._replace(**{name: (1.0 - share) * getattr(physics, name) for name in rate_fields()})
 
 
 def started_anew(

@@ -15,18 +15,6 @@ if TYPE_CHECKING:
     from servofd.servo.effect import Effect
     from servofd.servo.transfer import TransferFunction
 
-RATE_FIELDS = (
-    "rate_up_deg_s",
-    "rate_down_deg_s",
-    "speed_up_deg_s",
-    "speed_down_deg_s",
-    "speed_deg_s_per_v",
-    "follow_up_deg_s",
-    "follow_down_deg_s",
-    "set_point_deg_s",
-    "deg_s_per_v",
-)
-"""Sizes that limit a speed."""
 _SCALES = ("bandwidth_scale", "slow_scale", "pair_scale", "damping_scale", "slow_place", "torque_share")
 _BESIDE = {"slow_place": INSIDE, "run_slope": 0.0, "run_field": 0.0, "run_condition": 0.0}
 """Where the slow pole of a servo of three acts, and of a size that goes with a condition of the runs by how much it is
@@ -127,6 +115,11 @@ def _needs(acting: frozenset[str], effects: tuple[type[Effect], ...]) -> frozens
         for need in e.needs
         if any(acting.intersection(p.fields) for p in e.parameters if not p.aside)
     )
+
+
+def rate_fields() -> tuple[str, ...]:
+    """Sizes that limit a speed."""
+    return tuple(dict.fromkeys(f for e in everything() for p in e.parameters if p.limits_speed for f in p.fields))
 
 
 def loose_shares() -> Mapping[str, float]:

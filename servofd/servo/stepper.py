@@ -376,7 +376,8 @@ def run(
                         m[v, 0] = output(shaft * gain, then, p, v, m)
         if left > NO_STEP_S:
             u += s * left
-        now_s = max(now_s, until)  # of a stamp that goes back, or is none, nothing is known
+        if until > now_s:  # noqa: PLR1730 - of a stamp that goes back, or is none, nothing is known
+            now_s = until
         if arrives:
             u, s, commanded = command_deg[c], slope_deg_s[c], True
             c += 1

@@ -19,8 +19,18 @@ class Delay(Effect):
     """Total transport delay of the command."""
 
     name, slot, family, rank = "delay", Slot.EVENTS, "lag", 3
+    varies = True
     parameters = (
-        Parameter("delay_s", ("delay_s",), 0.0, 0.5, 0.0, 0.003, (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)),
+        Parameter(
+            "delay_s",
+            ("delay_s",),
+            0.0,
+            0.5,
+            0.0,
+            0.003,
+            (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25),
+            smallest=0.004,
+        ),
     )
 
     @staticmethod
@@ -32,9 +42,17 @@ class ClockOffset(Effect):
     """Positions stamped too late (positive) or too early."""
 
     name, slot, family, rank = "clock_offset", Slot.EVENTS, "lag", 4
+    surprise, instead = 4.0, ("delay",)
     parameters = (
         Parameter(
-            "offset_s", ("offset_s",), -0.5, 0.5, 0.0, 0.003, (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2)
+            "offset_s",
+            ("offset_s",),
+            -0.5,
+            0.5,
+            0.0,
+            0.003,
+            (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2),
+            smallest=0.004,
         ),
     )
 
@@ -46,7 +64,7 @@ class ClockOffset(Effect):
 class CommandSteps(Effect):
     """Steps of the command."""
 
-    name, slot, form, rank = "quantization", Slot.EVENTS, "command", 23
+    name, slot, form, rank, surprise = "quantization", Slot.EVENTS, "command", 23, 24.0
     parameters = (Parameter("step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
 
     @staticmethod
@@ -89,7 +107,7 @@ class SetPointRate(Effect):
     """Largest speed of the set point: firmware that lets no step through to the position loop."""
 
     name, slot, form, rank, memory = "rate_limit", Slot.COMMAND, "set point", 8, 1
-    longest_s = 2.5e-3
+    longest_s, varies = 2.5e-3, True
     parameters = (
         Parameter("rate_limit_deg_s", ("set_point_deg_s",), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=float("inf")),
     )

@@ -8,6 +8,7 @@ from servofd.core.errors import ConfigError
 from servofd.servo.effect import Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import RATES_DEG_S
 from servofd.servo.effects.motor import WIDTHS_DEG
+from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 _PUSH_PER_PA_S = 25.0 / 300.0
 """How fast the air pushes a surface through its play: in 0.04 s at 300 Pa (22 m/s)."""
@@ -21,7 +22,7 @@ class RateLimit(Effect):
     """Largest speed of the output, which follows what a faster servo would do."""
 
     name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 2
-    longest_s = 5e-3
+    longest_s, varies = 5e-3, True
     parameters = (
         Parameter(
             "rate_limit_deg_s", ("follow_up_deg_s", "follow_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
@@ -30,7 +31,7 @@ class RateLimit(Effect):
 
     def __init__(self, rate_limit_deg_s: float = math.inf, rate_down_deg_s: float | None = None) -> None:
         super().__init__(rate_limit_deg_s)
-        self.down_deg_s: float = self.values[0] if rate_down_deg_s is None else RateLimit(rate_down_deg_s).values[0]
+        self.down_deg_s: float = rate_limit_deg_s if rate_down_deg_s is None else RateLimit(rate_down_deg_s).down_deg_s
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -100,7 +101,7 @@ class Resonance(Effect):
     """Flexible linkage between servo and surface."""
 
     name, slot, rank, memory = "resonance", Slot.OUTPUT, 33, 3
-    longest_s = 2e-3
+    longest_s, surprise = 2e-3, 8.0
     parameters = (
         Parameter(
             "frequency_hz",
@@ -138,7 +139,8 @@ class Backlash(Effect):
     """Free play of gear and linkage, through which the air pushes a surface to its loaded side."""
 
     name, slot, family, rank, memory = "backlash", Slot.OUTPUT, "hysteresis", 14, 1
-    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
+    places, varies, at_rest = (INSIDE, BEFORE, AFTER), True, 3
+    parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.12),)
 
     @staticmethod
     def act(x: float, now: Now, width_deg: float, at: float) -> tuple[float, float]:
@@ -155,6 +157,7 @@ class LinkageNonlinearity(Effect):
     """Geometry of horn and rod: the ratio changes with the deflection."""
 
     name, slot, rank = "linkage_nonlinearity", Slot.OUTPUT, 32
+    surprise, instead = 12.0, ("gravity_load",)
     parameters = (
         Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1),
         Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4), travel_power=2),
@@ -169,7 +172,8 @@ class Gain(Effect):
     """Horn or linkage of another ratio, or a sensor's scale."""
 
     name, slot, rank = "gain", Slot.OUTPUT, 2
-    parameters = (Parameter("gain", ("gain",), 0.2, 2.0, 1.0, 0.03, (0.8, 0.95, 1.05, 1.2)),)
+    varies, at_rest = True, 2
+    parameters = (Parameter("gain", ("gain",), 0.2, 2.0, 1.0, 0.03, (0.8, 0.95, 1.05, 1.2), smallest=0.02),)
 
     @staticmethod
     def act(x: float, now: Now, gain: float) -> float:

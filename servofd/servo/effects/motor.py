@@ -6,6 +6,7 @@ import math
 
 from servofd.servo.effect import Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import RATES_DEG_S
+from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 WIDTHS_DEG = (0.1, 0.2, 0.4, 0.8, 1.4, 2.2, 3.5, 6.0)
 """Widths of dead bands and play from which a search starts."""
@@ -20,7 +21,8 @@ class DeadBand(Effect):
     """Position error that the servo's controller ignores, counted from the edge."""
 
     name, slot, form, family, rank = "deadband", Slot.ERROR, "error from the edge", "hysteresis", 12
-    parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
+    places, varies, at_rest = (BEFORE, INSIDE, AFTER), True, 4
+    parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),)
 
     @staticmethod
     def act(x: float, now: Now, width_deg: float) -> float:
@@ -31,8 +33,10 @@ class InsensitiveBand(Effect):
     """Position error below which the motor is off, and above which it sees all of it."""
 
     name, slot, form, family, rank = "deadband", Slot.ERROR, "whole error", "hysteresis", 13
-    longest_s = 1.25e-3
-    parameters = (Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5),)
+    longest_s, at_rest = 1.25e-3, 5
+    parameters = (
+        Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),
+    )
 
     @staticmethod
     def act(x: float, now: Now, width_deg: float) -> float:
@@ -47,6 +51,7 @@ class CurrentLimit(Effect):
     """
 
     name, slot, rank = "current_limit", Slot.ERROR, 30
+    varies, surprise = True, 8.0
     parameters = (
         Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0), off=math.inf),
     )
@@ -60,6 +65,7 @@ class MotorRate(Effect):
     """Largest speed of the motor: the position error saturates, the loop waits."""
 
     name, slot, form, fixed, rank = "rate_limit", Slot.ERROR, "motor", UNFOLLOWED, 6
+    places, varies = (BEFORE, INSIDE, AFTER), True
     parameters = (
         Parameter(
             "rate_limit_deg_s", ("rate_up_deg_s", "rate_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
@@ -86,7 +92,7 @@ class VoltageRate(Effect):
     """Largest speed of the motor in proportion to its supply."""
 
     name, slot, fixed, rank = "voltage_rate", Slot.ERROR, UNFOLLOWED, 19
-    needs = ("servo_voltage_v",)
+    places, needs, instead = (BEFORE, INSIDE, AFTER), ("servo_voltage_v",), ("rate_limit",)
     parameters = (Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),)
 
     @staticmethod

@@ -11,7 +11,16 @@ class SlowDynamics(Effect):
 
     name, slot, rank = "slow_dynamics", Slot.OWN, 5
     parameters = (
-        Parameter("bandwidth_scale", ("bandwidth_scale",), 0.1, 4.0, 1.0, 0.1, (0.3, 0.45, 0.6, 0.75, 0.9, 1.15, 1.5)),
+        Parameter(
+            "bandwidth_scale",
+            ("bandwidth_scale",),
+            0.1,
+            4.0,
+            1.0,
+            0.1,
+            (0.3, 0.45, 0.6, 0.75, 0.9, 1.15, 1.5),
+            smallest=0.08,
+        ),
     )
 
 
@@ -19,7 +28,10 @@ class Damping(Effect):
     """Damping of the fast pair of poles scaled."""
 
     name, slot, rank = "damping", Slot.OWN, 25
-    parameters = (Parameter("damping_scale", ("damping_scale",), 0.1, 6.0, 1.0, 0.1, (0.4, 0.7, 1.4, 2.2)),)
+    surprise = 8.0
+    parameters = (
+        Parameter("damping_scale", ("damping_scale",), 0.1, 6.0, 1.0, 0.1, (0.4, 0.7, 1.4, 2.2), smallest=0.2),
+    )
 
 
 _POLES = (

@@ -14,7 +14,16 @@ class SensorLag(Effect):
     name, slot, rank, memory = "sensor_lag", Slot.OUTPUT, 17, 2
     longest_s = 2.5e-3
     parameters = (
-        Parameter("time_constant_s", ("lag_s",), 0.0, 1.0, 0.0, 0.01, (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25)),
+        Parameter(
+            "time_constant_s",
+            ("lag_s",),
+            0.0,
+            1.0,
+            0.0,
+            0.01,
+            (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25),
+            smallest=0.004,
+        ),
     )
 
     @staticmethod
@@ -31,7 +40,8 @@ class Bias(Effect):
     """Trim that was lost, or a sensor's zero."""
 
     name, slot, rank = "bias", Slot.READING, 1
-    parameters = (Parameter("bias_deg", ("bias_deg",), -30.0, 30.0, 0.0, 0.3, (-1.0, 1.0)),)
+    varies, at_rest = True, 1
+    parameters = (Parameter("bias_deg", ("bias_deg",), -30.0, 30.0, 0.0, 0.3, (-1.0, 1.0), smallest=0.2),)
 
     @staticmethod
     def act(x: float, now: Now, bias_deg: float) -> float:
@@ -42,6 +52,7 @@ class SupplyCoupling(Effect):
     """Reading that moves with the servo's current, because both hang on one supply: nothing has moved."""
 
     name, slot, rank = "supply_coupling", Slot.READING, 24
+    surprise = 8.0
     needs = ("servo_current_a",)
     parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
 
@@ -53,7 +64,7 @@ class SupplyCoupling(Effect):
 class Quantization(Effect):
     """Steps of the position sensor."""
 
-    name, slot, form, rank = "quantization", Slot.READING, "position", 22
+    name, slot, form, rank, surprise = "quantization", Slot.READING, "position", 22, 24.0
     parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
 
     @staticmethod

@@ -7,6 +7,7 @@ import math
 from servofd.servo.effect import Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import RATES_DEG_S
 from servofd.servo.effects.motor import RATES_DEG_S_PER_V, UNFOLLOWED
+from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
 """Where in the motor a load acts is not in the servo's poles; it changes neither the linear servo nor a steady state."""
@@ -50,9 +51,12 @@ class GravityLoad(Effect):
     """Weight on the horn, hanging at 0 deg."""
 
     name, slot, rank = "gravity_load", Slot.LOAD, 26
+    varies = True
     sees = ("droop_deg", "hangs_deg")
     parameters = (
-        Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (-2.0, 1.0, 3.0, 8.0, 20.0, 45.0)),
+        Parameter(
+            "droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (-2.0, 1.0, 3.0, 8.0, 20.0, 45.0), smallest=0.1
+        ),
         SPLIT,
     )
 
@@ -67,7 +71,7 @@ class TiltedLoad(Effect):
     name, slot, form, rank = "gravity_load", Slot.LOAD, "hanging elsewhere", 27
     sees = ("droop_deg", "hangs_deg")
     parameters = (
-        Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (1.0, 3.0, 8.0, 20.0)),
+        Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (1.0, 3.0, 8.0, 20.0), smallest=0.1),
         Parameter("hangs_deg", ("hangs_deg",), -360.0, 360.0, 0.0, 30.0, (-150.0, -90.0, -30.0, 30.0, 90.0, 150.0)),
         SPLIT,
     )
@@ -95,10 +99,10 @@ class Friction(Effect):
     """Coulomb friction and stiction, as the position error that breaks it."""
 
     name, slot, family, rank = "friction", Slot.GRIP, "hysteresis", 15
-    longest_s = 3e-3
+    longest_s, places, varies, at_rest = 3e-3, (BEFORE, INSIDE, AFTER), True, 6
     sees = ("friction_deg", "stribeck")
     parameters = (
-        Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0),
+        Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0, smallest=0.08),
         SPLIT,
     )
 
@@ -112,10 +116,10 @@ class StribeckFriction(Effect):
     """Friction that is larger at rest than at speed (Stribeck): usual of grease and bushings."""
 
     name, slot, form, family, rank = "friction", Slot.GRIP, "Stribeck", "hysteresis", 16
-    longest_s = 3e-3
+    longest_s, places, varies = 3e-3, (BEFORE, INSIDE, AFTER), True
     sees = ("friction_deg", "stribeck")
     parameters = (
-        Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0),
+        Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0, smallest=0.08),
         Parameter("stribeck", ("stribeck",), 0.0, 1.0, 0.0, 0.3, (0.3,), aside=True),
     )
     act = Friction.act
@@ -125,9 +129,12 @@ class LoadFriction(Effect):
     """Friction that grows with the motor's effort."""
 
     name, slot, rank = "load_friction", Slot.GRIP, 29
-    longest_s = 2e-3
+    longest_s, surprise, instead = 2e-3, 8.0, ("friction",)
     sees = ("load_friction",)
-    parameters = (Parameter("share", ("load_friction",), 0.0, 0.95, 0.0, 0.1, (0.05, 0.15, 0.3, 0.6)), SPLIT)
+    parameters = (
+        Parameter("share", ("load_friction",), 0.0, 0.95, 0.0, 0.1, (0.05, 0.15, 0.3, 0.6), smallest=0.03),
+        SPLIT,
+    )
 
     @staticmethod
     def act(x: float, now: Now, share: float) -> float:
@@ -138,7 +145,7 @@ class ShaftSpeed(Effect):
     """Largest speed of the shaft, whatever drives it: gear and bearings at their end, while the loop does not wait."""
 
     name, slot, form, fixed, rank = "rate_limit", Slot.SPEED, "shaft", UNFOLLOWED, 9
-    longest_s = 1.25e-3
+    longest_s, places, varies = 1.25e-3, (BEFORE, AFTER, INSIDE), True
     parameters = (
         Parameter(
             "rate_limit_deg_s", ("speed_up_deg_s", "speed_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
@@ -154,7 +161,7 @@ class ShaftSpeedBySupply(Effect):
     """Largest speed of the shaft in proportion to the supply."""
 
     name, slot, form, fixed, rank = "voltage_rate", Slot.SPEED, "shaft", UNFOLLOWED, 20
-    longest_s = 1.25e-3
+    longest_s, places, instead = 1.25e-3, (BEFORE, AFTER, INSIDE), ("rate_limit",)
     needs = ("servo_voltage_v",)
     parameters = (
         Parameter("deg_s_per_v", ("speed_deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),
