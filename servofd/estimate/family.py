@@ -36,6 +36,8 @@ LONGEST_PAUSE_S: Final = 5.0
 _TURN_DEG: Final = 360.0
 """Beyond all that is asked for: further no surface goes."""
 _LEAST_ASKED_DEG: Final = 16.0
+_FINER: Final = 0.3
+"""Steps are as much longer than where nothing but the step is in doubt: errors of the position stay below 0.01 deg rms."""
 _LOOP: Final = TransferFunction((1.0,), (1.0, 2.0, 1.0))
 """One of 1 rad/s without overshoot, which each servo scales."""
 
@@ -134,7 +136,7 @@ def simulated(
         return np.empty((time_s.size, table.shape[0])), np.empty((time_s.size, 2))
     base, (command_s, command_deg) = table[0], commands
     furthest_deg = _TURN_DEG + 2.0 ** math.ceil(math.log2(max(float(np.abs(command_deg).max()), _LEAST_ASKED_DEG)))
-    machine = machine_of(_LOOP, [_servo(row, furthest_deg) for row in table])
+    machine = machine_of(_LOOP, [_servo(row, furthest_deg) for row in table], _FINER)
     effective_s = command_s + base[_DELAY]
     new = slice(progress.received, None)
     anew = np.isfinite(start_deg) | (np.diff(time_s, prepend=progress.state.clock[0]) > LONGEST_PAUSE_S)
