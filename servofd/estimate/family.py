@@ -20,6 +20,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.priors import FITTED, PRIORS
+from servofd.servo.catalogue import (
+    AirLoad,
+    AirTrim,
+    Backlash,
+    Bias,
+    CommandGain,
+    DeadBand,
+    Friction,
+    MotorRate,
+    ServoStop,
+    StribeckFriction,
+    Torque,
+)
 from servofd.servo.motion import State, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.transfer import TransferFunction
@@ -38,6 +51,9 @@ _TURN_DEG: Final = 360.0
 _LEAST_ASKED_DEG: Final = 16.0
 _FINER: Final = 0.3
 """Steps are as much longer than where nothing but the step is in doubt: errors of the position stay below 0.01 deg rms."""
+_EFFECTS: Final = (
+    CommandGain, DeadBand, MotorRate, Torque, Friction, StribeckFriction, AirLoad, AirTrim, ServoStop, Backlash, Bias,
+)  # fmt: skip
 _LOOP: Final = TransferFunction((1.0,), (1.0, 2.0, 1.0))
 """One of 1 rad/s without overshoot, which each servo scales."""
 
@@ -103,7 +119,7 @@ def new_state(count: int) -> Progress:
     >>> new_state(2).received
     0
     """
-    return Progress(machine_of(_LOOP, [_servo(_USUAL, 0.0)] * count).new_state())
+    return Progress(machine_of(_LOOP, [_servo(_USUAL, 0.0)] * count, effects=_EFFECTS).new_state())
 
 
 def _servo(row: FloatArray, furthest_deg: float) -> Physics:
@@ -136,7 +152,7 @@ def simulated(
         return np.empty((time_s.size, table.shape[0])), np.empty((time_s.size, 2))
     base, (command_s, command_deg) = table[0], commands
     furthest_deg = _TURN_DEG + 2.0 ** math.ceil(math.log2(max(float(np.abs(command_deg).max()), _LEAST_ASKED_DEG)))
-    machine = machine_of(_LOOP, [_servo(row, furthest_deg) for row in table], _FINER)
+    machine = machine_of(_LOOP, [_servo(row, furthest_deg) for row in table], _FINER, _EFFECTS)
     effective_s = command_s + base[_DELAY]
     new = slice(progress.received, None)
     anew = np.isfinite(start_deg) | (np.diff(time_s, prepend=progress.state.clock[0]) > LONGEST_PAUSE_S)

@@ -15,6 +15,7 @@ from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.servo.effect import Effect, Parameter
 from servofd.servo.effects.commands import (
     ClockOffset as ClockOffset,
+    CommandGain as CommandGain,
     CommandSteps as CommandSteps,
     Delay as Delay,
     PwmFrame as PwmFrame,
@@ -34,6 +35,7 @@ from servofd.servo.effects.motor import (
     DeadBand as DeadBand,
     InsensitiveBand as InsensitiveBand,
     MotorRate as MotorRate,
+    Torque as Torque,
     VoltageRate as VoltageRate,
 )
 from servofd.servo.effects.own import (
@@ -51,6 +53,7 @@ from servofd.servo.effects.sensor import (
 )
 from servofd.servo.effects.shaft import (
     AirLoad as AirLoad,
+    AirTrim as AirTrim,
     ExternalLoad as ExternalLoad,
     Friction as Friction,
     GravityLoad as GravityLoad,
