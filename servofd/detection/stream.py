@@ -441,7 +441,7 @@ class CalibratedStream(_Waiting):
     def _add(self, time_s: float, command_deg: float) -> None:
         dropped = self.logged.append(time_s, command_deg, 0.0)
         if self._filled is self.logged:
-            self._state[0, 1] = max(self._state[0, 1] - dropped, 0.0)
+            self._state.forget(dropped)
         else:
             self._unknown[0] = max(self._unknown[0] - dropped, 0.0)
 
@@ -453,7 +453,7 @@ class CalibratedStream(_Waiting):
         filled = put_back(*ends, self.sent_period_s or np.inf)
         for at_s, asked_deg in zip(*(column[known] for column in filled), strict=True):
             dropped = self._filled.append(at_s, asked_deg, 0.0)
-            self._state[0, 1] = max(self._state[0, 1] - dropped, 0.0)
+            self._state.forget(dropped)
 
     def _known(self) -> tuple[float, float]:
         return self._newest[0], _LATE * self.longest_gap_s

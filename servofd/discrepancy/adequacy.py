@@ -17,7 +17,7 @@ from servofd.discrepancy.noise import (
     noise_within_deg,
     stepped_noise_deg,
 )
-from servofd.servo.catalogue import Quantization
+from servofd.servo.effects.sensor import Quantization
 
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray, IntArray

@@ -28,7 +28,9 @@ from servofd.discrepancy.noise import (
     noise_floor_deg,
 )
 from servofd.discrepancy.record import Record, simulate, thinned
-from servofd.servo.catalogue import Bias, Gain, Quantization, installed
+from servofd.servo.catalogue import installed
+from servofd.servo.effects.linkage import Gain
+from servofd.servo.effects.sensor import Bias, Quantization
 from servofd.servo.loop import split
 from servofd.servo.physics import Physics
 

@@ -12,16 +12,12 @@ from servofd.discrepancy.fit import OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import liveliest, only, simulate
 from servofd.servo import catalogue
-from servofd.servo.catalogue import (
-    ClockOffset,
-    Delay,
-    PwmFrame,
-    SensorLag,
-    SlowDynamics,
-    TiltedLoad,
-    installed,
-)
+from servofd.servo.catalogue import installed
 from servofd.servo.effect import Slot
+from servofd.servo.effects.commands import ClockOffset, Delay, PwmFrame
+from servofd.servo.effects.own import SlowDynamics
+from servofd.servo.effects.sensor import SensorLag
+from servofd.servo.effects.shaft import TiltedLoad
 from servofd.servo.loop import AFTER, BEFORE, INSIDE, loop_of
 from servofd.servo.physics import rate_fields
 

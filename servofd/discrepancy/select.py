@@ -28,19 +28,12 @@ from servofd.discrepancy.search import (
     judgeable,
     step_size_deg,
 )
-from servofd.servo.catalogue import (
-    AirLoad,
-    Bias,
-    Gain,
-    GravityLoad,
-    MotorRate,
-    SlowDynamics,
-    TiltedLoad,
-    by_condition,
-    installed,
-    is_law,
-    plain,
-)
+from servofd.servo.catalogue import by_condition, installed, is_law, plain
+from servofd.servo.effects.linkage import Gain
+from servofd.servo.effects.motor import MotorRate
+from servofd.servo.effects.own import SlowDynamics
+from servofd.servo.effects.sensor import Bias
+from servofd.servo.effects.shaft import AirLoad, GravityLoad, TiltedLoad
 from servofd.servo.loop import INSIDE
 
 if TYPE_CHECKING:

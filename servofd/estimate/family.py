@@ -1,28 +1,33 @@
 """The family of servos that a calibration fits, simulated beside its own sensitivities.
 
-A geared motor behind a proportional loop: torque in proportion to the position error up to a limit, back-EMF and
-damping in proportion to speed, Coulomb friction, a hinge moment in proportion to dynamic pressure, play between motor
-and surface, and a reading that may be bent, off and late. All torques are written as the position error that would
-balance them, so that friction and load are in degrees:
+A choice of the effects that every servo may have (`servofd.servo.effects`) on a loop of two poles: a geared motor behind
+a proportional loop. All torques are written as the position error that would balance them, so that friction and load are
+in degrees:
 
     v' = omega^2 (s sat(e, E) - load - friction sign(v)) - 2 zeta omega v,    E = 2 zeta R / omega
 
 with e = gain * command(t - delay) - x less its dead band, and s the share of its torque that the motor has (supply
 over the usual one). With E so, the largest speed is R. The surface is carried along within its play and is pushed
-through it to the loaded side by the air.
-
-The command is averaged over each step, so that the position depends smoothly on the delay.
+through it to the loaded side by the air. The reading may be bent, off and late.
 """
 
 from __future__ import annotations
 
-from functools import partial
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from logparsers.compiled import compiled
 from servofd.aircraft.priors import FITTED, PRIORS
+from servofd.servo.effects.commands import CommandGain
+from servofd.servo.effects.linkage import Backlash
+from servofd.servo.effects.motor import DeadBand, MotorRate, Torque
+from servofd.servo.effects.sensor import Bias
+from servofd.servo.effects.shaft import AirLoad, AirTrim, Friction, ServoStop, StribeckFriction
+from servofd.servo.motion import State, machine_of
+from servofd.servo.physics import Physics
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
@@ -31,10 +36,18 @@ PRESSURE_PA: Final = 300.0
 """Dynamic pressure that loads refer to: 22 m/s at sea level."""
 REACH_DEG: Final = 25.0
 """Deflection that bends of the reading refer to, or the largest one seen."""
-_STEP_S: Final = 0.002
 LONGEST_PAUSE_S: Final = 5.0
 """Between positions; after it the simulation begins anew from the position."""
-
+_TURN_DEG: Final = 360.0
+"""Beyond all that is asked for: further no surface goes."""
+_LEAST_ASKED_DEG: Final = 16.0
+_FINER: Final = 0.3
+"""Steps are as much longer than where nothing but the step is in doubt: errors of the position stay below 0.01 deg rms."""
+_EFFECTS: Final = (
+    CommandGain, DeadBand, MotorRate, Torque, Friction, StribeckFriction, AirLoad, AirTrim, ServoStop, Backlash, Bias,
+)  # fmt: skip
+_LOOP: Final = TransferFunction((1.0,), (1.0, 2.0, 1.0))
+"""One of 1 rad/s without overshoot, which each servo scales."""
 
 _GAIN, _BIAS, _DELAY, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0, _BEND2, _BEND3 = range(FITTED)
 _POWER = FITTED
@@ -42,6 +55,7 @@ _SIMULATED: Final = (_GAIN, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HING
 """Parameters whose sensitivities need a simulation of their own; those of the others are known from the position."""
 PATTERNS: Final = ("weak", "poles", "play", "dead")
 """Finite changes: half the torque, half of all poles, 2 deg of play, 1.5 deg of dead band."""
+_USUAL = np.append([prior.value for prior in PRIORS], 0.0)
 _TRACKS: Final = 1 + len(_SIMULATED)
 
 
@@ -76,111 +90,79 @@ def patterns_of(base: FloatArray) -> list[FloatArray]:
     return [weak, poles, play, dead]
 
 
-def new_state(count: int) -> FloatArray:
-    """Memory of `advance` for so many servos: time, cursor and three numbers of each.
+@dataclass(slots=True, eq=False)
+class Progress:
+    """Where servos that are simulated side by side are; moved on by `simulated`."""
+
+    state: State
+    received: int = 0
+    """Commands, of those that are held, that have reached the servos."""
+
+    def forget(self, commands: int) -> None:
+        """The oldest commands are no longer held."""
+        self.received = max(self.received - commands, 0)
+
+
+def new_state(count: int) -> Progress:
+    """So many servos before their first position.
 
     Examples
     --------
-    >>> new_state(2).shape
-    (3, 3)
+    >>> new_state(2).received
+    0
     """
-    state = np.zeros((count + 1, 3))
-    state[0, 0] = np.nan
-    return state
+    return Progress(machine_of(_LOOP, [_servo(_USUAL, 0.0)] * count, effects=_EFFECTS).new_state())
 
 
-@partial(compiled, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
-def advance(  # noqa: C901, PLR0912, PLR0915 - one loop over time
-    table: FloatArray, state: FloatArray, command_s: FloatArray, command_deg: FloatArray, time_s: FloatArray,
-    load: FloatArray, power: FloatArray, start_deg: FloatArray, position_deg: FloatArray, speed_deg_s: FloatArray,
-) -> None:  # fmt: skip
-    """Simulate all servos of a table to each of some times.
-
-    `table` (V, 14), `state` from `new_state`, commands of shape (n,); times, `load` (dynamic pressure over 300 Pa),
-    `power` (torque over the usual one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Fills
-    `position_deg` (m, V), before bends of the reading, and `speed_deg_s` (m, 2): the speed of the first servo and the
-    one that its drive aims at.
-    """
-    count = table.shape[0]
-    x, v, y = np.empty(count), np.empty(count), np.empty(count)
-    w2, drag, limit, force = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    for j in range(count):
-        omega, zeta, rate = np.exp(table[j, 3]), np.exp(table[j, 4]), np.exp(table[j, 5])
-        w2[j], drag[j] = omega * omega, 2.0 * zeta * omega
-        limit[j] = drag[j] * rate / w2[j]
-        force[j] = np.exp(table[j, 13])
-        x[j], v[j], y[j] = state[j + 1, 0], state[j + 1, 1], state[j + 1, 2]
-    delay = table[0, 2]
-    furthest = 360.0  # a turn beyond all that is asked for
-    for k in range(command_deg.shape[0]):
-        furthest = max(furthest, 360.0 + abs(command_deg[k]))
-    now, cursor = state[0, 0], int(state[0, 1])
-    last = command_s.shape[0] - 1
-    for i in range(time_s.shape[0]):
-        begin = start_deg[i]
-        if not np.isnan(begin) or np.isnan(now) or time_s[i] - now > LONGEST_PAUSE_S:
-            if np.isnan(begin):
-                begin = 0.0
-            for j in range(count):
-                x[j] = begin - table[j, 1]
-                v[j] = 0.0
-                y[j] = x[j]
-            now = time_s[i]
-            while cursor < last and command_s[cursor + 1] <= now - delay:
-                cursor += 1
-        steps = int(np.ceil((time_s[i] - now) / 0.002 - 1e-9))
-        h = (time_s[i] - now) / steps if steps > 0 else 0.0
-        pushed = 1.0 - np.exp(-25.0 * load[i] * h)
-        for k in range(steps):
-            a = now + k * h - delay
-            b = a + h
-            while cursor < last and command_s[cursor + 1] <= a:
-                cursor += 1
-            u = 0.0
-            while cursor < last and command_s[cursor + 1] < b:
-                if command_s[cursor + 1] > a:
-                    u += (command_s[cursor + 1] - a) * command_deg[cursor]
-                    a = command_s[cursor + 1]
-                cursor += 1
-            u = (u + (b - a) * command_deg[cursor]) / h
-            for j in range(count):
-                error = table[j, 0] * u - x[j]
-                half = 0.5 * table[j, 6]
-                error -= min(half, max(-half, error))
-                error = min(limit[j], max(-limit[j], error))
-                loaded = load[i] * (table[j, 9] * x[j] + table[j, 10])
-                slowed = 1.0 / (1.0 + h * drag[j])
-                free = (v[j] + h * w2[j] * (force[j] * power[i] * error - loaded)) * slowed
-                grip = h * w2[j] * table[j, 7] * slowed
-                free -= min(grip, max(-grip, free))
-                v[j] = free
-                x[j] += h * free
-                side = min(1.0, max(-1.0, loaded * 10.0))
-                half = 0.5 * table[j, 8]
-                at = y[j] + pushed * (x[j] - side * half - y[j])
-                y[j] = min(x[j] + half, max(x[j] - half, at))
-        now = time_s[i]
-        for j in range(count):
-            if abs(x[j]) > furthest:  # an overbalanced surface that its servo no longer holds
-                x[j], v[j] = min(furthest, max(-furthest, x[j])), 0.0
-                y[j] = x[j]
-            position_deg[i, j] = y[j] + table[j, 1]
-        speed_deg_s[i, 0] = v[0]
-        held = command_deg[cursor] * table[0, 0] - x[0]
-        speed_deg_s[i, 1] = min(limit[0], max(-limit[0], held)) * w2[0] / drag[0]
-    for j in range(count):
-        state[j + 1, 0], state[j + 1, 1], state[j + 1, 2] = x[j], v[j], y[j]
-    state[0, 0], state[0, 1] = now, float(cursor)
+def _servo(row: FloatArray, furthest_deg: float) -> Physics:
+    """Sizes of the effects of one servo of a table."""
+    values = row.tolist()
+    rate_deg_s = math.exp(values[_RATE])
+    stops = {}
+    if values[_HINGE] < 0.0:  # an overbalanced surface that its servo no longer holds
+        stops = {"stop_lower_deg": -furthest_deg, "stop_upper_deg": furthest_deg}
+    return Physics(
+        command_gain=values[_GAIN], bias_deg=values[_BIAS], pair_scale=math.exp(values[_OMEGA]),
+        damping_scale=math.exp(values[_ZETA]), rate_up_deg_s=rate_deg_s, rate_down_deg_s=rate_deg_s,
+        torque=math.exp(values[_POWER]), deadband_deg=values[_DEAD], friction_deg=values[_FRICTION],
+        airload_per_pa=values[_HINGE] / PRESSURE_PA, air_trim_per_pa=values[_HINGE0] / PRESSURE_PA,
+        backlash_deg=values[_PLAY], **stops,
+    )  # fmt: skip
 
 
 def simulated(
-    table: FloatArray, state: FloatArray, commands: tuple[FloatArray, FloatArray], time_s: FloatArray,
+    table: FloatArray, progress: Progress, commands: tuple[FloatArray, FloatArray], time_s: FloatArray,
     load: FloatArray, power: FloatArray, start_deg: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Positions (m, V) before bends [deg], and speeds (m, 2) [deg/s]."""
-    position_deg, speed_deg_s = np.empty((time_s.size, table.shape[0])), np.empty((time_s.size, 2))
-    if time_s.size and commands[0].size:
-        advance(table, state, *commands, time_s, load, power, start_deg, position_deg, speed_deg_s)
+    """Simulate all servos of a table to each of some times.
+
+    `table` (V, 14), commands of shape (n,); times, `load` (dynamic pressure over 300 Pa), `power` (torque over the usual
+    one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Gives positions (m, V) before bends of the
+    reading [deg], and speeds (m, 2) [deg/s]: of the first servo, and the one that its drive aims at.
+    """
+    if not time_s.size or not commands[0].size:
+        return np.empty((time_s.size, table.shape[0])), np.empty((time_s.size, 2))
+    base, (command_s, command_deg) = table[0], commands
+    furthest_deg = _TURN_DEG + 2.0 ** math.ceil(math.log2(max(float(np.abs(command_deg).max()), _LEAST_ASKED_DEG)))
+    machine = machine_of(_LOOP, [_servo(row, furthest_deg) for row in table], _FINER, _EFFECTS)
+    effective_s = command_s + base[_DELAY]
+    new = slice(progress.received, None)
+    anew = np.isfinite(start_deg) | (np.diff(time_s, prepend=progress.state.clock[0]) > LONGEST_PAUSE_S)
+    around = np.empty((time_s.size, 5))
+    around[:] = 0.0, np.inf, 1.0, 0.0, 0.0
+    around[:, 0], around[:, 2] = load * PRESSURE_PA, power
+    speed_deg_s = np.empty((time_s.size, 2))
+    moving_deg_s = np.empty(time_s.size)
+    position_deg, used = machine.run(
+        progress.state, (effective_s[new], command_deg[new], np.zeros(command_s.size)[new]), time_s,
+        anew=anew, measured_deg=np.nan_to_num(start_deg), around=around, speed_deg_s=moving_deg_s,
+    )  # fmt: skip
+    progress.received += used
+    held = np.maximum(np.searchsorted(effective_s, time_s, side="right") - 1, 0)
+    error_deg = base[_GAIN] * command_deg[held] - (position_deg[:, 0] - base[_BIAS])
+    aimed_deg_s = error_deg / machine.loops[0].error_s
+    speed_deg_s[:, 0] = moving_deg_s
+    speed_deg_s[:, 1] = np.clip(aimed_deg_s, -math.exp(base[_RATE]), math.exp(base[_RATE]))
     return position_deg, speed_deg_s
 
 

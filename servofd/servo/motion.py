@@ -111,8 +111,15 @@ def _plain(values: FloatArray) -> FloatArray:
     return values if values.flags.carray else np.array(values, dtype=float)
 
 
-def machine_of(transfer: TransferFunction, variants: Sequence[Physics], finer: float = 1.0) -> Machine:
+def machine_of(
+    transfer: TransferFunction,
+    variants: Sequence[Physics],
+    finer: float = 1.0,
+    effects: tuple[type[Effect], ...] | None = None,
+) -> Machine:
     """Variants of one servo, to be moved on side by side; `finer` divides the steps where something acts.
+
+    `effects` are those that may act, if not all of the catalogue: fewer are compiled apart, and move faster.
 
     Raises
     ------
@@ -128,7 +135,7 @@ def machine_of(transfer: TransferFunction, variants: Sequence[Physics], finer: f
     >>> (read_deg[-1, 0] - read_deg[-1, 1]).round(3)
     0.5
     """
-    return _machine(transfer, tuple(variants), finer, everything())
+    return _machine(transfer, tuple(variants), finer, everything() if effects is None else effects)
 
 
 @lru_cache(maxsize=256)

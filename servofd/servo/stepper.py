@@ -78,12 +78,23 @@ _TINY_S = 1e-9
 """So short, the first term of the series is all of it."""
 _TERMS = 8
 """Of the series of half a step of the grid: what is left is below 1e-16."""
+_BENT_TERMS = 5
+"""Of the same where something acts on the servo: what is left is below 1e-10, of a step in which that is held."""
 _FAR_DEG = 1e6
 """An overbalanced surface that its servo no longer holds goes no further."""
 
 
 def nudge(
-    x: FloatArray, v: int, a: FloatArray, b: FloatArray, h: float, u: float, s: float, push: float, pull: float
+    x: FloatArray,
+    v: int,
+    a: FloatArray,
+    b: FloatArray,
+    h: float,
+    u: float,
+    s: float,
+    push: float,
+    pull: float,
+    terms: int,
 ) -> None:
     """Move the servo v of three states on by a small h: Taylor's series of its states."""
     rate, by = a[v], b[v]
@@ -93,7 +104,7 @@ def nudge(
     d2 = rate[6] * y + rate[7] * w + rate[8] * z + by[6] * u + by[7] * push + by[8] * pull
     y, w, z, part = y + h * d0, w + h * d1, z + h * d2, h
     e0, e1, e2 = by[0] * s, by[3] * s, by[6] * s
-    for k in range(2, _TERMS if abs(h) > _TINY_S else 2):
+    for k in range(2, terms if abs(h) > _TINY_S else 2):
         f0 = rate[0] * d0 + rate[1] * d1 + rate[2] * d2 + e0
         f1 = rate[3] * d0 + rate[4] * d1 + rate[5] * d2 + e1
         f2 = rate[6] * d0 + rate[7] * d1 + rate[8] * d2 + e2
@@ -121,7 +132,7 @@ def advance(
             h = left
             continue
         if abs(left) > _SAME_S:
-            nudge(x, v, a, b, left, u, s, 0.0, 0.0)
+            nudge(x, v, a, b, left, u, s, 0.0, 0.0, _TERMS)
         h = 0.0
 
 
@@ -334,7 +345,7 @@ def run(
                         by_y, by_v, by_w = row[6], row[13], row[20]
                         if abs(over) > NO_STEP_S:
                             x[v, 0], x[v, 1], x[v, 2] = y1, v1, w1
-                            nudge(x, v, a, b, over, wanted + slope * q * grid_s, slope, push, pull)
+                            nudge(x, v, a, b, over, wanted + slope * q * grid_s, slope, push, pull, _BENT_TERMS)
                             y1, v1, w1 = x[v, 0], x[v, 1], x[v, 2]
                             by_y, by_v, by_w = (
                                 by_y + over * (rate[0] * by_y + rate[1] * by_v + rate[2] * by_w + by[2]),

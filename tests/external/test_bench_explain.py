@@ -10,7 +10,8 @@ import pytest
 from servofd import explain, explain_logs
 from servofd.core.errors import NoMeasurement
 from servofd.discrepancy.explanation import Explanation
-from servofd.servo.catalogue import Bias, Gain
+from servofd.servo.effects.linkage import Gain
+from servofd.servo.effects.sensor import Bias
 from tests.external.test_bench_tables import DATA
 
 pytestmark = [

@@ -19,7 +19,7 @@ from servofd.discrepancy.locate import errors_by_regime
 from servofd.discrepancy.own import OwnEffect, OwnParameter, load_own_effect
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import best_frame, frames_like
-from servofd.servo.catalogue import Delay
+from servofd.servo.effects.commands import Delay
 from servofd.servo.physics import Physics
 from tests.recovery.test_honesty import KNOWN, flown
 

@@ -14,8 +14,10 @@ from hidden_physics import Effects, draw, hidden
 from hidden_score import ask, score
 from servofd.aircraft.series import Series
 from servofd.discrepancy.record import Record, record_of, simulate
-from servofd.servo.catalogue import CurrentLimit, RateLimit, installed
+from servofd.servo.catalogue import installed
 from servofd.servo.effects import Effect
+from servofd.servo.effects.linkage import RateLimit
+from servofd.servo.effects.motor import CurrentLimit
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS

@@ -102,10 +102,10 @@ class VoltageRate(Effect):
 
 
 class Torque(Effect):
-    """Torque of the motor beside its usual one, in proportion to its supply."""
+    """Torque of the motor beside its usual one, in proportion to its supply; off, the supply is nothing to it."""
 
     name, slot, searched = "torque", Slot.ERROR, False
-    parameters = (Parameter("share", ("torque",), 0.05, 2.0, 1.0, 0.1),)
+    parameters = (Parameter("share", ("torque",), 0.05, 2.0, 1.0, 0.1, off=math.inf),)
 
     @staticmethod
     def act(x: float, now: Now, share: float) -> float:
