@@ -17,8 +17,8 @@ from servofd.core.types import BoolArray, FloatArray
 from servofd.feedback.flown import one_log, surfaces_of
 from servofd.jobs.bench import bench_tests
 from servofd.jobs.workflow import audit, flights_of
-from servofd.simulation.pulses import outputs_of
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
+from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
 
 FORMATS = (".csv", ".bin", ".tlog", ".ulg")
