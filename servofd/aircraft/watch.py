@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 STANDS_STILL_S: Final = 1.0
 """A bus that stands still for so long is reported: nobody knows then where any surface is."""
-_KEPT_S, _KEPT_ROWS, _MOST_ROWS = 1.5, 100, 1000
-"""The rules look back by half a second and 34 fresh readings; half of 1000 rows are dropped at a time."""
+_KEPT_S, _KEPT_ROWS, _MOST_ROWS = 1.5, 100, 250
+"""The rules look back by half a second and 34 fresh readings; what is older is dropped when 250 rows are there."""
 _ROWS_FOR_REFRESH = 200
 """How often it is looked anew whether rows are written more often than readings are refreshed."""
 
