@@ -14,10 +14,10 @@ from servofd.discrepancy.record import liveliest, only, simulate
 from servofd.servo import catalogue
 from servofd.servo.catalogue import installed
 from servofd.servo.effect import Slot
-from servofd.servo.effects.commands import ClockOffset, Delay, PwmFrame
-from servofd.servo.effects.own import SlowDynamics
-from servofd.servo.effects.sensor import SensorLag
-from servofd.servo.effects.shaft import TiltedLoad
+from servofd.servo.effects.commands import ClockOffset, CommandSteps, Delay, PwmFrame
+from servofd.servo.effects.own import Damping, SlowDynamics
+from servofd.servo.effects.sensor import Quantization, SensorLag
+from servofd.servo.effects.shaft import ExternalLoad, TiltedLoad
 from servofd.servo.loop import AFTER, BEFORE, INSIDE, loop_of
 from servofd.servo.physics import rate_fields
 
@@ -37,7 +37,7 @@ def common_places(effects: tuple[type[Effect], ...]) -> tuple[float, ...]:
         return ()
     # Beyond the loop a slow pole before it is one inside it, unless something within tells them apart.
     same = {BEFORE} if all(effect.slot is Slot.OUTPUT for effect in placed) else set()
-    if catalogue.SensorLag in effects:  # that and a slow pole after the loop are one thing
+    if SensorLag in effects:  # that and a slow pole after the loop are one thing
         same.add(AFTER)
     first, *others = (effect.places or () for effect in placed)
     return tuple(each for each in first if each not in same and all(each in other for other in others))
@@ -66,21 +66,21 @@ def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
         shown = sorted((e for e in catalogue.catalogue() if e.at_rest), key=lambda effect: effect.at_rest)
         return shown, [effect for effect in catalogue.catalogue() if not effect.at_rest]
     able = [effect for effect in catalogue.catalogue() if set(effect.needs) <= held]
-    unable = [effect for effect in catalogue.catalogue() if effect not in able and effect is not catalogue.ExternalLoad]
+    unable = [effect for effect in catalogue.catalogue() if effect not in able and effect is not ExternalLoad]
     linear: set[type[Effect]] = {
-        catalogue.SlowDynamics,
-        catalogue.Damping,
-        catalogue.SensorLag,
-        catalogue.ClockOffset,
+        SlowDynamics,
+        Damping,
+        SensorLag,
+        ClockOffset,
     }
     fitted: set[type[Effect]] = linear if record.free_poles else set()
     # A surface's weight is balanced about its hinge, and a bench's horn hangs at zero; an arm's joint hangs anywhere.
     is_arm = record.free_poles and not record.runs and record.pressure_pa is None
-    fitted |= set() if is_arm else {catalogue.TiltedLoad}
+    fitted |= set() if is_arm else {TiltedLoad}
     # Frames run on between separate runs, so that nobody knows when each of them began.
-    fitted |= {catalogue.PwmFrame} if record.runs or record.free_poles else set()
+    fitted |= {PwmFrame} if record.runs or record.free_poles else set()
     # A converter whose steps do not show in the readings has none that matter.
-    fitted |= {catalogue.CommandSteps} if (record.step_deg or 0.0) >= COARSE_STEP_DEG else {catalogue.Quantization}
+    fitted |= {CommandSteps} if (record.step_deg or 0.0) >= COARSE_STEP_DEG else {Quantization}
     return [effect for effect in able if effect not in fitted], unable
 
 
@@ -98,15 +98,15 @@ def candidates(
     names = excluded(known)
     found = []
     for effect in able:
-        if effect.name in names or effect is catalogue.PwmFrame:
+        if effect.name in names or effect is PwmFrame:
             continue
         where: tuple[float, ...] = (place,)
         if effect.places and record.plant.has_places and record.side is None:
             where = common_places((*known, effect))
         found += [Candidate(effect, each) for each in where]
-    if catalogue.SensorLag in known:
+    if SensorLag in known:
         return [each for each in found if each.place != AFTER]
-    return [each for each in found if each != Candidate(catalogue.SensorLag, AFTER)]
+    return [each for each in found if each != Candidate(SensorLag, AFTER)]
 
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055

@@ -196,8 +196,8 @@ class Effect:
     """Names of effects on top of which it does not come, nor they on top of it: forms of one thing, or one that bends the
     position much as the other does."""
     places: ClassVar[tuple[float, ...] | None] = None
-    """Where the slow pole of a servo of three may lie with it (`servofd.servo.loop`), the likeliest first; empty if that
-    does not matter. What acts within the loop, or before what may follow it, differs with the place."""
+    """Where the slow pole of a servo of three may lie with it (`servofd.servo.loop`), the likeliest first; empty if
+    that does not matter. What acts within the loop, or before what may follow it, differs with the place."""
     varies: ClassVar[bool] = False
     """Whether its first number may go with a condition of the runs."""
     at_rest: ClassVar[int] = 0

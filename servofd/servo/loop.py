@@ -50,7 +50,7 @@ class Loop(NamedTuple):
     b: FloatArray
     """The same over command, push and pull, shape (n * 3,)."""
     steps: FloatArray
-    """States after 0..k steps of the grid, shape (k + 1, n * (n + 4)), from states, command, its slope, push and pull."""
+    """States after 0..k steps of the grid, shape (k + 1, n * (n + 4)), from states, command, slope, push and pull."""
     grid_s: float
     rest: FloatArray
     """States of a shaft at rest at 1, shape (n,)."""
@@ -210,7 +210,8 @@ def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSES
         b = b / transfer.dc_gain
     count = min(round(_LONGEST_S / grid_s), _MOST)
     return Loop(
-        a.ravel(), b.ravel(), _steps(a, b, grid_s, count), grid_s, rest, transfer.dc_gain, facts.error_s / transfer.dc_gain,
+        a.ravel(), b.ravel(), _steps(a, b, grid_s, count), grid_s, rest,
+        transfer.dc_gain, facts.error_s / transfer.dc_gain,
         facts.per_error, facts.leaves, facts.filters, facts.stretch, facts.natural_rad_s, is_physical,
     )  # fmt: skip
 

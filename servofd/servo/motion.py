@@ -1,7 +1,7 @@
 """A servo on its way: where it is, from one instant to the next, its state going along.
 
-A whole log and a single live sample, a linear servo and one with effects, one servo and many side by side go through the
-same compiled stepper (`servofd.servo.stepper`): a run in pieces is the run in one go.
+A whole log and a single live sample, a linear servo and one with effects, one servo and many side by side go through
+the same compiled stepper (`servofd.servo.stepper`): a run in pieces is the run in one go.
 """
 
 from __future__ import annotations
@@ -86,8 +86,9 @@ class Machine:
         facts, a, b, steps, rest = self._arrays
         used = self.stepper.run(
             self.sizes, self.acts, facts, a, b, steps, rest, self.loops[0].grid_s, self.longest_s,
-            _plain(commands[0]), _plain(commands[1]), _plain(commands[2]), _plain(at_s), anew if anew.flags.carray else np.array(anew), _plain(measured_deg),
-            around, state.clock, state.states, state.memory, read_deg, _NOWHERE if speed_deg_s is None else speed_deg_s,
+            _plain(commands[0]), _plain(commands[1]), _plain(commands[2]), _plain(at_s),
+            anew if anew.flags.carray else np.array(anew), _plain(measured_deg), around,
+            state.clock, state.states, state.memory, read_deg, _NOWHERE if speed_deg_s is None else speed_deg_s,
         )  # fmt: skip
         return read_deg, int(used)
 

@@ -1,8 +1,8 @@
 """The one stepper: servos on their way from event to event, each under the same commands.
 
 Between events (a command that takes effect, a position that is measured) a linear servo moves by matrices, exactly for
-any step. Where an effect bends it, steps are short: what drives the loop beside its own error (`push`) and what loads it
-(`pull`) are taken in the middle of a step and held; friction is the deceleration that would stop the shaft by the end of
+any step. Where an effect bends it, steps are short: what drives the loop beside its own error (`push`) and what loads
+it (`pull`) are taken in the middle of a step and held; friction is the deceleration that would stop the shaft by the end of
 the step, as far as its strength goes (docs/explain.md, E5 to E7).
 
 This text is compiled as it is for linear servos. `servofd.servo.generate` replaces the functions of the slots, which
@@ -175,7 +175,8 @@ def advance_any(
 
 def departs(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: float) -> float:
     """Speed of one of three states of the servo v."""
-    return (a[v, 3 * out] * x[v, 0] + a[v, 3 * out + 1] * x[v, 1]) + (a[v, 3 * out + 2] * x[v, 2] + b[v, 3 * out] * u)
+    row = 3 * out
+    return float(a[v, row] * x[v, 0] + a[v, row + 1] * x[v, 1] + (a[v, row + 2] * x[v, 2] + b[v, row] * u))
 
 
 def departs_any(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: float) -> float:
@@ -183,7 +184,7 @@ def departs_any(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u
     n, total = x.shape[1] // 3, b[v, 3 * out] * u
     for j in range(n):
         total += a[v, n * out + j] * x[v, j]
-    return total
+    return float(total)
 
 
 def run(

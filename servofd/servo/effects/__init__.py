@@ -1,4 +1,4 @@
-"""Every effect, one class each, in modules by the place where they act; a module that is added here is found by itself."""
+"""Every effect, one class each, in modules by the place where they act; a module that is added is found by itself."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class RateLimit(Effect):
     def act(
         x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float, lag: float
     ) -> tuple[float, float, float]:
-        """It follows until the servo is too fast, on a cubic from step to step, and then runs until it meets it again."""
+        """It follows until the servo is too fast, on a cubic from step to step, then runs until it meets it again."""
         step_s, was = now.step_s, at + lag
         # Travels of the step at its first and last speed, and between; all of its speeds lie between these three.
         most, least = up_deg_s * step_s, -down_deg_s * step_s

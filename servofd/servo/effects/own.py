@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from servofd.servo.effect import Effect, Parameter, Slot
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
@@ -45,18 +48,18 @@ class Poles(Effect):
     """How a servo's poles differ from those of its type, the slow one in the loop: part of a model, no effect."""
 
     name, slot, form, searched, parameters = "poles", Slot.OWN, "inside", False, _POLES
-    fixed = {"slow_place": INSIDE}
+    fixed: ClassVar[Mapping[str, float]] = {"slow_place": INSIDE}
 
 
 class PolesBefore(Effect):
     """The same of a servo whose slow pole filters the command."""
 
     name, slot, form, searched, parameters = "poles", Slot.OWN, "before", False, _POLES
-    fixed = {"slow_place": BEFORE}
+    fixed: ClassVar[Mapping[str, float]] = {"slow_place": BEFORE}
 
 
 class PolesAfter(Effect):
     """The same of a servo whose slow pole filters what the loop moves."""
 
     name, slot, form, searched, parameters = "poles", Slot.OWN, "after", False, _POLES
-    fixed = {"slow_place": AFTER}
+    fixed: ClassVar[Mapping[str, float]] = {"slow_place": AFTER}

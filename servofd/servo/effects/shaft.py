@@ -10,7 +10,7 @@ from servofd.servo.effects.motor import RATES_DEG_S_PER_V, UNFOLLOWED
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
-"""Where in the motor a load acts is not in the servo's poles; it changes neither the linear servo nor a steady state."""
+"""Where in the motor a load acts is not in the servo's poles; it changes no linear motion and no steady state."""
 _FRICTION_DEG = (0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0)
 _STRIBECK_DEG_S = 10.0
 """Speed at which most of what friction is larger at rest is gone: of grease and bushings."""
