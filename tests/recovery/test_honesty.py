@@ -16,9 +16,10 @@ from servofd.discrepancy.record import Record, comb_step_deg, record_of, simulat
 from servofd.discrepancy.search import best_frame
 from servofd.discrepancy.select import select
 from servofd.servo.catalogue import Backlash, CurrentLimit, Delay, installed
-from servofd.servo.effects import Effect
+from servofd.servo.effect import Effect
 from servofd.servo.library import servo_named
-from servofd.servo.physics import AFTER, BEFORE, Physics
+from servofd.servo.loop import AFTER, BEFORE
+from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 
