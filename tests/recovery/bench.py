@@ -8,7 +8,7 @@ import numpy as np
 
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
-from servofd.servo.effects import RateLimit
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import chirp

@@ -10,13 +10,12 @@ from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.servo.context import Context
-from servofd.servo.effects import LinearDynamics
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
-UNKNOWN = ServoModel((LinearDynamics(TransferFunction((987.0,), (1.0, 50.3, 987.0))),))
+UNKNOWN = ServoModel(TransferFunction((987.0,), (1.0, 50.3, 987.0)))
 TIME_S = np.arange(800) / 100.0
 
 

@@ -11,10 +11,10 @@ import pytest
 from hidden_physics import Air, deflection
 from servofd.servo.catalogue import effects_installed
 from servofd.servo.context import Context
-from servofd.servo.effects import RateLimit
+from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import servo_named
-from servofd.servo.motion import ExtendedMotion, ExtendedServo
-from servofd.servo.physics import Physics, Plant
+from servofd.servo.motion import AnyServo, Motion
+from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import COMMANDS
@@ -35,7 +35,7 @@ SETTLED = 50
 def moved(physics: Physics, airspeed_m_s: Any, supply_v: Any) -> Any:
     constant = np.ones(TIME_S.size)
     context = Context(TIME_S, airspeed_m_s * constant, TIME_S, supply_v * constant)
-    motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), physics, context), 0.0)
+    motion = Motion(AnyServo(KNOWN.transfer, physics, context), 0.0)
     motion.receive(TIME_S + physics.delay_s, COMMAND_DEG, np.zeros(TIME_S.size))
     return motion.at(TIME_S)
 
@@ -145,11 +145,11 @@ def test_a_gain_of_the_servo_scales_its_motion_and_what_is_told_in_its_degrees(d
     """Dead bands are told in degrees of the command, friction and rates in those of the surface."""
     found_deg = []
     for gain in (1.0, 0.7):
-        plant = Plant(TransferFunction((gain * denominator[-1],), denominator), Physics())
+        transfer = TransferFunction((gain * denominator[-1],), denominator)
         physics = Physics(
             friction_deg=0.5 * gain, deadband_deg=0.4, rate_up_deg_s=40.0 * gain, stop_upper_deg=5.0 * gain
         )
-        motion = ExtendedMotion(ExtendedServo(plant, physics), 2.0 * gain)
+        motion = Motion(AnyServo(transfer, physics), 2.0 * gain)
         motion.receive(TIME_S, COMMAND_DEG, np.zeros(TIME_S.size))
         found_deg.append(motion.at(TIME_S) / gain)
     assert found_deg[0][0] == pytest.approx(2.0)

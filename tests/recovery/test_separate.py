@@ -12,7 +12,7 @@ from servofd.discrepancy.record import Record, record_of
 from servofd.discrepancy.select import Rung, Selection
 from servofd.discrepancy.separate import MANOEUVRES, separations
 from servofd.servo.catalogue import effects_named
-from servofd.servo.effects import Effect
+from servofd.servo.effect import Effect
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 

@@ -10,7 +10,6 @@ import pytest
 from servofd.aircraft.series import Series
 from servofd.discrepancy.explanation import Explanation, explain_gap
 from servofd.discrepancy.varying import varying
-from servofd.servo.effects import Extension
 from servofd.servo.library import servo_named
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
@@ -29,7 +28,7 @@ def explained(slope: float = SLOPE) -> Explanation:
         command_deg = np.repeat(rng.choice(np.array([-20.0, -8.0, 8.0, 20.0]), 8), 50)
         limit_deg_s = AT_ZERO + slope * load_g
         physics = Physics(delay_s=KNOWN.delay_s, rate_up_deg_s=limit_deg_s, rate_down_deg_s=limit_deg_s)
-        moved_deg = (KNOWN + Extension(physics)).simulate(time_s, command_deg, time_s)
+        moved_deg = KNOWN.with_physics(physics).simulate(time_s, command_deg, time_s)
         runs.append(Series("servo", time_s, command_deg, time_s, moved_deg + NOISE_DEG * rng.standard_normal(400)))
     return explain_gap(runs, KNOWN, on_bench=True)
 
