@@ -1,7 +1,7 @@
 """A servo of one to three poles with what loads, stops and hangs on it, in steps of 0.1 ms: slow and readable.
 
 The position loop of docs/explain.md, E1: an error turns into torque, torque into speed. It shares no formula of steps
-with the kernel, which goes from event to event by matrices.
+with the stepper, which goes from event to event by matrices.
 """
 
 from __future__ import annotations
@@ -13,9 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from servofd.core.types import FloatArray
-from servofd.servo.physics import AFTER, BEFORE, INSIDE, Physics, split
+from servofd.servo.loop import AFTER, BEFORE, INSIDE
+from servofd.servo.physics import Physics
 
+Around = tuple[float, ...]
+"""Dynamic pressure, supply, supply over the usual one, current, load."""
 _STEP_S = 1e-4
+_STRIBECK_DEG_S, _PUSH_PER_PA_S = 10.0, 25.0 / 300.0
 
 
 @dataclass
@@ -31,20 +35,23 @@ class SlowLoop:
     def __post_init__(self) -> None:
         shaft = (self.start_deg - self.physics.bias_deg) / self.physics.gain
         self.state = [shaft, 0.0, 0.0]
-        self.followed = self.tip = self.played = shaft
+        self.moved = self.followed = self.tip = self.played = shaft
         self.swing, self.sensed, self.set_point = 0.0, self.start_deg, math.nan
         coefficients = [c / self.denominator[0] for c in self.denominator[1:]]
         self.let, self.slow_rad_s = shaft, 0.0
         if self.physics.slow_place != INSIDE:
-            self.slow_rad_s, pair = split(np.array([1.0, *coefficients]))
-            coefficients = list(pair)
+            roots = np.roots([1.0, *coefficients])
+            real = roots[roots.imag == 0.0].real
+            self.slow_rad_s = float(np.abs(real).min())
+            pair = np.delete(roots, np.argmin(np.abs(roots + self.slow_rad_s)))
+            coefficients = np.poly(pair).real[1:].tolist()
         self.order, self.stiffness = len(coefficients), coefficients[-1]
         self.error_per_rate_s = ([1.0, *coefficients])[-2] / self.stiffness
         self.q = self.physics.torque_share * coefficients[0] if self.order == 3 else 1.0
         self.p = coefficients[0] - (self.q if self.order == 3 else 0.0)
         self.r = coefficients[1] - self.p * self.q if self.order == 3 else 0.0
 
-    def effort(self, error: float, supply_v: float) -> float:
+    def effort(self, error: float, supply_v: float, power: float) -> float:
         """Error that acts [deg]."""
         is_first = self.order == 1
         dead = 0.5 * self.physics.deadband_deg + (self.physics.friction_deg if is_first else 0.0)
@@ -54,13 +61,21 @@ class SlowLoop:
         bent /= math.sqrt(1.0 + abs(bent) / self.physics.knee_deg)
         by_supply = self.physics.deg_s_per_v * supply_v
         up, down = min(self.physics.rate_up_deg_s, by_supply), min(self.physics.rate_down_deg_s, by_supply)
-        return max(min(bent, up * self.error_per_rate_s), -down * self.error_per_rate_s)
+        bent = max(min(bent, up * self.error_per_rate_s), -down * self.error_per_rate_s)
+        return bent * (self.physics.torque * power if self.physics.torque != 1.0 else 1.0)
 
-    def slopes(self, state: list[float], set_point: float, air_pa: float, supply_v: float) -> list[float]:
+    def load(self, y: float, around: Around) -> float:
+        """Deflection that all loads take away [deg]."""
+        air_pa, _, _, _, external = around
+        load = self.physics.airload_per_pa * air_pa * y + self.physics.air_trim_per_pa * air_pa
+        load += self.physics.droop_deg * math.sin(math.radians(y - self.physics.hangs_deg))
+        return load - self.physics.load_deg * external
+
+    def slopes(self, state: list[float], set_point: float, around: Around) -> list[float]:
         """Derivatives of position, speed and torque; a load is told by the error that balances it."""
         y, v, torque = state
-        effort = self.effort(set_point - y, supply_v)
-        load = self.physics.airload_per_pa * air_pa * y + self.physics.droop_deg * math.sin(math.radians(y))
+        effort = self.effort(set_point - y, around[1], around[2])
+        load = self.load(y, around)
         if self.order == 1:
             return [self.stiffness * (effort - load), 0.0, 0.0]
         if self.order == 2:
@@ -68,10 +83,11 @@ class SlowLoop:
         turned = -self.q * torque - self.r * v + self.stiffness * effort
         return [v, torque - self.p * v - self.stiffness / self.q * load, turned]
 
-    def step(self, h: float, command_deg: float, air_pa: float, supply_v: float) -> None:
+    def step(self, h: float, command_deg: float, around: Around) -> None:
         """Move on by `h` towards a command: midpoints, then friction, which stops and never drives."""
         if math.isnan(self.set_point):
             self.set_point = command_deg
+        command_deg *= self.physics.command_gain
         most = self.physics.set_point_deg_s * h
         self.set_point += max(min(command_deg - self.set_point, most), -most)
         target = self.set_point
@@ -79,26 +95,33 @@ class SlowLoop:
             before = self.let
             self.let = target + (before - target) * math.exp(-self.slow_rad_s * h)
             target = 0.5 * (before + self.let)
-        begin = self.slopes(self.state, target, air_pa, supply_v)
+        begin = self.slopes(self.state, target, around)
         middle = [x + 0.5 * h * d for x, d in zip(self.state, begin, strict=True)]
-        slope = self.slopes(middle, target, air_pa, supply_v)
+        slope = self.slopes(middle, target, around)
         y, v, torque = (x + h * d for x, d in zip(self.state, slope, strict=True))
         if self.order > 1:
             push = middle[2]
             if self.order == 2:
-                push = self.stiffness * self.effort(target - middle[0], supply_v)
-            strength = self.stiffness / self.q * self.physics.friction_deg + self.physics.load_friction * abs(push)
+                push = self.stiffness * self.effort(target - middle[0], around[1], around[2])
+            slip = self.physics.stribeck * math.exp(-((v / _STRIBECK_DEG_S) ** 2))
+            strength = self.stiffness / self.q * self.physics.friction_deg * (1.0 + slip)
+            strength += self.physics.load_friction * abs(push)
             slower = math.copysign(max(abs(v) - strength * h, 0.0), v)
             y, v = y + 0.5 * h * (slower - v), slower
-        if not -self.physics.speed_down_deg_s <= v <= self.physics.speed_up_deg_s:
-            held_back = min(max(v, -self.physics.speed_down_deg_s), self.physics.speed_up_deg_s)
+        by_supply = self.physics.speed_deg_s_per_v * around[1]
+        down, up = min(self.physics.speed_down_deg_s, by_supply), min(self.physics.speed_up_deg_s, by_supply)
+        if not -down <= v <= up:
+            held_back = min(max(v, -down), up)
             y, v = y + h * (held_back - v) * 0.5, held_back
         if not self.physics.stop_lower_deg < y < self.physics.stop_upper_deg:
             y, v = min(max(y, self.physics.stop_lower_deg), self.physics.stop_upper_deg), 0.0
-        self.hang(h, y)
         self.state = [y, v, torque]
+        if self.physics.slow_place == AFTER:
+            self.moved += (y - self.moved) * -math.expm1(-self.slow_rad_s * h)
+            y = self.moved
+        self.hang(h, y, around)
 
-    def hang(self, h: float, y: float) -> None:
+    def hang(self, h: float, y: float, around: Around) -> None:
         """What hangs on the shaft: an output that cannot follow, a flexible tip, play, a crooked linkage, a sensor."""
         before, tip = self.followed, self.tip
         up, down = self.physics.follow_up_deg_s * h, self.physics.follow_down_deg_s * h
@@ -112,29 +135,26 @@ class SlowLoop:
         else:
             self.tip = self.followed
         half = 0.5 * self.physics.backlash_deg
+        side = min(max(10.0 * self.load(self.state[0], around), -1.0), 1.0)  # to where the air pushes it
+        self.played += h * abs(side) * _PUSH_PER_PA_S * around[0] * (self.tip - side * half - self.played)
         self.played = min(max(self.played, self.tip - half), self.tip + half)
         x = self.played
         surface = self.physics.gain * (x + self.physics.quadratic_per_deg * x**2 + self.physics.cubic_per_deg2 * x**3)
         surface = min(max(surface, self.physics.lower_deg), self.physics.upper_deg) + self.physics.bias_deg
-        lag_s = 1.0 / self.slow_rad_s if self.physics.slow_place == AFTER else self.physics.lag_s
-        share = -math.expm1(-h / lag_s) if lag_s else 1.0
+        share = -math.expm1(-h / self.physics.lag_s) if self.physics.lag_s else 1.0
         self.sensed += share * (surface - self.sensed)
 
-    def positions(
-        self, commands: FloatArray, at_s: FloatArray, air_pa: FloatArray, supply_v: FloatArray
-    ) -> Iterator[float]:
+    def positions(self, commands: FloatArray, at_s: FloatArray, around: FloatArray) -> Iterator[float]:
         """Reading at each instant; commands of shape (3, n): when, what, and the slope from there on."""
         now = float(at_s[0])
-        for until, air, supply in zip(at_s.tolist(), air_pa.tolist(), supply_v.tolist(), strict=True):
+        for until, beside in zip(at_s.tolist(), around.tolist(), strict=True):
             within = commands[0][(commands[0] > now) & (commands[0] < until)]
             for end in [*within.tolist(), until]:
                 k = int(np.searchsorted(commands[0], now + 1e-12, side="right")) - 1
                 when_s, deg, slope = (float(row[max(k, 0)]) for row in commands)
-                if math.isfinite(self.physics.set_point_deg_s):
-                    slope = 0.0  # it follows steps
                 count = math.ceil((end - now) / _STEP_S)
                 h = (end - now) / max(count, 1)
                 for i in range(count):
-                    self.step(h, deg + slope * (now + (i + 0.5) * h - when_s), air, supply)
+                    self.step(h, deg + slope * (now + (i + 0.5) * h - when_s), tuple(beside))
                 now = end
-            yield self.sensed
+            yield self.sensed + self.physics.deg_per_a * beside[3]
