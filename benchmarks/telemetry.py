@@ -14,6 +14,7 @@ import tempfile
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -23,7 +24,7 @@ from strangers import Failure, Flight, fly, stranger
 
 import servofd
 from logparsers.codec import Codec
-from servofd.core.errors import ServofdError
+from servofd.core.errors import CalibrationError, ServofdError
 from servofd.core.series import latest
 from servofd.feedback.flown import one_log
 from servofd.live.run import Pace, replay_log
@@ -125,17 +126,21 @@ class Outcome:
     statuses: dict[str, dict[str, str]]
 
 
-def judged(seed: int, numbers: Sequence[int], reasons: Sequence[str], duration_s: float) -> list[Outcome]:
-    """Every flight of one aircraft."""
+def judged(
+    seed: int, numbers: Sequence[int], reasons: Sequence[str], duration_s: float, *, calibrates: bool
+) -> list[Outcome]:
+    """Every flight of one aircraft; `calibrates`: also with a calibrated file."""
     aircraft, found = stranger(2 * seed + 1), []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.csv"
+        known: Aircraft | None = None
         try:
+            if not calibrates:
+                raise CalibrationError("was not asked for")
             fly(aircraft, 100, "mixed", duration_s=_GOOD_S).write(path)
-            known: Aircraft | None = servofd.calibrate(path, force=True).aircraft
+            known = servofd.calibrate(path, force=True).aircraft
         except ServofdError as error:
             print(f"aircraft {seed}: not calibrated: {error}", flush=True)
-            known = None
         for number in numbers:
             flight = fly(aircraft, number, _STYLES[number % len(_STYLES)], duration_s=duration_s)
             for reason in reasons:
@@ -168,13 +173,21 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--reasons", nargs="+", choices=REASONS, default=REASONS)
+    parser.add_argument("--no-file", action="store_true", help="audit without a file only")
     options = parser.parse_args()
     seeds = range(-(-options.flights // _EACH_CALIBRATES))
     numbers = range(1, 1 + min(_EACH_CALIBRATES, options.flights))
     tally: dict[tuple[str, str], Counter[str]] = {(r, way): Counter() for r in options.reasons for way in WAYS}
     done: dict[tuple[str, str], str] = {}
     with ProcessPoolExecutor(options.jobs) as pool:
-        for outcomes in pool.map(judged, seeds, repeat(numbers), repeat(options.reasons), repeat(options.duration)):
+        one = partial(
+            judged,
+            numbers=numbers,
+            reasons=options.reasons,
+            duration_s=options.duration,
+            calibrates=not options.no_file,
+        )
+        for outcomes in pool.map(one, seeds):
             for each in outcomes:
                 for way, statuses in each.statuses.items():
                     counts = tally[each.reason, way]

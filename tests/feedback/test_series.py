@@ -12,6 +12,7 @@ from servofd.aircraft.marks import LAST_WITH_VALUE, Why
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.aircraft.series import Series, bus_of, cut
 from servofd.aircraft.watch import Bus, New, Watch
+from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement
 from servofd.core.types import BoolArray, FloatArray
 from servofd.feedback.flown import one_log, surfaces_of
@@ -94,19 +95,13 @@ def test_every_verb_sees_the_same_marks(tmp_path: Path) -> None:
     aircraft, name = load_aircraft("simulated"), flight.surfaces[1]
     log = one_log(path)
     why = cut(log, name, surfaces_of(log, aircraft)).why
-    (result,) = audit(path, servofd_job(aircraft))
+    (result,) = audit(path, Job(aircraft=aircraft))
     audited = next(surface.segment for surface in result.surfaces if surface.surface == name)
     calibrated = flights_of(path, aircraft)[name][0].segment
     (identified,) = bench_tests(path, aircraft, name)
     for series in (audited, calibrated, identified.segment):
         assert series is not None
         np.testing.assert_array_equal(series.why, why)
-
-
-def servofd_job(aircraft: object) -> object:
-    from servofd.batch.key import Job
-
-    return Job(aircraft=aircraft)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("reason", ["FROZEN", "HELD", "DUPLICATE", "ECHO", "SPIKE"])
@@ -128,8 +123,8 @@ def test_a_stream_passes_on_what_a_log_keeps(reason: str, at_once: int, tmp_path
             for name, each in series.items()
         }
         stands = bus.take(new)
-        for name, each in new.items():
-            row = watches[name].take(each.time_s, each.position_deg, each.command_deg, stands=stands[name])
+        for name, came in new.items():
+            row = watches[name].take(came.time_s, came.position_deg, came.command_deg, stands=stands[name])
             passed[name] += [at_s for at_s, _ in row]
     for name, each in series.items():
         passed[name] += [at_s for at_s, _ in watches[name].finish()]
@@ -157,7 +152,7 @@ def one(path: Path, **columns: FloatArray) -> Series:
 def test_where_the_torque_is_off_nothing_counts(tmp_path: Path) -> None:
     off = (TIME_S >= 12.0) & (TIME_S < 14.0)
     position_deg = followed(np.random.default_rng(1))
-    series = one(tmp_path / "a.csv", rudder_pos_deg=position_deg, torque_enabled=1.0 - off)
+    series = one(tmp_path / "a.csv", rudder_pos_deg=position_deg, torque_enabled=np.where(off, 0.0, 1.0))
     np.testing.assert_array_equal(series.why == Why.TORQUE_OFF, off)
     assert [each.why for each in series.left_out] == ["unsettled", "torque off"]
 
