@@ -69,7 +69,11 @@ def of_size(effect: type[Effect], larger: float = 1.0) -> Physics:
 
 
 def moved(
-    machine: Machine, physics: Physics, commands: FloatArray = COMMANDS, at_s: FloatArray = AT_S, around: FloatArray = AROUND
+    machine: Machine,
+    physics: Physics,
+    commands: FloatArray = COMMANDS,
+    at_s: FloatArray = AT_S,
+    around: FloatArray = AROUND,
 ) -> FloatArray:
     """Readings, shape (n, V), from rest where the command in force wants it."""
     effective = received(physics, (commands[0], commands[1], commands[2]))
@@ -270,7 +274,9 @@ def test_commands_that_come_in_by_and_by_are_those_that_come_at_once(effect: typ
         airspeed_s=AT_S, airspeed_m_s=18.0 + AROUND[:, 1], voltage_s=AT_S, voltage_v=AROUND[:, 1],
         current_s=AT_S, current_a=AROUND[:, 3], load_s=AT_S, load=AROUND[:, 4],
     )  # fmt: skip
-    servo = AnyServo(EQ31, of_size(effect)._replace(load_late_s=0.0), context if effect.name != "external_load" else Context())
+    servo = AnyServo(
+        EQ31, of_size(effect)._replace(load_late_s=0.0), context if effect.name != "external_load" else Context()
+    )
     at_once, by_and_by = Motion(servo, 1.0), Motion(servo, 1.0)
     at_once.receive(*COMMANDS)
     expected_deg, found_deg, known = at_once.at(AT_S), [], 0
@@ -443,7 +449,11 @@ def test_frames_carry_the_command_in_force_when_they_begin() -> None:
 
 T = np.arange(0.0, 0.2, 0.01)
 STEP = np.where(T > 0.025, 5.0, 1.0)
-MODELS = [ServoModel(EQ31), ServoModel.of(servo_named("hs225bb-eq31")), ServoModel(EQ31) + RateLimit(60.0) + Backlash(0.5)]
+MODELS = [
+    ServoModel(EQ31),
+    ServoModel.of(servo_named("hs225bb-eq31")),
+    ServoModel(EQ31) + RateLimit(60.0) + Backlash(0.5),
+]
 
 
 @pytest.mark.parametrize("model", MODELS)

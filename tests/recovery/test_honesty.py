@@ -16,12 +16,13 @@ from servofd.discrepancy.record import Record, comb_step_deg, record_of, simulat
 from servofd.discrepancy.search import best_frame
 from servofd.discrepancy.select import select
 from servofd.servo.catalogue import installed
-from servofd.servo.effects import Effect
+from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import Backlash
 from servofd.servo.effects.motor import CurrentLimit
 from servofd.servo.library import servo_named
-from servofd.servo.physics import AFTER, BEFORE, Physics
+from servofd.servo.loop import AFTER, BEFORE
+from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 

@@ -15,9 +15,8 @@ from hidden_score import ask, score
 from servofd.aircraft.series import Series
 from servofd.discrepancy.record import Record, record_of, simulate
 from servofd.servo.catalogue import installed
-from servofd.servo.effects import Effect
-from servofd.servo.effects.linkage import RateLimit
-from servofd.servo.effects.motor import CurrentLimit
+from servofd.servo.effect import Effect
+from servofd.servo.effects.motor import CurrentLimit, MotorRate
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
@@ -80,7 +79,7 @@ def test_an_effect_near_the_lower_end_of_decades_is_an_answer() -> None:
     (knee,) = CurrentLimit.parameters
     assert not knee.at_bound(1.05)
     assert knee.at_bound(0.31)
-    (limit,) = RateLimit.parameters[:1]
+    (limit,) = MotorRate.parameters[:1]
     assert not limit.at_bound(4.0)
     assert limit.at_bound(2.1)
 
