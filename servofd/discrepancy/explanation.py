@@ -123,11 +123,7 @@ class Elsewhere:
 
 
 def judged_elsewhere(path: str, segment: Series, model: ServoModel, physics: Physics) -> Elsewhere:
-    """Errors of the servo as it was known, and with the effects that were found in another flight.
-
-    Parameters
-    ----------
-    """
+    """Errors of the servo as it was known, and with the effects that were found in another flight."""
     record = record_of(segment, model)
     before, after = (record.measured_deg - simulate(record, each) for each in (record.plant.neutral, physics))
     floor_deg = noise_floor_deg(record, after)

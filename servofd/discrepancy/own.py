@@ -8,13 +8,12 @@ import traceback
 from pathlib import Path
 
 from servofd.core.errors import ConfigError
-from servofd.servo.catalogue import include
 from servofd.servo.effect import Effect
 from servofd.servo.generate import check
 
 
 def load_own_effect(path: str | Path) -> type[Effect]:
-    """Run a Python file and know the one effect that it defines, in every verb from now on.
+    """Run a Python file and return the one effect that it defines.
 
     Raises
     ------
@@ -43,7 +42,6 @@ def load_own_effect(path: str | Path) -> type[Effect]:
         raise ConfigError(f"{path}: defines {found}; one is needed: a class of servofd.Effect, see docs/explain.md")
     try:
         check(made[0])
-        include(made[0])
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return made[0]

@@ -1,8 +1,8 @@
 """The family of servos that a calibration fits, simulated beside its own sensitivities.
 
-A choice of the effects that every servo may have (`servofd.servo.effects`) on a loop of two poles: a geared motor behind
-a proportional loop. All torques are written as the position error that would balance them, so that friction and load are
-in degrees:
+A choice of the effects that every servo may have (`servofd.servo.effects`) on a loop of two poles: a geared motor
+behind a proportional loop. All torques are written as the position error that would balance them, so that friction and
+load are in degrees:
 
     v' = omega^2 (s sat(e, E) - load - friction sign(v)) - 2 zeta omega v,    E = 2 zeta R / omega
 
@@ -42,7 +42,7 @@ _TURN_DEG: Final = 360.0
 """Beyond all that is asked for: further no surface goes."""
 _LEAST_ASKED_DEG: Final = 16.0
 _FINER: Final = 0.3
-"""Steps are as much longer than where nothing but the step is in doubt: errors of the position stay below 0.01 deg rms."""
+"""Steps are so much longer than elsewhere: errors of the position stay below 0.01 deg rms."""
 _EFFECTS: Final = (
     CommandGain, DeadBand, MotorRate, Torque, Friction, StribeckFriction, AirLoad, AirTrim, ServoStop, Backlash, Bias,
 )  # fmt: skip
@@ -136,8 +136,8 @@ def simulated(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Simulate all servos of a table to each of some times.
 
-    `table` (V, 14), commands of shape (n,); times, `load` (dynamic pressure over 300 Pa), `power` (torque over the usual
-    one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Gives positions (m, V) before bends of the
+    `table` (V, 14), commands of shape (n,); times, `load` (dynamic pressure over 300 Pa), `power` (torque over the
+    usual one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Gives positions (m, V) before bends of the
     reading [deg], and speeds (m, 2) [deg/s]: of the first servo, and the one that its drive aims at.
     """
     if not time_s.size or not commands[0].size:

@@ -112,7 +112,7 @@ def explain_logs(
 
     """
     if own is not None:
-        load_own_effect(own) if isinstance(own, str | Path) else include(own)
+        include(load_own_effect(own) if isinstance(own, str | Path) else own)
     flown = _opened(paths, aircraft, servo)
     for name in surfaces:
         if name not in flown.aircraft.surfaces:

@@ -113,8 +113,8 @@ class Parameter:
     travel_power: int = 0
     """Power of the deflection that it is multiplied with: the same effect is smaller on a servo that turns further."""
     smallest: float = 0.0
-    """Least deviation from neutral that may be reported: what is smaller is the difference between two servos of a type,
-    or no servo's at all."""
+    """Least deviation from neutral that may be reported: what is smaller is the difference between two servos of a
+    type, or no servo's at all."""
     width: float = 0.0
     """How far around the start the search goes; 0: to the neighbours on the grid."""
 
@@ -193,8 +193,8 @@ class Effect:
     fixed: ClassVar[Mapping[str, float]] = {}
     """Fields of `Physics` that the effect replaces."""
     instead: ClassVar[tuple[str, ...]] = ()
-    """Names of effects on top of which it does not come, nor they on top of it: forms of one thing, or one that bends the
-    position much as the other does."""
+    """Names of effects on top of which it does not come, nor they on top of it: forms of one thing, or one that bends
+    the position much as the other does."""
     places: ClassVar[tuple[float, ...] | None] = None
     """Where the slow pole of a servo of three may lie with it (`servofd.servo.loop`), the likeliest first; empty if
     that does not matter. What acts within the loop, or before what may follow it, differs with the place."""

@@ -172,7 +172,7 @@ class _Source:
 
     @property
     def is_plain(self) -> bool:
-        """Whether it returns at its end alone, and can stand where it is called: each function takes 0.1 s to compile."""
+        """Whether it returns at its end alone, and can stand where it is called: a function takes 0.1 s to compile."""
         returns = [node for node in ast.walk(self.tree) if isinstance(node, ast.Return)]
         return len(returns) == 1 and self.tree.body[-1] is returns[0]
 

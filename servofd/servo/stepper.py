@@ -2,8 +2,8 @@
 
 Between events (a command that takes effect, a position that is measured) a linear servo moves by matrices, exactly for
 any step. Where an effect bends it, steps are short: what drives the loop beside its own error (`push`) and what loads
-it (`pull`) are taken in the middle of a step and held; friction is the deceleration that would stop the shaft by the end of
-the step, as far as its strength goes (docs/explain.md, E5 to E7).
+it (`pull`) are taken in the middle of a step and held; friction is the deceleration that would stop the shaft by the
+end of the step, as far as its strength goes (docs/explain.md, E5 to E7).
 
 This text is compiled as it is for linear servos. `servofd.servo.generate` replaces the functions of the slots, which
 here do nothing, by those of all effects. Names of arrays: `p` (V, sizes) are the sizes of V servos, `m` (V, memory) is

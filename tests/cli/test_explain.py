@@ -253,25 +253,35 @@ def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.Cap
     assert "worn_gear comes from a file of your own" in capsys.readouterr().err
 
 
-OWN = "from servofd import OwnEffect, OwnParameter\na = OwnParameter('a_deg', 0.0, 1.0, 0.0, 0.1)\n"
+def own(body: str = "return x + a_deg", parameters: str = "(A,)", name: str = "e", more: str = "") -> str:
+    """Source of an effect of one's own."""
+    return (
+        "import numpy as np\nfrom servofd import Effect, Parameter, Slot\n"
+        "A = Parameter('a_deg', low=0.0, high=1.0, neutral=0.0, typical=0.1)\n"
+        f"class E(Effect):\n    'Of a test.'\n    name, slot, parameters = {name!r}, Slot.OUTPUT, {parameters}\n"
+        f"    {more}\n"
+        f"    @staticmethod\n    def act(x, now, a_deg):\n        {body}\n"
+    )
 
 
 @pytest.mark.parametrize(
     ("source", "reason"),
     [
         (None, "cannot read the effect: No such file"),
-        ("x = 1\n", "makes no effect"),
+        ("x = 1\n", "defines no effect"),
+        (own() + own().replace("class E", "class F").replace("'e'", "'f'"), "defines 2 effects"),
         ("x = = 1\n", "line 1: SyntaxError"),
         ("\nx = undefined\n", "line 2: NameError: name 'undefined'"),
-        (OWN + "e = OwnEffect('e', 'deflection', (a,), lambda t, y, a: y[:3])\n", "101 finite numbers"),
-        (OWN + "e = OwnEffect('e', 'deflection', (a,), lambda t, y: y)\n", "TypeError"),
-        (OWN + "e = OwnEffect('e', 'deflection', (a,), lambda t, y, a: y / 0)\n", "101 finite numbers"),
-        (OWN + "e = OwnEffect('e', 'nowhere', (a,), lambda t, y, a: y)\n", 'must be "command" or "deflection"'),
-        (OWN + "e = OwnEffect('gain', 'command', (a,), lambda t, y, a: y)\n", "no effect of the catalogue"),
-        (OWN + "e = OwnEffect('e', 'command', (), lambda t, y: y)\n", "one to 4"),
+        (own("return 'far'"), "act must return a finite number"),
+        (own("return x / 0.0"), "act: ZeroDivisionError"),
+        (own("return np.sin(x)"), "act may use math and numbers of its module, not np"),
+        (own(more="memory = 1"), "act is called with (x, now, e_a_deg, memory)"),
+        (own(name="backlash"), "the catalogue has one of this name"),
+        (own(parameters="()"), "it needs a parameter"),
+        (own(parameters="(Parameter('a', low=1.0, high=0.0, neutral=0.5, typical=0.1),)"), "its lower bound 1 must be"),
+        (own(parameters="(Parameter('a', low=0.0, neutral=0.5, typical=0.1),)"), "parameter a: high is missing"),
     ],
 )
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_errors_in_an_effect_of_ones_own(
     source: str | None, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

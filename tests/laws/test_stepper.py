@@ -1,9 +1,10 @@
-"""The one stepper: exact where a servo is linear, as a loop in small steps where an effect bends it, in one go or pieces."""
+"""The one stepper: exact where a servo is linear, a loop in small steps where an effect bends it, in one go or pieces."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -258,7 +259,7 @@ def test_a_run_in_pieces_is_the_run_in_one_go(effect: type[Effect], cuts: list[i
     machine = machine_of(TRANSFERS[order], [physics, physics._replace(bias_deg=1.0)])
     waiting, state, pieces = received(physics, (COMMANDS[0], COMMANDS[1], COMMANDS[2])), machine.new_state(), []
     edges = [0, *sorted(cuts), AT_S.size]
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         other = state.copy()
         found_deg, used = machine.run(state, waiting, AT_S[first:last], around=AROUND[first:last])
         again_deg, _ = machine.run(other, waiting, AT_S[first:last], around=AROUND[first:last])

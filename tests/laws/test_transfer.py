@@ -6,13 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from servofd.servo.loop_steps import ROW
+import scipy.linalg
 
 from servofd.core.errors import DesignError
+from servofd.servo.catalogue import everything
+from servofd.servo.effect import Slot
 from servofd.servo.faults import Floating
 from servofd.servo.library import library, servo_named
-from servofd.servo.motion import ExtendedMotion, ExtendedServo
-from servofd.servo.physics import Physics, Plant, longest_step_s, scaled_transfer
+from servofd.servo.loop import AFTER, BEFORE, INSIDE, Scales, loop_of, scaled
+from servofd.servo.motion import AnyServo, Motion, machine_of
+from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.servo.transfer import TransferFunction
 
@@ -117,83 +120,85 @@ def test_a_scaled_bandwidth_stretches_time_and_a_unity_gain_is_one() -> None:
     np.testing.assert_allclose(transfer.with_unity_dc().at(s), transfer.at(s) / 0.8, rtol=1e-12)
 
 
+@pytest.mark.parametrize("place", [BEFORE, INSIDE, AFTER])
 @pytest.mark.parametrize("denominator", DENOMINATORS)
 @pytest.mark.parametrize(
     ("bandwidth", "damping", "share"), [(1.0, 1.0, 0.8), (0.6, 1.0, 0.6), (1.0, 0.5, 0.8), (1.7, 2.0, 0.9)]
 )
-def test_a_loop_has_the_poles_of_its_servo_scaled(
-    denominator: tuple[float, ...], bandwidth: float, damping: float, share: float
+def test_a_loop_has_the_poles_of_its_servo_scaled_and_rests_where_it_is_asked_to(
+    denominator: tuple[float, ...], bandwidth: float, damping: float, share: float, place: float
 ) -> None:
     order = len(denominator) - 1
-    plant = Plant(TransferFunction((0.7 * denominator[-1],), denominator), Physics())
-    loop = plant.loop(Physics(bandwidth_scale=bandwidth, damping_scale=damping, torque_share=share))
-    transfer = scaled_transfer(plant.transfer, Physics(bandwidth_scale=bandwidth, damping_scale=damping))
-    monic = np.array(transfer.denominator) / transfer.denominator[0]
-    states = loop.closed_rate[:order, :order]
+    transfer = TransferFunction((0.7 * denominator[-1],), denominator)
+    scales = Scales(bandwidth=bandwidth, damping=damping, torque_share=share, place=place)
+    loop, as_scaled = loop_of(transfer, scales), scaled(transfer, scales)
+    states, by = loop.a.reshape(3, 3)[:order, :order], loop.b.reshape(3, 3)[:order]
+    monic = np.array(as_scaled.denominator) / as_scaled.denominator[0]
     np.testing.assert_allclose(np.poly(states), monic, rtol=1e-9)
-    assert loop.order == order
-    assert (plant.dc_gain, transfer.dc_gain) == pytest.approx((0.7, 0.7))
-    # At rest, an error of one degree is worth this deceleration; a steady rate costs this error.
-    np.testing.assert_allclose(np.linalg.solve(states, -loop.closed_rate[:order, 6])[0] * loop.load_per_error, 1.0)
-    np.testing.assert_allclose(np.linalg.solve(states, -loop.closed_rate[:order, 3])[0], 1.0)
-    np.testing.assert_allclose(loop.closed_rate[:, 5], loop.closed_rate[:, 3])
-    assert loop.error_per_rate_s == pytest.approx(monic[-2] / monic[-1])
-    # While the error does not act, neither position nor command does; all else is the same.
-    opened = loop.closed_rate.copy()
-    opened[order - 1, [0, 3]] = 0.0
-    first = loop.opened[0, 1].reshape(3, ROW)[:, : ROW - 1]  # derivatives at once
-    np.testing.assert_allclose(first, opened, rtol=1e-12)
-    time_s = loop.grid_s * np.arange(loop.opened.shape[0])
-    left = np.exp(min(loop.closed_rate[2, 2], 0.0) * time_s)
-    np.testing.assert_allclose(loop.opened[:, 0, ROW - 1], left, rtol=1e-7)
-    assert loop.closed.shape == loop.opened.shape == (time_s.size, 5, 3 * ROW)
+    assert (loop.gain, as_scaled.dc_gain) == pytest.approx((0.7, 0.7))
+    # At rest the states are those of a command of one degree; a push counts as much, and a pull as one of its weight.
+    np.testing.assert_allclose(states @ loop.rest[:order] + by[:, 0], 0.0, atol=1e-9 * np.abs(by).max())
+    pulled = np.linalg.solve(states, -by[:, 2])[0]
+    np.testing.assert_allclose(pulled * loop.per_error, np.linalg.solve(states, -by[:, 1])[0])
+    # What is asked for and pushed leaves, through whichever state, as much.
+    np.testing.assert_allclose(np.linalg.solve(states, -by[:, 0])[loop.leaves], 1.0)
 
 
-def test_a_grid_is_fine_enough_for_the_fastest_pole_and_reaches_a_hundredth_of_a_second() -> None:
-    for transfer, grid_s, reach_s in (
-        (unit(-25.0), 2.5e-4, 1e-2),
-        (unit(-1000.0), 5e-5, 1e-2),
-        (unit(-8000.0), 6.25e-6, 2.5e-3),
+def test_steps_are_matrix_exponentials_on_a_grid_that_is_fine_enough_for_the_fastest_pole() -> None:
+    for transfer, grid_s in (
+        (unit(-25.0), 2.5e-4),
+        (unit(-1000.0), 3.125e-5),
+        (unit(-24.0, -35.0 + 60.0j, -35.0 - 60.0j), 2.5e-4),
     ):
-        loop = Plant(transfer, Physics()).loop()
+        loop = loop_of(transfer, Scales())
         assert loop.grid_s == pytest.approx(grid_s)
-        assert (loop.closed.shape[0] - 1) * loop.grid_s == pytest.approx(reach_s)
+        size = loop.rest.size
+        rates = np.zeros((size + 4, size + 4))
+        rates[:size, :size], inputs = loop.a.reshape(size, size), loop.b.reshape(size, 3)
+        rates[:size, size], rates[:size, size + 2 :], rates[size, size + 1] = inputs[:, 0], inputs[:, 1:], 1.0
+        for k in (1, 7, len(loop.steps) - 1):
+            expected = scipy.linalg.expm(rates * k * loop.grid_s)[:size]
+            np.testing.assert_allclose(loop.steps[k].reshape(size, -1), expected, rtol=1e-9, atol=1e-13)
 
 
 def test_damping_acts_on_the_fastest_pair_and_on_nothing_of_one_pole() -> None:
-    half = Physics(damping_scale=0.5)
-    np.testing.assert_allclose(scaled_transfer(SECOND, half).denominator, (1.0, 21.0, 900.0), rtol=1e-12)
-    np.testing.assert_allclose(scaled_transfer(unit(-25.0), half).denominator, (1.0, 25.0), rtol=1e-12)
+    half = Scales(damping=0.5)
+    np.testing.assert_allclose(scaled(SECOND, half).denominator, (1.0, 21.0, 900.0), rtol=1e-12)
+    np.testing.assert_allclose(scaled(unit(-25.0), half).denominator, (1.0, 25.0), rtol=1e-12)
     # A pair that is slower than the third pole is the pair all the same.
     slow_pair = unit(-300.0, -10.0 + 20.0j, -10.0 - 20.0j)
     expected = np.polymul([1.0, 300.0], [1.0, 10.0, 500.0])
-    np.testing.assert_allclose(scaled_transfer(slow_pair, half).denominator, expected, rtol=1e-9)
+    np.testing.assert_allclose(scaled(slow_pair, half).denominator, expected, rtol=1e-9)
 
 
-def test_neutral_numbers_change_nothing_and_only_a_servo_that_switches_needs_short_steps() -> None:
+def test_only_a_servo_on_which_something_acts_needs_short_steps() -> None:
     plain = Physics()
     assert (plain.delay_s, plain.frame_s, plain.command_step_deg, plain.offset_s, plain.output_step_deg) == (0.0,) * 5
-    assert plain.is_linear_loop
+    assert machine_of(SECOND, [plain]).is_linear
     for name in ("friction_deg", "load_friction", "droop_deg", "airload_per_pa", "insensitive_deg", "lag_s"):
-        assert not Physics(**{name: 0.1}).is_linear_loop
-    assert Physics(offset_s=1.0, bias_deg=2.0, output_step_deg=0.1).is_linear_loop
-    assert longest_step_s(plain) == math.inf
+        assert not machine_of(SECOND, [Physics(**{name: 0.1})]).is_linear
+    assert machine_of(SECOND, [Physics(offset_s=1.0, bias_deg=2.0, output_step_deg=0.1, gain=0.9)]).is_linear
     too_many, with_zero = unit(-1.0, -2.0, -3.0, -4.0), TransferFunction((1.0, 2.0), (1.0, 3.0, 2.0))
     for transfer, reason in ((too_many, "a servo of order 4 with 0 zeros"), (with_zero, "of order 2 with 1 zeros")):
         with pytest.raises(DesignError, match=reason):
-            plant_of(ServoModel((LinearDynamics(transfer),)))
+            plant_of(ServoModel(transfer))
+        with pytest.raises(DesignError, match=reason):
+            machine_of(transfer, [Physics(friction_deg=0.1)])
 
 
-def test_the_places_of_effects_are_passed_in_this_order() -> None:
-    assert [place.name for place in Place] == ["LINK", "SERVO", "LINKAGE", "SENSOR", "WHOLE"]
-    assert list(Place) == sorted(Place)
+def test_effects_act_in_the_order_of_the_way_from_command_to_reading() -> None:
+    order = ["EVENTS", "COMMAND", "ERROR", "LOAD", "GRIP", "SPEED", "STOP", "OUTPUT", "READING", "OWN"]
+    assert [slot.name for slot in Slot] == order
+    linkage = [each.name for each in everything() if each.slot is Slot.OUTPUT]
+    way = ["rate_limit", "resonance", "backlash", "linkage_nonlinearity", "gain", "position_limit", "sensor_lag"]
+    assert linkage == way
 
 
 def test_frames_in_pieces_are_frames_in_one_go() -> None:
-    servo = ExtendedServo(plant_of(KNOWN), Physics(frame_s=0.03, frame_phase=0.4))
+    servo = AnyServo(KNOWN.transfer, Physics(frame_s=0.03, frame_phase=0.4))
     at_s = 5.0 + np.arange(60) / 100.0
     commands = (np.arange(5.0, 5.6, 0.04), np.random.default_rng(1).uniform(-9.0, 9.0, 15), np.zeros(15))
-    whole, pieces = ExtendedMotion(servo, 1.0), ExtendedMotion(servo, 1.0)
+    whole, pieces = Motion(servo, 1.0), Motion(servo, 1.0)
     whole.receive(*commands)
     pieces.receive(*commands)
     expected_deg = whole.at(at_s)
@@ -209,7 +214,7 @@ def test_a_command_in_steps_is_the_nearest_of_them_and_positions_may_be_stamped_
         (Physics(command_step_deg=0.5), 0.0, (1.0, 4.5)),
         (Physics(offset_s=0.03), 0.03, (1.1, 4.7)),
     ):
-        motion, plain = (ExtendedMotion(ExtendedServo(plant_of(KNOWN), one), 1.0) for one in (physics, Physics()))
+        motion, plain = (Motion(AnyServo(KNOWN.transfer, one), 1.0) for one in (physics, Physics()))
         motion.receive(*commands)
         plain.receive(commands[0], np.array(deg), commands[2])
         found.append(np.abs(motion.at(at_s) - plain.at(at_s - late_s)).max())
@@ -217,11 +222,11 @@ def test_a_command_in_steps_is_the_nearest_of_them_and_positions_may_be_stamped_
 
 
 def test_the_wind_of_a_seed_is_the_same_in_every_version() -> None:
-    moved_deg = Floating(0.0, seed=3).moved(KNOWN.parameters(), np.array([0.0, 0.2, 1.0, 30.0]), np.full(4, 2.0))
+    moved_deg = Floating(0.0, seed=3).moved(KNOWN.servo(), np.array([0.0, 0.2, 1.0, 30.0]), np.full(4, 2.0))
     assert moved_deg == pytest.approx([2.0, -3.2631387, 0.8697992, -0.0847946], abs=1e-6)
 
 
 def test_a_servo_with_effects_begins_where_the_latest_of_its_commands_wants_it() -> None:
-    motion = ExtendedMotion(ExtendedServo(plant_of(KNOWN), Physics(backlash_deg=0.1)))
+    motion = Motion(AnyServo(KNOWN.transfer, Physics(backlash_deg=0.1)))
     motion.receive(np.array([0.0, 0.5, 2.0]), np.array([6.0, 9.0, -3.0]), np.zeros(3))
     assert motion.at(np.array([1.0]))[0] == pytest.approx(9.0)

@@ -28,8 +28,9 @@ from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
 from servofd.detection.verdict import Fault, SurfaceAudit
 from servofd.estimate.family import new_state, simulated, variants
-from servofd.servo.catalogue import TabledEffect
+from servofd.servo.catalogue import effect_of
 from servofd.servo.context import Context
+from servofd.servo.effect import Effect
 from servofd.servo.faults import Stuck
 from servofd.simulation.commands import COMMANDS
 from servofd.simulation.flight import simulate_flight
@@ -115,15 +116,15 @@ def test_hidden_numbers_are_found() -> None:
 @pytest.mark.parametrize(
     ("effect", "width_deg", "key"),
     [
-        (TabledEffect("backlash", {"width_deg": 0.3}), 0.3, "play_deg"),
-        (TabledEffect("backlash", {"width_deg": 1.0}), 1.0, "play_deg"),
-        (TabledEffect("deadband", {"width_deg": 0.4}), 0.4, "deadband_deg"),
-        (TabledEffect("deadband", {"width_deg": 1.0}), 1.0, "deadband_deg"),
-        (TabledEffect("friction", {"friction_deg": 0.8}), 1.6, "friction_deg"),
+        (effect_of("backlash", {"width_deg": 0.3}), 0.3, "play_deg"),
+        (effect_of("backlash", {"width_deg": 1.0}), 1.0, "play_deg"),
+        (effect_of("deadband", {"width_deg": 0.4}), 0.4, "deadband_deg"),
+        (effect_of("deadband", {"width_deg": 1.0}), 1.0, "deadband_deg"),
+        (effect_of("friction", {"friction_deg": 0.8}), 1.6, "friction_deg"),
     ],
 )
 def test_play_dead_band_and_friction_are_told_with_what_they_may_be(
-    effect: TabledEffect, width_deg: float, key: str, seed: int
+    effect: Effect, width_deg: float, key: str, seed: int
 ) -> None:
     plane = plain_aircraft(["x"], "s9254")
     log = simulate_flight(plane, duration_s=120.0, seed=seed, noise_deg=0.05, effects={"x": [effect]})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,11 +15,11 @@ from servofd.core.errors import ConfigError
 from servofd.discrepancy.explanation import explain_gap, fault_start_s
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.locate import errors_by_regime
-from servofd.discrepancy.own import OwnEffect, OwnParameter, load_own_effect
+from servofd.discrepancy.own import load_own_effect
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import best_frame, frames_like
+from servofd.servo.effect import Parameter
 from servofd.servo.effects.commands import Delay
-from servofd.servo.physics import Physics
 from tests.recovery.test_honesty import KNOWN, flown
 
 
@@ -113,72 +112,41 @@ def test_no_frame_is_proposed_where_something_else_explains_the_error() -> None:
     assert frames_like(record, record.plant.neutral, noise_deg, 0.1) == []
 
 
-SIZE = OwnParameter("size_deg", -5.0, 5.0, 0.0, 0.1)
-
-
 @pytest.mark.parametrize(
     ("numbers", "why"),
     [
-        ((1.0, 0.0, 0.0, 0.1), "low <= neutral"),
-        ((0.0, 1.0, 2.0, 0.1), "low <= neutral"),
-        ((0.0, 0.0, 0.0, 0.1), "low < high"),
-        ((0.0, 1.0, 0.0, 0.0), "typical > 0"),
+        ({"low": 1.0, "high": 0.0}, "its lower bound 1 must be below its upper bound 0"),
+        ({"low": 0.0, "high": 1.0, "neutral": 2.0}, "neutral 2 must lie between 0 and 1"),
+        ({"low": 0.0, "high": 0.0}, "its lower bound 0 must be below its upper bound 0"),
+        ({"low": 0.0}, "high is missing"),
+        ({"low": 0.0, "high": 1.0, "typical": 0.0}, "typical must be positive"),
     ],
 )
-def test_numbers_that_contradict_each_other(numbers: tuple[float, float, float, float], why: str) -> None:
-    with pytest.raises(ConfigError, match=why):
-        OwnParameter("size_deg", *numbers)
-
-
-def test_an_effect_of_ones_own_acts_at_its_place_and_where_it_is_installed() -> None:
-    time_s, values_deg = np.arange(5) / 100.0, np.arange(5.0)
-    own = OwnEffect("offset", "deflection", (SIZE,), lambda _time, values, size: values + size)
-    absent = own.changed("deflection", Physics(), time_s, values_deg)
-    assert np.array_equal(absent, values_deg)
-    missing = own.missing_effect()
-    (parameter,) = missing.parameters
-    there = Physics()._replace(**dict.fromkeys(parameter.fields, 2.0))
-    assert np.array_equal(own.changed("deflection", there, time_s, values_deg), values_deg + 2.0)
-    assert np.array_equal(own.changed("command", there, time_s, values_deg), values_deg)
-    assert missing.name == "offset"
-    assert all(parameter.low < value < parameter.high for value in parameter.grid)
-    assert sorted(parameter.grid) == list(parameter.grid)
+def test_numbers_that_contradict_each_other(numbers: dict[str, Any], why: str) -> None:
+    with pytest.raises(ConfigError, match=f"parameter size_deg: {why}"):
+        Parameter("size_deg", **({"neutral": 0.0, "typical": 0.1} | numbers))
 
 
 def test_where_no_usual_size_is_allowed_the_middle_is_tried() -> None:
-    narrow = OwnParameter("size_deg", 0.0, 1e-6, 0.0, 0.1)
-    (parameter,) = OwnEffect("offset", "command", (narrow,), lambda _t, y, a: y + a).missing_effect().parameters
-    assert parameter.grid == (5e-7,)
+    assert Parameter("size_deg", low=0.0, high=1e-6, neutral=0.0, typical=0.1).grid == (5e-7,)
 
 
 @pytest.mark.parametrize(
     ("content", "why"),
     [
         (None, "No such file"),
-        (b"\xff\xfe\x00", "not a text file"),
-        (b"x = 1\n", "makes no effect; one is needed"),
+        (b"\xff\xfe\x00", "SyntaxError"),
+        (b"x = 1\n", "defines no effect; one is needed"),
         (b"raise ValueError('no')\n", "ValueError"),
     ],
 )
-def test_files_that_make_no_effect(content: bytes | None, why: str, tmp_path: Path) -> None:
+def test_files_that_define_no_effect(content: bytes | None, why: str, tmp_path: Path) -> None:
     path = tmp_path / "effect.py"
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=why) as refused:
         load_own_effect(path)
     assert str(path) in str(refused.value)
-
-
-def test_an_own_effect_is_loaded_from_its_file(tmp_path: Path) -> None:
-    path = tmp_path / "effect.py"
-    path.write_text(
-        "from servofd import OwnEffect, OwnParameter\n"
-        "size = OwnParameter('size_deg', 0.0, 1.0, 0.0, 0.1)\n"
-        "effect = OwnEffect('offset', 'command', (size,), lambda t, y, a: y + a)\n"
-    )
-    own = load_own_effect(path)
-    assert (own.name, own.place) == ("offset", "command")
-    assert math.isclose(own.checked(np.zeros(1), np.ones(1), [0.5])[0], 1.5)
 
 
 def test_a_servo_that_runs_away_is_as_wrong_as_can_be() -> None:

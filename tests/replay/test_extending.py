@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -15,8 +16,8 @@ import logparsers
 import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
-from servofd.servo import catalogue
-from servofd.servo.catalogue import effects_installed
+from servofd.discrepancy.own import load_own_effect
+from servofd.servo.catalogue import catalogue, effects_installed, including
 from servofd.servo.faults import FAULTS, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel, plant_of
@@ -28,15 +29,19 @@ PAGE = (ROOT / "docs" / "architecture.md").read_text()
 MOST_LINES = 40
 
 
-def example(title: str) -> dict[str, Any]:
-    """Names that the code of a section defines."""
+def code(title: str) -> str:
+    """Code of a section."""
     section = PAGE.partition(f"### {title}\n")[2].partition("\n### ")[0]
     codes = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     assert codes
-    assert sum(len(code.splitlines()) for code in codes) < MOST_LINES
+    assert sum(len(each.splitlines()) for each in codes) < MOST_LINES
+    return "\n".join(codes)
+
+
+def example(title: str) -> dict[str, Any]:
+    """Names that the code of a section defines."""
     names: dict[str, Any] = {"__name__": "example"}
-    for code in codes:
-        exec(compile(code, f"architecture.md: {title}", "exec", dont_inherit=True), names)  # noqa: S102 - our own page
+    exec(compile(code(title), f"architecture.md: {title}", "exec", dont_inherit=True), names)  # noqa: S102 - our own page
     return names
 
 
@@ -73,19 +78,28 @@ def test_a_log_format(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: p
         assert "no record of the test stand" in capsys.readouterr().err
 
 
-def test_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    worn = example("An effect")["WornHorn"]
-    monkeypatch.setattr(catalogue, "CATALOGUE", (*catalogue.CATALOGUE, worn))
+@pytest.mark.slow
+def test_an_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By its class alone it is simulated, found, and named in an aircraft's table."""
+    path = tmp_path / "worn_horn.py"
+    path.write_text(code("An effect"))
     healthy = ServoModel.of(servo_named("hs225bb-eq31"))
-    sizes = {"worn_horn": {"width_deg": 0.8, "gain": 0.9}}
-    physics = effects_installed(plant_of(healthy).neutral, sizes)
-    assert (physics.backlash_deg, physics.gain) == (0.8, 0.9)
-    time_s = np.arange(0.0, 20.0, 0.01)
-    command_deg = lively(time_s, np.random.default_rng(1))
-    moved_deg = healthy.with_physics(physics).simulate(time_s, command_deg, time_s)
-    # Play of 0.8 deg keeps a gear at most half of it from its motion; the horn scales that as well.
-    lost_deg = np.abs(moved_deg - 0.9 * healthy.simulate(time_s, command_deg, time_s))
-    assert lost_deg.max() == pytest.approx(0.9 * 0.4, rel=1e-6)
+    with including(load_own_effect(path)):
+        assert "worn_horn" in {effect.name for effect in catalogue()}
+        physics = effects_installed(plant_of(healthy).neutral, {"worn_horn": {"width_deg": 0.8, "gain": 0.9}})
+        time_s = np.arange(0.0, 20.0, 0.01)
+        command_deg = lively(time_s, np.random.default_rng(1))
+        moved_deg = healthy.with_physics(physics).simulate(time_s, command_deg, time_s)
+        # Play of 0.8 deg keeps a gear at most half of it from its motion; the horn scales that as well.
+        lost_deg = np.abs(moved_deg - 0.9 * healthy.simulate(time_s, command_deg, time_s))
+        assert lost_deg.max() == pytest.approx(0.9 * 0.4, rel=1e-6)
+        flight = str(tmp_path / "flight.csv")
+        effect = "elevator:worn_horn:width_deg=1.5:gain=0.8"
+        assert main(["simulate", "-o", flight, "--duration", "40", "--effect", effect]) == 0
+        assert main(["explain", flight, "--servo", "hs225bb-eq31", "-s", "elevator", "--json", "-"]) == 0
+        (step, *_) = json.loads(capsys.readouterr().out.partition("{")[2].join(["{", ""]))["steps"]
+        assert step["effect"] == "worn_horn"
+        assert step["parameters"]["gain"]["value"] == pytest.approx(0.8, abs=0.02)
 
 
 @pytest.mark.slow

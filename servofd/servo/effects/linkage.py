@@ -39,7 +39,7 @@ class RateLimit(Effect):
         return {**super().sizes, "follow_down_deg_s": self.down_deg_s}
 
     @staticmethod
-    def act(
+    def act(  # noqa: PLR0912 - a step in which it may fall behind and catch up
         x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float, lag: float
     ) -> tuple[float, float, float]:
         """It follows until the servo is too fast, on a cubic from step to step, then runs until it meets it again."""
