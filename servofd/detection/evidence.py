@@ -386,4 +386,7 @@ def too_short(judged_s: float) -> str:
     """Why so much of a flight [s] is no ground for a verdict; empty if it is."""
     if judged_s >= SHORTEST_JUDGED_S:
         return ""
-    return f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed"
+    return (
+        f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed "
+        "after the first second, in which nobody knows what moved the servo before: fly or bench-test for longer"
+    )
