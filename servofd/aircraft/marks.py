@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from servofd.core.loops import compiled, inner
 from servofd.core.series import latest
+from servofd.servo.loops import compiled, inner
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from logparsers.compiled import compiled
-from servofd.core.loops import play
 from servofd.core.numeric import least
 from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
+from servofd.servo.loops import play
 from servofd.servo.motion import AnyServo, swung
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.core.loops import compiled
 from servofd.core.statistics import Estimate
 from servofd.detection.residual import noise_deg
 from servofd.detection.verdict import Fault
+from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
-from servofd.core.loops import compiled, play
 from servofd.core.series import outline
 from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
 from servofd.detection.verdict import describe
+from servofd.servo.loops import compiled, play
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

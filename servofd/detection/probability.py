@@ -11,9 +11,9 @@ import numpy as np
 
 from logparsers.records import own
 from servofd.core.errors import DesignError, NoMeasurement
-from servofd.core.loops import compiled, fixed
 from servofd.core.numeric import root
 from servofd.core.types import BoolArray, FloatArray
+from servofd.servo.loops import compiled, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from logparsers.records import own
 from servofd.aircraft.series import pace_steps
 from servofd.core.errors import DesignError
-from servofd.core.loops import compiled, fixed, inlined, inner
 from servofd.core.series import latest, subdivided
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.loops import compiled, fixed, inlined, inner
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series

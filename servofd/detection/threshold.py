@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servofd.aircraft.schema import DEFAULT_SIGMAS
-from servofd.core.loops import compiled, inner
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.residual import (
@@ -39,6 +38,7 @@ from servofd.detection.residual import (
     unmodelled,
     with_value,
 )
+from servofd.servo.loops import compiled, inner
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

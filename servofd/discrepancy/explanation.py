@@ -19,8 +19,9 @@ from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, step_size_deg
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.validity import check, clear_of, driven, share_followed
-from servofd.servo.catalogue import is_built_in, plain, told_apart
+from servofd.servo.catalogue import plain, told_apart
 from servofd.servo.loop import AFTER, BEFORE, scaled, split
+from servofd.servo.registry import is_built_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -319,7 +320,7 @@ def explain_gap(
     >>> command = 5.0 * np.sin(0.5 * t**2)
     >>> known = ServoModel.of(servo_named("hs225bb-eq31"))
     >>> noise = 0.1 * np.random.default_rng(0).standard_normal(t.size)
-    >>> measured = (known + Delay(0.02)).simulate(t, command, t) + noise
+    >>> measured = (known + Delay(0.024)).simulate(t, command, t) + noise
     >>> found = explain_gap(Series("rudder", t, command, t, measured), known)
     >>> found.conclusion, found.selection.final.names
     ('explained', ('delay',))

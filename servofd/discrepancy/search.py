@@ -11,7 +11,6 @@ from servofd.detection.residual import Commands
 from servofd.discrepancy.fit import OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import liveliest, only, simulate
-from servofd.servo import catalogue
 from servofd.servo.catalogue import installed
 from servofd.servo.effect import Slot
 from servofd.servo.effects.commands import ClockOffset, CommandSteps, Delay, PwmFrame
@@ -20,6 +19,7 @@ from servofd.servo.effects.sensor import Quantization, SensorLag
 from servofd.servo.effects.shaft import ExternalLoad, TiltedLoad
 from servofd.servo.loop import AFTER, BEFORE, INSIDE, loop_of
 from servofd.servo.physics import rate_fields
+from servofd.servo.registry import catalogue, everything
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -63,10 +63,10 @@ def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
         if values is not None
     }
     if record.side is not None:
-        shown = sorted((e for e in catalogue.catalogue() if e.at_rest), key=lambda effect: effect.at_rest)
-        return shown, [effect for effect in catalogue.catalogue() if not effect.at_rest]
-    able = [effect for effect in catalogue.catalogue() if set(effect.needs) <= held]
-    unable = [effect for effect in catalogue.catalogue() if effect not in able and effect is not ExternalLoad]
+        shown = sorted((e for e in catalogue() if e.at_rest), key=lambda effect: effect.at_rest)
+        return shown, [effect for effect in catalogue() if not effect.at_rest]
+    able = [effect for effect in catalogue() if set(effect.needs) <= held]
+    unable = [effect for effect in catalogue() if effect not in able and effect is not ExternalLoad]
     linear: set[type[Effect]] = {
         SlowDynamics,
         Damping,
@@ -88,7 +88,7 @@ def excluded(known: tuple[type[Effect], ...]) -> set[str]:
     """Names that cannot come on top of known effects: they are there already, in this form or another."""
     names = {effect.name for effect in known}
     other = {name for effect in known for name in effect.instead}
-    return names | other | {effect.name for effect in catalogue.everything() if names.intersection(effect.instead)}
+    return names | other | {effect.name for effect in everything() if names.intersection(effect.instead)}
 
 
 def candidates(

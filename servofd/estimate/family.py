@@ -137,8 +137,8 @@ def simulated(
     """Simulate all servos of a table to each of some times.
 
     `table` (V, 14), commands of shape (n,); times, `load` (dynamic pressure over 300 Pa), `power` (torque over the
-    usual one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Gives positions (m, V) before bends of the
-    reading [deg], and speeds (m, 2) [deg/s]: of the first servo, and the one that its drive aims at.
+    usual one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Gives positions (m, V) before bends of
+    the reading [deg], and speeds (m, 2) [deg/s]: of the first servo, and the one that its drive aims at.
     """
     if not time_s.size or not commands[0].size:
         return np.empty((time_s.size, table.shape[0])), np.empty((time_s.size, 2))

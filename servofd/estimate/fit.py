@@ -9,9 +9,9 @@ import numpy as np
 
 from servofd.aircraft.noise import Noise
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
-from servofd.core.loops import compiled
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
+from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

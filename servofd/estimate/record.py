@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.priors import NAMES
-from servofd.core.loops import compiled
 from servofd.core.series import latest, subdivided
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.servo.context import AIR_KG_M3
+from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

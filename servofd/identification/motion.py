@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import DesignError, IdentificationError
-from servofd.core.loops import play
 from servofd.core.statistics import Estimate, descended, memory
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
+from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 

@@ -19,9 +19,9 @@ from servofd.discrepancy.validity import Undriven, undriven
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.jobs.bench import label_of
-from servofd.servo.catalogue import include
 from servofd.servo.library import Servo
 from servofd.servo.loop import scaled
+from servofd.servo.registry import include
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,12 +10,13 @@ import numpy as np
 from servofd.core.errors import CalibrationError
 from servofd.core.toml_text import toml_key, toml_lines
 from servofd.feedback.fitted import good_levels, levels_of
-from servofd.servo.catalogue import OWN, is_built_in, plain, table_of
+from servofd.servo.catalogue import OWN, plain, table_of
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import Gain
 from servofd.servo.effects.sensor import Bias
 from servofd.servo.library import Servo
 from servofd.servo.loop import INSIDE
+from servofd.servo.registry import is_built_in
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:

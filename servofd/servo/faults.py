@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from servofd.core.errors import ConfigError
-from servofd.core.loops import play
 from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.loops import play
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -27,8 +27,8 @@ import numpy as np
 
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
-from servofd.servo.catalogue import everything, fields_of
 from servofd.servo.effect import Effect, Now, Slot
+from servofd.servo.registry import everything, fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

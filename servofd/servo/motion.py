@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import DesignError
-from servofd.servo.catalogue import everything
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.commands import Commands
 from servofd.servo.generate import INSIDE_LOOP, STEPPED, Act, Stepper, stepper_of
 from servofd.servo.loop import Loop, loop_of
 from servofd.servo.physics import Physics, rate_fields
+from servofd.servo.registry import everything
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -133,7 +133,7 @@ def machine_of(
     >>> machine = machine_of(servo_named("hs225bb-eq31").transfer, [Physics(), Physics(backlash_deg=1.0)])
     >>> t = np.arange(0.0, 1.0, 0.1)
     >>> read_deg, _ = machine.run(machine.new_state(), (t, 5.0 * t, 0.0 * t), t)
-    >>> (read_deg[-1, 0] - read_deg[-1, 1]).round(3)
+    >>> round(float(read_deg[-1, 0] - read_deg[-1, 1]), 3)
     0.5
     """
     return _machine(transfer, tuple(variants), finer, everything() if effects is None else effects)

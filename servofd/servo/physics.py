@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from servofd.servo.catalogue import everything, fields_of
 from servofd.servo.loop import INSIDE, Scales
+from servofd.servo.registry import everything, fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

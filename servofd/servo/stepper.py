@@ -248,7 +248,8 @@ def run(
     inside = commanding or erring or loaded or grips or races or stops
     logged = around.shape[0] > 0
     pressure, supply, power, current, external = 0.0, math.inf, 1.0, 0.0, 0.0
-    whole = max(int(longest_s / grid_s + 1e-9), 1)
+    # The last step of an interval is up to half as long again, and none is longer than those that are kept.
+    whole = max(min(int(longest_s / grid_s + 1e-9), (2 * (steps.shape[1] - 1)) // 3), 1)
     whole_s, per_s, per_whole = whole * grid_s, 1.0 / grid_s, 1.0 / (whole * grid_s)
     c, k = 0, 0
     while k < instants:

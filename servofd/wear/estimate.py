@@ -21,7 +21,6 @@ import numpy as np
 
 from servofd.calibrating.flights import Flight, busiest
 from servofd.core.errors import NoMeasurement
-from servofd.core.loops import play
 from servofd.core.statistics import Estimate, descended, deviations, line, mean_loss, memory, ordinary_deg
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
@@ -29,6 +28,7 @@ from servofd.feedback.fitted import POLE_RAD_S
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import PositionLimit, RateLimit
 from servofd.servo.library import Servo, second_order
+from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from servofd.core.loops import play
 from servofd.core.types import FloatArray
 from servofd.detection.bank import BANK, Explanation, Flight, Ridge, Window
 from servofd.detection.contradiction import wiring_problem
@@ -28,6 +27,7 @@ from servofd.servo.faults import (
     Slow,
     Stuck,
 )
+from servofd.servo.loops import play
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of, window

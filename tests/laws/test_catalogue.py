@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import pytest
 
-from servofd.servo.catalogue import catalogue, installed
+from servofd.servo.catalogue import installed
 from servofd.servo.effect import Effect
 from servofd.servo.physics import Physics
+from servofd.servo.registry import catalogue
 
 every_effect = pytest.mark.parametrize("effect", catalogue(), ids=lambda effect: effect.key())
 

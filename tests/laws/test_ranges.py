@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from servofd.core.errors import ConfigError
-from servofd.servo.catalogue import catalogue, effects_installed, table_of
+from servofd.servo.catalogue import effects_installed, table_of
 from servofd.servo.effect import Effect, Parameter
 from servofd.servo.physics import Physics
+from servofd.servo.registry import catalogue
 
 NUMBERS = [(effect, parameter) for effect in catalogue() for parameter in effect.parameters]
 

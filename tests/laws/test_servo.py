@@ -10,10 +10,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from servofd.core.errors import DesignError
-from servofd.core.loops import play
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import PositionLimit, RateLimit
 from servofd.servo.library import library, servo_named
+from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 from tests.laws.reference_twin import limited_deflection, linear_deflection

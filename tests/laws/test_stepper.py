@@ -1,4 +1,4 @@
-"""The one stepper: exact where a servo is linear, a loop in small steps where an effect bends it, in one go or pieces."""
+"""The one stepper: exact where a servo is linear, a loop in small steps where one bends it, in one go or in pieces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from servofd.core.errors import DesignError
 from servofd.core.types import FloatArray
-from servofd.servo.catalogue import everything, fields_of, installed
+from servofd.servo.catalogue import installed
 from servofd.servo.context import Context
 from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.linkage import Backlash, RateLimit
@@ -22,6 +22,7 @@ from servofd.servo.library import library, servo_named
 from servofd.servo.loop import AFTER, BEFORE
 from servofd.servo.motion import AnyServo, Machine, Motion, machine_of, received, started_anew, swung
 from servofd.servo.physics import Physics
+from servofd.servo.registry import everything, fields_of
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import lively

@@ -9,13 +9,13 @@ import pytest
 import scipy.linalg
 
 from servofd.core.errors import DesignError
-from servofd.servo.catalogue import everything
 from servofd.servo.effect import Slot
 from servofd.servo.faults import Floating
 from servofd.servo.library import library, servo_named
 from servofd.servo.loop import AFTER, BEFORE, INSIDE, Scales, loop_of, scaled
 from servofd.servo.motion import AnyServo, Motion, machine_of
 from servofd.servo.physics import Physics
+from servofd.servo.registry import everything
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.servo.transfer import TransferFunction
 

@@ -22,13 +22,14 @@ from servofd.detection.stream import Stream
 from servofd.detection.threshold import interval_threshold
 from servofd.detection.verdict import SurfaceAudit
 from servofd.discrepancy.record import record_of, simulate
-from servofd.servo.catalogue import catalogue, effects_installed, installed, table_of
+from servofd.servo.catalogue import effects_installed, installed, table_of
 from servofd.servo.context import Context
 from servofd.servo.faults import Bias, Fault, HardOver, LossOfEffectiveness, Slow, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.loop import Scales, loop_of, scaled
 from servofd.servo.motion import AnyServo, Motion, machine_of
 from servofd.servo.physics import Physics
+from servofd.servo.registry import catalogue
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import lively

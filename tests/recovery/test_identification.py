@@ -11,7 +11,6 @@ import pytest
 
 from servofd.aircraft.series import Series
 from servofd.core.errors import IdentificationError
-from servofd.core.loops import play
 from servofd.identification.choice import rate_limits
 from servofd.identification.identify import identify
 from servofd.identification.motion import LinearServo, ServoCandidate
@@ -19,6 +18,7 @@ from servofd.identification.records import prepared
 from servofd.identification.response import average, estimate
 from servofd.identification.result import Identification
 from servofd.servo.library import Servo, servo_named
+from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 from tests.recovery.bench import step, sweep
 

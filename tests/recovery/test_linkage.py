@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lsim
 
 from servofd.aircraft.series import Series
-from servofd.core.loops import play
 from servofd.core.types import FloatArray
 from servofd.discrepancy.record import record_of, simulate
 from servofd.servo.library import servo_named
+from servofd.servo.loops import play
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
 

@@ -15,7 +15,7 @@ import pytest
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main, parsed
 from servofd.core.tolerance import Tolerance
-from servofd.servo.catalogue import catalogue
+from servofd.servo.registry import catalogue
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text()

@@ -17,9 +17,10 @@ import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
 from servofd.discrepancy.own import load_own_effect
-from servofd.servo.catalogue import catalogue, effects_installed, including
+from servofd.servo.catalogue import effects_installed
 from servofd.servo.faults import FAULTS, Fault, Stuck
 from servofd.servo.library import servo_named
+from servofd.servo.registry import catalogue, including
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.simulation.commands import lively
 from servofd.simulation.flight import simulate_flight

@@ -13,11 +13,11 @@ from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.core.loops import play
 from servofd.core.statistics import Estimate
 from servofd.outputs.page import html_page
 from servofd.outputs.trend_report import trend_report
 from servofd.servo.faults import DeadBand
+from servofd.servo.loops import play
 from servofd.simulation.flight import simulate_flight
 from servofd.wear.estimate import FlightEstimate, estimate_flight
 from servofd.wear.trend import FlownLog, in_order, trend_document, trend_logs, trend_of
