@@ -197,6 +197,7 @@ def _of_first_order(physics: Physics) -> Physics:
     return physics._replace(
         **changes, **{shaft: math.inf for _, shaft in _FIRST_ORDER},
         deadband_deg=physics.deadband_deg + 2.0 * physics.friction_deg, friction_deg=0.0,
+        load_friction=0.0,
     )  # fmt: skip
 
 

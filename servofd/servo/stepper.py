@@ -274,7 +274,8 @@ def run(
                 u /= facts[0, 0]
             still = Now(at_s[k], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
             for v in range(count):
-                shaft = u * facts[v, 0]
+                rest(0.0, u, still, p, v, m)
+                shaft = command(u, still, p, v, m) * facts[v, 0]
                 if not math.isnan(measured):
                     shaft = (measured - (p[v, BIAS] if BIAS >= 0 else 0.0)) / (p[v, GAIN] if GAIN >= 0 else 1.0)
                 for i in range(at_rest.shape[1]):
@@ -324,7 +325,9 @@ def run(
                         )
                         wanted, slope = come, s
                         if commanding:  # its mean over the step
-                            wanted, slope = command(come + 0.5 * h * s, now, p, v, m), 0.0
+                            mean = command(come + 0.5 * h * s, now, p, v, m)
+                            if mean != come + 0.5 * h * s:
+                                wanted, slope = mean, 0.0
                         row, rate, by = steps[v, q], a[v], b[v]
                         asked = wanted + 0.5 * h * slope
                         if facts[v, 4] > 0.0:

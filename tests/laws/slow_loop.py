@@ -62,7 +62,7 @@ class SlowLoop:
         by_supply = self.physics.deg_s_per_v * supply_v
         up, down = min(self.physics.rate_up_deg_s, by_supply), min(self.physics.rate_down_deg_s, by_supply)
         bent = max(min(bent, up * self.error_per_rate_s), -down * self.error_per_rate_s)
-        return bent * (self.physics.torque * power if self.physics.torque != 1.0 else 1.0)
+        return bent * (self.physics.torque * power if math.isfinite(self.physics.torque) else 1.0)
 
     def load(self, y: float, around: Around) -> float:
         """Deflection that all loads take away [deg]."""
