@@ -307,16 +307,45 @@ _TORQUE = re.compile(r"(torque|servo|motor).*(enabled?|_on|power(ed)?)$|^powered
 _STANDS_STILL = "all servos stopped reporting anything new while they were asked to move: look at the servo bus"
 
 
-def is_unsettled(command_s: FloatArray, measured_s: FloatArray, at_s: FloatArray) -> BoolArray:
+_STILL_S, _STILL_DEG_S = 0.02, 10.0
+"""A servo that is no faster than this from its first reading to the next that is so much later began at rest: nothing
+is unknown of it. Less than the delay of the slowest hobby servo (0.03 s), more than a period at 50 Hz; a servo at that
+speed is 0.5 deg from where it would be at rest, after its lag of 0.05 s."""
+
+
+def settled_from_s(begun_s: float, measured_s: FloatArray, measured_deg: FloatArray) -> float:
+    """From which instant on it is known what moves a servo [s]; infinite if its readings (n,) do not tell yet.
+
+    Examples
+    --------
+    >>> t = np.arange(5.0)
+    >>> settled_from_s(0.5, t, np.zeros(5)), round(settled_from_s(0.5, t, 20.0 * t), 6)
+    (2.0, 1.5)
+    """
+    later = np.flatnonzero((measured_s >= begun_s) & np.isfinite(measured_deg))
+    late = later[measured_s[later] >= measured_s[later[0]] + _STILL_S] if later.size else later
+    if not late.size:
+        return float("inf")
+    first, then = int(later[0]), int(late[0])
+    moved_deg = abs(float(measured_deg[then] - measured_deg[first]))
+    if moved_deg <= _STILL_DEG_S * float(measured_s[then] - measured_s[first]):
+        return float(measured_s[then])
+    return float(np.nextafter(begun_s + UNSETTLED_S, np.inf))
+
+
+def is_unsettled(
+    command_s: FloatArray, measured_s: FloatArray, measured_deg: FloatArray, at_s: FloatArray
+) -> BoolArray:
     """Whether instants are so early that nobody knows what moved the servo before, of shape (n,).
 
     Examples
     --------
     >>> t = np.arange(5.0)
-    >>> is_unsettled(t + 0.5, t, t)
+    >>> is_unsettled(t + 0.5, t, 20.0 * t, t)
     array([ True,  True, False, False, False])
     """
-    early: BoolArray = at_s <= max(float(command_s[0]), float(measured_s[0])) + UNSETTLED_S
+    begun_s = max(float(command_s[0]), float(measured_s[0]))
+    early: BoolArray = at_s < settled_from_s(begun_s, measured_s, measured_deg)
     return early
 
 
@@ -372,7 +401,7 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, BoolArr
     >>> from servofd.aircraft.schema import plain_aircraft
     >>> log = logparsers.read("sample_logs/table_three_faults.csv")
     >>> [each.sentence for each in cut(log, "rudder", plain_aircraft(["rudder"])).left_out]
-    ['unsettled from 0.0 to 1.0 s']
+    ['unsettled from 0.0 to 0.0 s']
     """
     surface = aircraft.surfaces[name]
     command = _channel(log, surface.command.channel, "command")
@@ -447,7 +476,7 @@ def _marks(
     why[known], _ = marked(rows)
     last = np.searchsorted(command_s, time_s, side="right") - 1
     reasons = (
-        (Why.UNSETTLED, is_unsettled(command_s, rows.time_s, time_s)),
+        (Why.UNSETTLED, is_unsettled(command_s, rows.time_s, rows.position_deg, time_s)),
         (Why.GAP, (last < 0) | (time_s - command_s[np.maximum(last, 0)] > OUTAGE_S)),
         (Why.TORQUE_OFF, _without_torque(log, name, time_s)),
         (Why.BOOT, _of_another_boot(log, time_s)),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.series import UNSETTLED_S
+from servofd.aircraft.series import settled_from_s
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, no_sum, shown, thresholds_of
 from servofd.detection.probability import CusumDesign
 from servofd.detection.residual import (
@@ -257,8 +257,9 @@ class Stream(_Waiting):
         self._sums = np.zeros(2)
         self._lags = FilterMemory.of(self._filter, 3)
         self._unseen: list[tuple[float, float]] = []
-        self._logged_s, self._begun_s = np.inf, np.nan
-        """When the first command came [s], and the first position that had one."""
+        self._logged_s, self._begun_s, self._settled_s = np.inf, np.nan, np.inf
+        """When the first command came [s], the first position that had one, and from when on it is known what moves it."""
+        self._early: list[tuple[float, float]] = []
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now; effects of the servo may depend on them."""
@@ -319,7 +320,10 @@ class Stream(_Waiting):
         starts = mark_starts(self._starts, self.logged.time_s, time_s, measured_deg, limits_s)
         if np.isnan(self._begun_s) and self._logged_s < np.inf:
             self._begun_s = max(self._logged_s, float(time_s[0]))
-        starts = starts._replace(settled=starts.settled & (time_s > self._begun_s + UNSETTLED_S))
+        if not np.isfinite(self._settled_s) and np.isfinite(self._begun_s):
+            self._early += zip(time_s.tolist(), measured_deg.tolist(), strict=True)
+            self._settled_s = settled_from_s(self._begun_s, *np.array(self._early).T)
+        starts = starts._replace(settled=starts.settled & (time_s >= self._settled_s))
         commands = self.effective.commands()
         moved = [
             go_on(motion, commands, cursor, time_s, starts.measured_deg, starts.restart)
