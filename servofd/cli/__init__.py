@@ -116,7 +116,8 @@ def _prepare() -> None:
     """Have compiled what a fresh machine compiles once."""
     from servofd.servo.prepare import compile_ahead
 
-    compile_ahead(lambda sentence: print(sentence, file=sys.stderr, flush=True))
+    waits = sys.stderr is not None and sys.stderr.isatty()
+    compile_ahead(lambda sentence: print(sentence, file=sys.stderr, flush=True) if waits else None)
 
 
 def parsed(words: Sequence[str]) -> Options:

@@ -258,7 +258,7 @@ class Stream(_Waiting):
         self._lags = FilterMemory.of(self._filter, 3)
         self._unseen: list[tuple[float, float]] = []
         self._logged_s, self._begun_s, self._settled_s = np.inf, np.nan, np.inf
-        """When the first command came [s], the first position that had one, and from when on it is known what moves it."""
+        """When the first command came [s], the first position that had one, and from when on it has settled."""
         self._early: list[tuple[float, float]] = []
 
     def surroundings(self, context: Context) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from servofd.core.errors import ConfigError
 from servofd.servo.effect import Effect
 from servofd.servo.generate import check
+from servofd.servo.registry import check_name
 
 
 def load_own_effect(path: str | Path) -> type[Effect]:
@@ -41,6 +42,7 @@ def load_own_effect(path: str | Path) -> type[Effect]:
         found = "no effect" if not made else f"{len(made)} effects"
         raise ConfigError(f"{path}: defines {found}; one is needed: a class of servofd.Effect, see docs/explain.md")
     try:
+        check_name(made[0])
         check(made[0])
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None

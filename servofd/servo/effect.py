@@ -210,7 +210,7 @@ class Effect:
     """False for a number of the servo's own, which is part of a model and not named as an effect."""
     memory: ClassVar[int] = 0
     """How many numbers it remembers from step to step; at rest the first is what passes, the others are 0."""
-    longest_s: ClassVar[float] = 4e-3
+    longest_s: ClassVar[float] = 2.5e-3
     """Longest step in which it is held: half of it changes a lively flight by less than 0.002 deg rms
     (tests/laws/test_stepper.py)."""
     sees: ClassVar[tuple[str, ...]] = ()

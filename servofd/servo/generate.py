@@ -325,6 +325,11 @@ def mark_kept(path: Path) -> None:
 _compiling: subprocess.Popen[bytes] | None = None
 
 
+def is_compiling() -> bool:
+    """Whether a process was started that compiles it."""
+    return _compiling is not None
+
+
 def wait_for(process: subprocess.Popen[bytes]) -> None:
     """Have the first that needs the stepper wait for a process that compiles it."""
     global _compiling  # noqa: PLW0603 - one process compiles

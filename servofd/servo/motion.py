@@ -145,7 +145,7 @@ def _machine(
 ) -> Machine:
     order = len(transfer.denominator) - 1
     if order == 1:
-        variants = tuple(_of_first_order(each) for each in variants)
+        variants = tuple(_of_first_order(each, transfer.dc_gain) for each in variants)
     acting = {name for each in variants for name, _ in each}
     loops = [loop_of(transfer, each.scales) for each in variants]
     stepper = stepper_of(effects, any_order=loops[0].rest.size != 3)
@@ -191,12 +191,12 @@ def _where(stepper: Stepper) -> dict[str, int]:
     return {field: k for k, field in enumerate(stepper.fields)}
 
 
-def _of_first_order(physics: Physics) -> Physics:
+def _of_first_order(physics: Physics, dc_gain: float) -> Physics:
     """What of a servo of one pole acts on its error: friction is a dead band, and the shaft's speed the motor's."""
     changes = {drive: min(getattr(physics, drive), getattr(physics, shaft)) for drive, shaft in _FIRST_ORDER}
     return physics._replace(
         **changes, **{shaft: math.inf for _, shaft in _FIRST_ORDER},
-        deadband_deg=physics.deadband_deg + 2.0 * physics.friction_deg, friction_deg=0.0,
+        deadband_deg=physics.deadband_deg + 2.0 * physics.friction_deg / dc_gain, friction_deg=0.0,
         load_friction=0.0,
     )  # fmt: skip
 
@@ -407,7 +407,8 @@ class Motion:
         if at_s.size == 0:
             return np.zeros(0)
         if math.isnan(self._state.clock[0]):
-            self.rest(float(at_s[0]), self.start_deg)
+            nothing = math.isnan(self.start_deg) and not self._waiting[0].size
+            self.rest(float(at_s[0]), 0.0 if nothing else self.start_deg)
         return self._moved(at_s, _NEVER, _NOWHERE)
 
     def rest(self, now_s: float, deflection_deg: float = math.nan) -> None:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
-from servofd.servo.generate import is_kept, mark_kept, path_of, wait_for
+from servofd.servo.generate import is_compiling, is_kept, mark_kept, path_of, wait_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +23,7 @@ def compile_ahead(say: Callable[[str], None]) -> None:
     say : callable
         Shows a sentence to whoever waits.
     """
-    path = path_of()
+    path = None if is_compiling() else path_of()
     if path is None or is_kept(path):
         return
     say(_ONCE)

@@ -56,6 +56,18 @@ def is_built_in(effect: type[Effect]) -> bool:
     return effect in _built_in()
 
 
+def check_name(effect: type[Effect]) -> None:
+    """Refuse an effect whose name and form the package has.
+
+    Raises
+    ------
+    ConfigError
+        If it has.
+    """
+    if effect.key() in {known.key() for known in _built_in()}:
+        raise ConfigError(f"effect {effect.key()}: the catalogue has one of this name")
+
+
 def include(effect: type[Effect]) -> None:
     """Know an effect as well, as if it stood in the package; one of the same name and form from before goes.
 
@@ -64,8 +76,7 @@ def include(effect: type[Effect]) -> None:
     ConfigError
         If the package has an effect of this name and form.
     """
-    if effect.key() in {known.key() for known in _built_in()}:
-        raise ConfigError(f"effect {effect.key()}: the catalogue has one of this name")
+    check_name(effect)
     fields_of((*_built_in(), effect))
     _know((*(each for each in _added if each.key() != effect.key()), effect))
 

@@ -80,7 +80,7 @@ _TERMS = 8
 """Of the series of half a step of the grid: what is left is below 1e-16."""
 _BENT_TERMS = 5
 """Of the same where something acts on the servo: what is left is below 1e-10, of a step in which that is held."""
-_FAR_DEG = 1e6
+_FAR_DEG = 2e6
 """An overbalanced surface that its servo no longer holds goes no further."""
 
 
@@ -370,13 +370,14 @@ def run(
                             v1 = 0.0 if held else v1 + by_v * brake
                             w1 += by_w * brake
                         if races:
-                            most = speed(v1 * gain, now, p, v, m) / gain
-                            if most != v1:
+                            most = speed(v1 * gain, now, p, v, m)
+                            if most != v1 * gain:
+                                most /= gain
                                 y1, v1 = y + 0.5 * h * (min(max(fast, -abs(most)), abs(most)) + most), most
                         if stops:
-                            kept = stop(y1 * gain, now, p, v, m) / gain
-                            if kept != y1:
-                                y1, v1 = kept, 0.0
+                            kept = stop(y1 * gain, now, p, v, m)
+                            if kept != y1 * gain:
+                                y1, v1 = kept / gain, 0.0
                         if not abs(y1) < _FAR_DEG:
                             y1 = 0.0 if math.isnan(y1) else min(max(y1, -_FAR_DEG), _FAR_DEG)
                             v1 = w1 = 0.0

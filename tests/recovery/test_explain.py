@@ -13,7 +13,6 @@ from servofd.discrepancy.locate import bad_seconds, blocks
 from servofd.discrepancy.record import comb_step_deg, record_of, simulate
 from servofd.servo.context import Context
 from servofd.servo.library import library, servo_named
-from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 from tests.recovery.fine_servo import FineServo, Hidden, hide
@@ -63,15 +62,12 @@ def test_without_effects_it_is_the_linear_servo(name: str) -> None:
         {"lag_s": 0.02},
     ],
 )
-def test_shorter_steps_change_nothing(change: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
-    from servofd.servo import physics
-
+def test_shorter_steps_change_nothing(change: dict[str, float]) -> None:
     time_s = np.arange(0.0, 20.0, 0.01)
     command_deg = 8.0 * np.sign(np.sin(1.3 * time_s)) + 2.0 * np.sin(5.0 * time_s)
     record = record_of(Series("x", time_s, command_deg, time_s, np.full(time_s.size, 8.0)), KNOWN.linear())
     coarse = simulate(record, record.plant.neutral._replace(**change))
-    monkeypatch.setattr(physics, "_SUBSTEP_S", 2.5e-4)
-    fine = simulate(record, record.plant.neutral._replace(**change))
+    fine = simulate(record, record.plant.neutral._replace(**change), 16.0)
     assert np.abs(coarse - fine)[record.counts].max() < 0.03
     assert np.sqrt(np.mean((coarse - fine)[record.counts] ** 2)) < 0.005
 
@@ -84,13 +80,6 @@ def test_a_rate_limit_is_the_largest_speed() -> None:
     steady = (time_s > 1.15) & (time_s < 1.3)
     assert np.polyfit(time_s[steady], moved[steady], 1)[0] == pytest.approx(100.0, rel=2e-3)
     assert moved[-1] == pytest.approx(40.0, abs=1e-6)
-
-
-def test_neutral_effects_are_absent() -> None:
-    assert Physics().is_linear_loop
-    assert not Physics(friction_deg=0.1).is_linear_loop
-    assert not Physics(backlash_deg=0.1).is_linear_loop
-    assert not Physics(lag_s=0.1).is_linear_loop
 
 
 @pytest.mark.slow

@@ -36,7 +36,7 @@ def moved(physics: Physics, airspeed_m_s: Any, supply_v: Any) -> Any:
     constant = np.ones(TIME_S.size)
     context = Context(TIME_S, airspeed_m_s * constant, TIME_S, supply_v * constant)
     motion = Motion(AnyServo(KNOWN.transfer, physics, context), 0.0)
-    motion.receive(TIME_S + physics.delay_s, COMMAND_DEG, np.zeros(TIME_S.size))
+    motion.receive(TIME_S, COMMAND_DEG, np.zeros(TIME_S.size))
     return motion.at(TIME_S)
 
 

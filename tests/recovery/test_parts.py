@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -154,6 +155,7 @@ def test_a_servo_that_runs_away_is_as_wrong_as_can_be() -> None:
     record = flown((), [], 2)
     lifted = replace(record, pressure_pa=np.full(record.time_s.size, 1e6))
     limited = record.plant.neutral._replace(rate_up_deg_s=20.0, rate_down_deg_s=20.0, airload_per_pa=-0.0012)
+    limited = limited._replace(follow_up_deg_s=math.inf, follow_down_deg_s=math.inf)
     moved_deg = simulate(lifted, limited)
     assert np.abs(moved_deg).max() == 1e6
     assert np.isfinite(moved_deg @ moved_deg)

@@ -15,6 +15,37 @@ Commands = tuple[FloatArray, FloatArray, FloatArray]
 """When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; each of shape (n,)."""
 
 
+class CommandSteps(Effect):
+    """Steps of the command."""
+
+    name, slot, form, rank, surprise = "quantization", Slot.EVENTS, "command", 23, 24.0
+    parameters = (Parameter("step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
+
+    @staticmethod
+    def act(commands: Commands, step_deg: float) -> Commands:
+        return commands[0], step_deg * np.round(commands[1] / step_deg), commands[2]
+
+
+class PwmFrame(Effect):
+    """Commands wait for the next pulse frame."""
+
+    name, slot, rank = "pwm_frame", Slot.EVENTS, 21
+    parameters = (
+        Parameter("period_s", ("frame_s",), 2e-3, 0.2, 0.0, 0.02, (), kinked=True, width=2e-6),
+        Parameter("phase", ("frame_phase",), -1.0, 2.0, 0.0, 0.5, (), kinked=True, width=0.06),
+    )
+
+    @staticmethod
+    def act(commands: Commands, period_s: float, phase: float) -> Commands:
+        sent_s, command_deg, slope_deg_s = commands
+        first = np.ceil(sent_s[0] / period_s - phase)
+        count = max(int(np.floor(sent_s[-1] / period_s - phase) - first) + 2, 1)
+        frame_s = (first + np.arange(count) + phase) * period_s
+        held = np.maximum(np.searchsorted(sent_s, frame_s, side="right") - 1, 0)
+        since_s = np.maximum(frame_s - sent_s[held], 0.0)
+        return frame_s, command_deg[held] + slope_deg_s[held] * since_s, np.zeros(count)
+
+
 class Delay(Effect):
     """Total transport delay of the command."""
 
@@ -59,37 +90,6 @@ class ClockOffset(Effect):
     @staticmethod
     def act(commands: Commands, offset_s: float) -> Commands:
         return commands[0] + offset_s, commands[1], commands[2]
-
-
-class CommandSteps(Effect):
-    """Steps of the command."""
-
-    name, slot, form, rank, surprise = "quantization", Slot.EVENTS, "command", 23, 24.0
-    parameters = (Parameter("step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
-
-    @staticmethod
-    def act(commands: Commands, step_deg: float) -> Commands:
-        return commands[0], step_deg * np.round(commands[1] / step_deg), commands[2]
-
-
-class PwmFrame(Effect):
-    """Commands wait for the next pulse frame."""
-
-    name, slot, rank = "pwm_frame", Slot.EVENTS, 21
-    parameters = (
-        Parameter("period_s", ("frame_s",), 2e-3, 0.2, 0.0, 0.02, (), kinked=True, width=2e-6),
-        Parameter("phase", ("frame_phase",), -1.0, 2.0, 0.0, 0.5, (), kinked=True, width=0.06),
-    )
-
-    @staticmethod
-    def act(commands: Commands, period_s: float, phase: float) -> Commands:
-        sent_s, command_deg, slope_deg_s = commands
-        first = np.ceil(sent_s[0] / period_s - phase)
-        count = max(int(np.floor(sent_s[-1] / period_s - phase) - first) + 2, 1)
-        frame_s = (first + np.arange(count) + phase) * period_s
-        held = np.maximum(np.searchsorted(sent_s, frame_s, side="right") - 1, 0)
-        since_s = np.maximum(frame_s - sent_s[held], 0.0)
-        return frame_s, command_deg[held] + slope_deg_s[held] * since_s, np.zeros(count)
 
 
 class CommandGain(Effect):

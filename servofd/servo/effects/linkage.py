@@ -101,7 +101,7 @@ class Resonance(Effect):
     """Flexible linkage between servo and surface."""
 
     name, slot, rank, memory = "resonance", Slot.OUTPUT, 33, 3
-    longest_s, surprise = 2e-3, 8.0
+    longest_s, surprise = 5e-4, 8.0
     parameters = (
         Parameter(
             "frequency_hz",
@@ -140,12 +140,15 @@ class Backlash(Effect):
 
     name, slot, family, rank, memory = "backlash", Slot.OUTPUT, "hysteresis", 14, 1
     places, varies, at_rest = (INSIDE, BEFORE, AFTER), True, 3
+    sees = ("backlash_deg", "airload_per_pa", "air_trim_per_pa")
     parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.12),)
 
     @staticmethod
-    def act(x: float, now: Now, width_deg: float, at: float) -> tuple[float, float]:
+    def act(
+        x: float, now: Now, width_deg: float, airload_per_pa: float, trim_per_pa: float, at: float
+    ) -> tuple[float, float]:
         half = 0.5 * width_deg
-        side = min(max(_SURE_PER_DEG * now.load_deg, -1.0), 1.0)
+        side = min(max(_SURE_PER_DEG * now.pressure_pa * (airload_per_pa * x + trim_per_pa), -1.0), 1.0)
         if side != 0.0:
             pushed = _PUSH_PER_PA_S * now.pressure_pa * now.step_s
             at += abs(side) * pushed / (1.0 + pushed) * (x - side * half - at)

@@ -33,7 +33,7 @@ class InsensitiveBand(Effect):
     """Position error below which the motor is off, and above which it sees all of it."""
 
     name, slot, form, family, rank = "deadband", Slot.ERROR, "whole error", "hysteresis", 13
-    longest_s, at_rest = 1.25e-3, 5
+    longest_s, at_rest = 1e-3, 5
     parameters = (
         Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),
     )

@@ -12,7 +12,7 @@ class SensorLag(Effect):
     """First-order filter of the position sensor."""
 
     name, slot, rank, memory = "sensor_lag", Slot.OUTPUT, 17, 2
-    longest_s = 2.5e-3
+    longest_s = 1e-3
     parameters = (
         Parameter(
             "time_constant_s",

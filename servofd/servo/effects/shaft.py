@@ -99,7 +99,7 @@ class Friction(Effect):
     """Coulomb friction and stiction, as the position error that breaks it."""
 
     name, slot, family, rank = "friction", Slot.GRIP, "hysteresis", 15
-    longest_s, places, varies, at_rest = 3e-3, (BEFORE, INSIDE, AFTER), True, 6
+    longest_s, places, varies, at_rest = 2e-3, (BEFORE, INSIDE, AFTER), True, 6
     sees = ("friction_deg", "stribeck")
     parameters = (
         Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0, smallest=0.08),
@@ -116,7 +116,7 @@ class StribeckFriction(Effect):
     """Friction that is larger at rest than at speed (Stribeck): usual of grease and bushings."""
 
     name, slot, form, family, rank = "friction", Slot.GRIP, "Stribeck", "hysteresis", 16
-    longest_s, places, varies = 3e-3, (BEFORE, INSIDE, AFTER), True
+    longest_s, places, varies = 2e-3, (BEFORE, INSIDE, AFTER), True
     sees = ("friction_deg", "stribeck")
     parameters = (
         Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0, smallest=0.08),
