@@ -46,10 +46,9 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parent.parent
 KERNEL_TESTS = (
     "tests/laws/test_bench_physics.py",
-    "tests/laws/test_kernel.py",
-    "tests/laws/test_loop_steps.py",
+    "tests/laws/test_servo.py",
+    "tests/laws/test_stepper.py",
     "tests/laws/test_observe.py",
-    "tests/laws/test_position_loop.py",
     "tests/laws/test_residual.py",
     "tests/golden/test_golden.py",
     "tests/recovery/test_extended.py",

@@ -308,44 +308,52 @@ _STANDS_STILL = "all servos stopped reporting anything new while they were asked
 
 
 _STILL_S, _STILL_DEG_S = 0.02, 10.0
-"""A servo that is no faster than this from its first reading to the next that is so much later began at rest: nothing
-is unknown of it. Less than the delay of the slowest hobby servo (0.03 s), more than a period at 50 Hz; a servo at that
-speed is 0.5 deg from where it would be at rest, after its lag of 0.05 s."""
+"""A servo that is no faster than this from its first reading to the next that is so much later, and is asked to be no
+faster, began at rest: nothing is unknown of it. Less than the delay of the slowest hobby servo (0.03 s), more than a
+period at 50 Hz; a servo at that speed is 0.5 deg from where it would be at rest, after its lag of 0.05 s."""
 
 
-def settled_from_s(begun_s: float, measured_s: FloatArray, measured_deg: FloatArray) -> float:
+def settled_from_s(
+    begun_s: float, commands: tuple[FloatArray, FloatArray], measured_s: FloatArray, measured_deg: FloatArray
+) -> float:
     """From which instant on it is known what moves a servo [s]; infinite if its readings (n,) do not tell yet.
+
+    Commands are their times [s] and what they ask for [deg], of shape (m,).
 
     Examples
     --------
     >>> t = np.arange(5.0)
-    >>> settled_from_s(0.5, t, np.zeros(5)), round(settled_from_s(0.5, t, 20.0 * t), 6)
+    >>> still, moving = (t, np.zeros(5)), (t, 20.0 * t)
+    >>> settled_from_s(0.5, still, t, np.zeros(5)), round(settled_from_s(0.5, still, *moving), 6)
     (2.0, 1.5)
+    >>> round(settled_from_s(0.5, moving, t, np.zeros(5)), 6)
+    1.5
     """
     later = np.flatnonzero((measured_s >= begun_s) & np.isfinite(measured_deg))
     late = later[measured_s[later] >= measured_s[later[0]] + _STILL_S] if later.size else later
     if not late.size:
         return float("inf")
     first, then = int(later[0]), int(late[0])
-    moved_deg = abs(float(measured_deg[then] - measured_deg[first]))
+    asked_deg = latest(*commands, measured_s[[first, then]])
+    moved_deg = max(abs(float(measured_deg[then] - measured_deg[first])), abs(float(asked_deg[1] - asked_deg[0])))
     if moved_deg <= _STILL_DEG_S * float(measured_s[then] - measured_s[first]):
         return float(measured_s[then])
     return float(np.nextafter(begun_s + UNSETTLED_S, np.inf))
 
 
 def is_unsettled(
-    command_s: FloatArray, measured_s: FloatArray, measured_deg: FloatArray, at_s: FloatArray
+    commands: tuple[FloatArray, FloatArray], measured_s: FloatArray, measured_deg: FloatArray, at_s: FloatArray
 ) -> BoolArray:
     """Whether instants are so early that nobody knows what moved the servo before, of shape (n,).
 
     Examples
     --------
     >>> t = np.arange(5.0)
-    >>> is_unsettled(t + 0.5, t, 20.0 * t, t)
+    >>> is_unsettled((t + 0.5, t), t, 20.0 * t, t)
     array([ True,  True, False, False, False])
     """
-    begun_s = max(float(command_s[0]), float(measured_s[0]))
-    early: BoolArray = at_s < settled_from_s(begun_s, measured_s, measured_deg)
+    begun_s = max(float(commands[0][0]), float(measured_s[0]))
+    early: BoolArray = at_s < settled_from_s(begun_s, commands, measured_s, measured_deg)
     return early
 
 
@@ -476,7 +484,7 @@ def _marks(
     why[known], _ = marked(rows)
     last = np.searchsorted(command_s, time_s, side="right") - 1
     reasons = (
-        (Why.UNSETTLED, is_unsettled(command_s, rows.time_s, rows.position_deg, time_s)),
+        (Why.UNSETTLED, is_unsettled((command_s, command_deg), rows.time_s, rows.position_deg, time_s)),
         (Why.GAP, (last < 0) | (time_s - command_s[np.maximum(last, 0)] > OUTAGE_S)),
         (Why.TORQUE_OFF, _without_torque(log, name, time_s)),
         (Why.BOOT, _of_another_boot(log, time_s)),

@@ -56,7 +56,9 @@ def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float
     measured_deg[1200:1230] = np.nan
     asked, seen = rng.random(TIME_S.size) >= lost, rng.random(TIME_S.size) >= lost
     asked[1000:1040] = False
-    why = is_unsettled(TIME_S[asked], TIME_S[seen], measured_deg[seen], TIME_S[seen]) * np.int8(Why.UNSETTLED)
+    why = is_unsettled((TIME_S[asked], COMMAND_DEG[asked]), TIME_S[seen], measured_deg[seen], TIME_S[seen]) * np.int8(
+        Why.UNSETTLED
+    )
     return Series("x", TIME_S[asked], COMMAND_DEG[asked], TIME_S[seen], measured_deg[seen], why=why)
 
 

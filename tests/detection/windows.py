@@ -58,7 +58,9 @@ def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
     measured_deg[520:] += 3.0
     asked, seen = rng.random(time_s.size) > 0.1, rng.random(time_s.size) > 0.1
     seen[250:280] = asked[330:350] = False
-    why = is_unsettled(time_s[asked], time_s[seen], measured_deg[seen], time_s[seen]) * np.int8(Why.UNSETTLED)
+    why = is_unsettled((time_s[asked], command_deg[asked]), time_s[seen], measured_deg[seen], time_s[seen]) * np.int8(
+        Why.UNSETTLED
+    )
     segment = Series("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen], why=why)
     return ResidualGenerator.fitting(model, segment), segment
 
