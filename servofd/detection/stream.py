@@ -323,8 +323,8 @@ class Stream(_Waiting):
         if not np.isfinite(self._settled_s) and np.isfinite(self._begun_s):
             self._early += zip(time_s.tolist(), measured_deg.tolist(), strict=True)
             given = self.logged.commands()
-            commands = self.logged.time_s, given.command_deg
-            self._settled_s = settled_from_s(self._begun_s, commands, *np.array(self._early).T)
+            asked = self.logged.time_s, given.command_deg
+            self._settled_s = settled_from_s(self._begun_s, asked, *np.array(self._early).T)
         starts = starts._replace(settled=starts.settled & (time_s >= self._settled_s))
         commands = self.effective.commands()
         moved = [
