@@ -30,7 +30,7 @@ from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
 from servofd.detection.evidence import is_blind
 from servofd.estimate.family import PRESSURE_PA
-from servofd.estimate.fit import fit, worse_without
+from servofd.estimate.fit import WIDTHS, fit, worse_without
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
 from servofd.servo.context import AIR_KG_M3
 from servofd.servo.library import Servo
@@ -53,8 +53,6 @@ _VAGUE: Final = 4.0
 """A parameter is vague if its variance is so many times the usual one between flights."""
 
 _RESTING: Final = {"friction_deg": "friction", "deadband_deg": "dead band", "play_deg": "play"}
-_WIDTHS: Final = {"friction_deg": 0.5, "deadband_deg": 1.0, "play_deg": 1.0}
-"""Friction holds the surface on both sides."""
 _NOTHING: Final = 1e-3
 _FLYING: Final = 0.1
 _LEAST_SHOWN_DEG: Final = 0.02
@@ -135,7 +133,7 @@ def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Est
 
     found = {resting(key): gained((key,)) for key in _RESTING}
     if max(found.values()) < _PAYS:  # they may stand for each other
-        widest = max(_RESTING, key=lambda key: estimates[key].value / _WIDTHS[key])
+        widest = max(_RESTING, key=lambda key: estimates[key].value * WIDTHS[key])
         others = " or ".join(name for key, name in _RESTING.items() if key != widest)
         found = {f"{resting(widest)}, which may be {others}": gained(tuple(_RESTING))}
     reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))

@@ -25,7 +25,8 @@ _FIRST_STEPS, _STEPS = 4, 12
 _CLOSE: Final = 1e-3
 _LOOSER_DEG: Final = 0.6
 _NEAR: Final = 2.0
-"""A descent whose cost is larger by no more, in terms of samples that are not alike, may be the right one as well."""
+"""A descent whose cost is larger by no more, in terms of samples that are not alike, may be the right one as well;
+and no cost is known better than to the share at which a descent ends."""
 _MOST_PRIOR: Final = 0.9
 _FOLD_S: Final = 20.0
 _LAG_FLOOR_S: Final = 0.003
@@ -40,6 +41,9 @@ _FASTER: Final = float(np.log(2.0))
 
 _VALUES = np.array([prior.value for prior in PRIORS])
 _SIGMAS = np.array([prior.sigma for prior in PRIORS])
+WIDTHS: Final = {"deadband_deg": 1.0, "friction_deg": 2.0, "play_deg": 1.0}
+"""How much of a change of direction each takes, in times its size."""
+_WIDTHS = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
 _NONE_HELD: Final = np.zeros(FITTED, dtype=bool)
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 
@@ -111,7 +115,7 @@ def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
         begins = [np.where(is_delay, delay_s, _VALUES) for delay_s in _DELAYS_S]
         tried = [_descended(records, begin, _NONE_HELD, reach_deg, _FIRST_STEPS) for begin in begins]
         theta = min(tried, key=lambda each: each[1])[0]
-    theta, _ = _descended(records, theta, _NONE_HELD, reach_deg, _STEPS)
+        theta, _ = _descended(records, theta, _NONE_HELD, reach_deg, _STEPS)
     errors, _, speeds = _evaluated(records, theta, reach_deg)
     sigma = _noise(errors, speeds, records).sigma_deg(np.concatenate(speeds))
     again = [theta] if start is not None else [theta, *_alike(theta)]
@@ -121,10 +125,18 @@ def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
 
 
 def worse_without(fitted: Fit, records: Sequence[Record], effects: Sequence[str]) -> float:
-    """By how many times a servo without some effects, fitted to the same records, predicts unseen data worse."""
+    """By how many times a servo without some effects, fitted to the same records, predicts unseen data worse.
+
+    Dead band, friction and play that are left may take over the width of those that are not.
+    """
     held = np.array([name in effects for name in NAMES])
-    begin = np.where(held, 0.0, fitted.theta)
-    theta, _ = _descended(records, begin, held, fitted.reach_deg, _FIRST_STEPS, fitted.sigma_deg)
+    width_deg = float((_WIDTHS * fitted.theta)[held].sum())
+    begins = [np.where(held, 0.0, fitted.theta)]
+    for place in np.flatnonzero((_WIDTHS > 0.0) & ~held) if width_deg > 0.0 else ():
+        begins.append(begins[0].copy())
+        begins[-1][place] += width_deg / _WIDTHS[place]
+    tried = [_descended(records, each, held, fitted.reach_deg, _FIRST_STEPS, fitted.sigma_deg) for each in begins]
+    theta = min(tried, key=lambda each: each[1])[0]
     errors, slopes, speeds = _evaluated(records, theta, fitted.reach_deg)
     noise = _noise(errors, speeds, records)
     sigma = noise.sigma_deg(np.concatenate(speeds))
@@ -249,8 +261,9 @@ def _finished(
     covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
     unseen = lengthened * _unseen_speed(records, theta, reach_deg, error, sigma)
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
-    near = np.array([each for each, its in tried if its - cost < _NEAR * lengthened])
-    apart: FloatArray = np.hypot(0.5 * (near.max(axis=0) - near.min(axis=0)), 0.5 * (left.changes[0] - left.changes[1]))
+    near = np.array([each for each, its in tried if its - cost < _NEAR * lengthened + _CLOSE * cost])
+    other = np.abs(near - theta).max(axis=0) / np.sqrt(2.0)  # two servos that are equally likely, about one of them
+    apart: FloatArray = np.hypot(other, 0.5 * (left.changes[0] - left.changes[1]))
     cuts = np.cumsum([e.size for e in errors])[:-1]
     power = float(np.var(np.concatenate([r.measured_deg[r.usable] for r in records])))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0

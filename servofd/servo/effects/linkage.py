@@ -151,7 +151,7 @@ class Backlash(Effect):
         side = min(max(_SURE_PER_DEG * now.pressure_pa * (airload_per_pa * x + trim_per_pa), -1.0), 1.0)
         if side != 0.0:
             pushed = _PUSH_PER_PA_S * now.pressure_pa * now.step_s
-            at += abs(side) * pushed / (1.0 + pushed) * (x - side * half - at)
+            at += pushed / (1.0 + pushed) * (x - side * half - at)
         at = max(min(at, x + half), x - half)
         return at, at
 
