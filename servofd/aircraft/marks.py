@@ -360,9 +360,9 @@ def _is_unasked(rows: Rows, first: int, back: int, size_deg: float) -> bool:
 
 
 def _swing_deg(values_deg: FloatArray, width: int) -> float:
-    """By how much values differ at most that are so many samples apart."""
-    width = min(width, values_deg.size - 1)
-    return float(np.abs(values_deg[width:] - values_deg[: values_deg.size - width]).max(initial=0.0))
+    """By how much values differ at most that are so many samples apart, or fewer."""
+    apart = range(1, min(width, values_deg.size - 1) + 1)
+    return max((float(np.abs(values_deg[k:] - values_deg[:-k]).max()) for k in apart), default=0.0)
 
 
 _ECHOES: Final = 3
