@@ -307,10 +307,11 @@ _TORQUE = re.compile(r"(torque|servo|motor).*(enabled?|_on|power(ed)?)$|^powered
 _STANDS_STILL = "all servos stopped reporting anything new while they were asked to move: look at the servo bus"
 
 
-_STILL_S, _STILL_DEG_S = 0.02, 10.0
-"""A servo that is no faster than this from its first reading to the next that is so much later, and is asked to be no
-faster, began at rest: nothing is unknown of it. Less than the delay of the slowest hobby servo (0.03 s), more than a
-period at 50 Hz; a servo at that speed is 0.5 deg from where it would be at rest, after its lag of 0.05 s."""
+_STILL_S, _STILL_DEG_S, _THERE_DEG = 0.02, 10.0, 0.25
+"""A servo that is no faster than this from its first reading to the next that is so much later, and either stands where
+it is asked to or is asked to be no faster, began at rest: nothing is unknown of it. Less than the delay of the slowest
+hobby servo (0.03 s), more than a period at 50 Hz; a servo at that speed is twice as far from where it would be at rest,
+after its lag of 0.05 s, as one that turns back may be."""
 
 
 def settled_from_s(
@@ -335,8 +336,11 @@ def settled_from_s(
         return float("inf")
     first, then = int(later[0]), int(late[0])
     asked_deg = latest(*commands, measured_s[[first, then]])
-    moved_deg = max(abs(float(measured_deg[then] - measured_deg[first])), abs(float(asked_deg[1] - asked_deg[0])))
-    if moved_deg <= _STILL_DEG_S * float(measured_s[then] - measured_s[first]):
+    still_deg = _STILL_DEG_S * float(measured_s[then] - measured_s[first])
+    is_followed = abs(float(measured_deg[first] - asked_deg[0])) <= _THERE_DEG
+    if abs(float(measured_deg[then] - measured_deg[first])) <= still_deg and (
+        is_followed or abs(float(asked_deg[1] - asked_deg[0])) <= still_deg
+    ):
         return float(measured_s[then])
     return float(np.nextafter(begun_s + UNSETTLED_S, np.inf))
 
