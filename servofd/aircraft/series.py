@@ -165,8 +165,9 @@ class Series:
     @property
     def frozen_s(self) -> float:
         """For how long the bus, or this servo's telemetry, stood still [s]."""
-        step_s = np.diff(self.measured_s, append=self.measured_s[-1:])
-        return float(step_s[self.why == Why.FROZEN].sum())
+        known = self.why != Why.MISSING
+        step_s = np.diff(self.measured_s[known], append=self.measured_s[known][-1:])
+        return float(step_s[self.why[known] == Why.FROZEN].sum())
 
     @property
     def frozen_to_end(self) -> bool:

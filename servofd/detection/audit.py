@@ -143,7 +143,8 @@ def audit_segment(
     try:
         generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
     except DesignError as error:
-        return verdict(status="unknown", reason=str(error), segment=segment)
+        reason = _unpredicted(surface, segment) if surface.model.origin == "none" else str(error)
+        return verdict(status="unknown", reason=reason, segment=segment)
     if surface.model.origin == "none":
         return _without_model(generator, segment, surface, verdict)
     segment, residuals, notes = prepared(generator, segment)
