@@ -305,9 +305,10 @@ def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
     """Second difference of the fresh readings before some of them, where they move most steadily: noise."""
     if not where.size:
         return np.zeros(0)
-    bends = np.abs(np.diff(fresh_deg, 2, prepend=fresh_deg[:1].repeat(_BEFORE_ROWS + 2)))
+    unknown = np.full(_BEFORE_ROWS + 2, np.inf)  # nothing jumps out of the noise before that is known
+    bends = np.concatenate([unknown, np.abs(np.diff(fresh_deg, 2))])
     windows = np.lib.stride_tricks.sliding_window_view(bends, _BEFORE_ROWS)[where]
-    return np.asarray(np.percentile(windows, _STEADIEST, axis=1))
+    return np.asarray(np.percentile(windows, _STEADIEST, axis=1, method="higher"))
 
 
 _STEADIEST, _CLEAR = 25.0, 8.0

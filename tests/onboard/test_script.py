@@ -96,7 +96,7 @@ def test_residuals_and_thresholds_are_those_of_an_audit(tmp_path: Path, threshol
     assert [text for _, text in flown.texts] == ["servofd watches 3 servos"]
     for output, (name, segment) in enumerate(segments.items(), 1):
         residuals, level = audited(plane, name, segment)
-        assert furthest_deg(flown, output, residuals) < 1e-3
+        assert furthest_deg(flown, output, residuals) < 2e-3  # it looks for the instants of a limit in pieces of 4 ms
         assert float(np.max(np.abs(flown.of(output)["level"] - level.level_deg))) < 2e-3
 
 
