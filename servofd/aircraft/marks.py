@@ -18,11 +18,7 @@ from servofd.servo.loops import compiled, inner
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from servofd.core.types import BoolArray, FloatArray, IntArray
-
-    Marks = NDArray[np.int8]
+    from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
 
 
 class Why(IntEnum):
@@ -53,6 +49,8 @@ class Why(IntEnum):
 
 NO_OTHERS: Final = -1
 """In place of whether other values of a telemetry changed: there are none."""
+OWN_TELEMETRY: Final = 2
+"""What `standing` says of a row if this servo's telemetry alone stands still."""
 LAST_WITH_VALUE: Final = Why.UNSETTLED
 """Samples marked so, or less, keep their value."""
 
@@ -150,11 +148,12 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
 
 @inner
 def _is_asked(m: FloatArray, time_s: float) -> bool:
-    """Whether a servo was asked to move since its reading changed last, or was under way then."""
+    """Whether a servo was asked to move since its reading changed last, and has had the time to, or was under way then."""
     least_deg = ASKED_DEG if np.isinf(m[_STEP]) else max(ASKED_DEG, _STEPS * m[_STEP])
-    if abs(m[_ASKED] - m[_THEN]) > least_deg:
+    if abs(m[_LAG] - m[_THEN]) > max(least_deg, 0.5 * abs(m[_ASKED] - m[_THEN])):
         return True
-    return bool(time_s - m[_CHANGED] <= _UNDER_WAY_S and abs(m[_ASKED] - m[_BEFORE]) > least_deg)
+    late_deg = max(abs(m[_THEN] - m[_BEFORE]), abs(m[_LAG] - m[_BEFORE]))
+    return bool(time_s - m[_CHANGED] <= _UNDER_WAY_S and late_deg > max(least_deg, 0.5 * abs(m[_ASKED] - m[_BEFORE])))
 
 
 @inner
@@ -189,9 +188,9 @@ def _all_stand(memory: FloatArray, time_s: float) -> bool:
 @compiled
 def standing(
     memory: FloatArray, who: IntArray, time_s: FloatArray, moved_deg: FloatArray, asked_deg: FloatArray, other: Marks,
-    stands: BoolArray,
+    stands: Marks,
 ) -> None:  # fmt: skip
-    """Tell of each row whether the bus stands still then.
+    """Tell of each row whether the bus stands still then, 1, or this servo's telemetry alone, 2; else 0.
 
     The rows are those of all servos in order of time, shape (n,): whose it is, by how much its reading differs from
     the one before [deg], the command in force [deg], and whether other values of its telemetry (voltage, current)
@@ -200,15 +199,17 @@ def standing(
     for k in range(time_s.size):
         m = memory[who[k]]
         _take(m, time_s[k], moved_deg[k], asked_deg[k], other[k])
-        stands[k] = m[_REPEATS] >= 2.0 and (
-            _all_stand(memory, time_s[k])
-            or (
-                time_s[k] - m[_CHANGED] >= _DEAD_S
-                and _owes(m[_SAME_ROWS], m[_SAME_LONGEST], m[_REPEATS], _OWED_BESIDE)
-                and _is_asked(m, time_s[k])
-            )
-        )
-        if stands[k]:
+        if m[_REPEATS] < 2.0:
+            continue
+        if (
+            time_s[k] - m[_CHANGED] >= _DEAD_S
+            and _owes(m[_SAME_ROWS], m[_SAME_LONGEST], m[_REPEATS], _OWED_BESIDE)
+            and _is_asked(m, time_s[k])
+        ):
+            stands[k] = OWN_TELEMETRY
+        elif _all_stand(memory, time_s[k]):
+            stands[k] = 1
+        if stands[k] > 0:
             m[_STOOD] = 1.0
 
 
@@ -221,7 +222,7 @@ class Rows(NamedTuple):
     """The command in force, in the same degrees as the position, without corrections that were fitted."""
     other: Marks
     """As `standing` takes it."""
-    stands: BoolArray
+    stands: Marks
     """What `standing` says."""
     step_deg: float = np.inf
     """Smallest change of the reading before these rows [deg]."""
@@ -248,7 +249,7 @@ def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
     >>> time_s = np.arange(0.0, 2.0, 0.02)
     >>> position_deg = 10.0 * np.sin(3.0 * time_s)
     >>> position_deg[[30, 31, 32]], position_deg[60] = position_deg[29], 40.0
-    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=bool)
+    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=np.int8)
     >>> why, _ = marked(Rows(time_s, position_deg, 10.0 * np.sin(3.0 * time_s + 0.1), none, never))
     >>> [(int(k), Why(why[k]).name) for k in np.flatnonzero(why)]
     [(30, 'DUPLICATE'), (31, 'DUPLICATE'), (32, 'DUPLICATE'), (60, 'SPIKE')]
@@ -279,7 +280,8 @@ def _repeats(rows: Rows, why: Marks) -> int:
     clear[clear] = left_deg[clear] > _CLEAR * _bend_deg(rows.position_deg[firsts], np.flatnonzero(clear))
     span_s = age_s[lasts]
     before = np.searchsorted(time_s, time_s[firsts] - _ANSWER_S)
-    asked_deg = rows.asked_deg[np.stack([before, firsts, lasts])]  # a servo may still follow what came before
+    answered = np.maximum(np.searchsorted(time_s, time_s[lasts] - _DELAY_S, side="right") - 1, firsts)
+    asked_deg = rows.asked_deg[np.stack([before, firsts, answered])]  # a servo may still follow what came before
     asked = np.ptp(asked_deg, axis=0) >= ASKED_DEG
     silent = over & (rows.other[lasts] == 0)
     again = (clear | silent) & (span_s < DUPLICATE_S - TINY_DEG)
@@ -287,16 +289,17 @@ def _repeats(rows: Rows, why: Marks) -> int:
     why[same & again[run]] = Why.DUPLICATE
     why[same & late[run]] = Why.HELD
     if rows.refresh_s > 0.0:
-        due = np.floor((age_s + TINY_DEG) / rows.refresh_s)
+        due = np.floor((age_s + 0.5 * np.diff(time_s, prepend=time_s[0])) / rows.refresh_s)  # in the row next to it
         why[same & (np.diff(due, prepend=0.0) <= 0.0)] = Why.DUPLICATE
     # What waits is decided with the first row that is old enough; the rows after that each by itself.
     early = age_s < WAIT_S - TINY_DEG
     until = np.minimum(firsts + np.add.reduceat(early, firsts), lasts)
-    stood = np.concatenate([[0], np.cumsum(rows.stands)])
+    stands = rows.stands > 0
+    stood = np.concatenate([[0], np.cumsum(stands)])
     at_first = stood[until + 1] > stood[firsts + 1]
-    why[same & np.where(early, at_first[run], rows.stands)] = Why.FROZEN
+    why[same & np.where(early, at_first[run], stands)] = Why.FROZEN
     # Where voltage and current stand still as well, the telemetry was dead from the first of them on.
-    dead = (stood[lasts + 1] > stood[firsts + 1]) & (rows.other[lasts] >= 0)
+    dead = np.maximum.reduceat(rows.stands, firsts) == OWN_TELEMETRY
     why[same & dead[run]] = Why.FROZEN
     return int(firsts[-1]) + 1 if span_s[-1] < WAIT_S - TINY_DEG else size
 
@@ -311,6 +314,8 @@ def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
     return np.asarray(np.percentile(windows, _STEADIEST, axis=1, method="higher"))
 
 
+_DELAY_S: Final = 0.05
+"""A servo may take so long to begin to move: what it was asked later its reading does not owe yet."""
 _STEADIEST, _CLEAR = 25.0, 8.0
 """Percentile of those second differences, and how many times as far a reading jumps that was old: by six standard
 deviations of white noise."""
@@ -401,7 +406,7 @@ def unanswered(command_s: FloatArray, command_deg: FloatArray, rows: Rows) -> Bo
     --------
     >>> time_s = np.arange(0.0, 2.0, 0.02)
     >>> asked_deg = np.where((time_s > 0.99) & (time_s < 1.03), 25.0, 5.0)
-    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=bool)
+    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=np.int8)
     >>> np.flatnonzero(unanswered(time_s, asked_deg, Rows(time_s, np.full(100, 5.0), asked_deg, none, never)))
     array([50, 51])
     """
@@ -475,8 +480,8 @@ class Reported(NamedTuple):
     other: Marks
 
 
-def bus_stands(servos: Sequence[Reported]) -> list[BoolArray]:
-    """Of each row of each servo, shape (n,), whether all telemetry stands still then; every row has a value.
+def bus_stands(servos: Sequence[Reported]) -> list[Marks]:
+    """What `standing` says of each row of each servo, shape (n,); every row has a value.
 
     Examples
     --------
@@ -488,11 +493,11 @@ def bus_stands(servos: Sequence[Reported]) -> list[BoolArray]:
     ...     none = np.full(time_s.size, -1, dtype=np.int8)
     ...     return Reported(time_s, position_deg, time_s, 9.0 * np.sin(2.0 * time_s + phase + 0.1), none)
     >>> rows, _ = bus_stands([servo(0.0), servo(1.0)])
-    >>> float(time_s[rows].min()) < 3.2, float(time_s[rows].max())
+    >>> float(time_s[rows == 1].min()) < 3.2, float(time_s[rows == 1].max())
     (True, 3.48)
     """
     sizes = [servo.time_s.size for servo in servos]
-    result = [np.zeros(size, dtype=bool) for size in sizes]
+    result = [np.zeros(size, dtype=np.int8) for size in sizes]
     if not sum(sizes):
         return result
     time_s = np.concatenate([servo.time_s for servo in servos])
@@ -506,7 +511,7 @@ def bus_stands(servos: Sequence[Reported]) -> list[BoolArray]:
         for servo in servos
     ]
     other = np.concatenate([servo.other for servo in servos])[order]
-    stands = np.zeros(time_s.size, dtype=bool)
+    stands = np.zeros(time_s.size, dtype=np.int8)
     standing(new_bus(len(servos)), who, time_s[order], moved_deg, np.concatenate(asked)[order], other, stands)
     for k, each in enumerate(result):
         each[:] = stands[who == k]

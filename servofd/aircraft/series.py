@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import Channel, FlightLog
     from servofd.aircraft.calibration import Calibration
-    from servofd.aircraft.marks import Marks
+    from servofd.core.types import Marks
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.types import BoolArray, FloatArray
 
@@ -362,7 +362,7 @@ def is_unsettled(
     return early
 
 
-def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, BoolArray]:
+def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, Marks]:
     """When the telemetry of an aircraft stood still, by surface, for each row of its position channel that has a value.
 
     Examples
@@ -389,7 +389,7 @@ def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, BoolArray]:
     return dict(zip(reported, bus_stands(list(reported.values())), strict=True))
 
 
-def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, BoolArray] | None = None) -> Series:
+def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] | None = None) -> Series:
     """Take one surface out of a log, in degrees, and mark what does not count.
 
     Parameters
@@ -472,14 +472,14 @@ def _reasons(why: Marks) -> str:
 
 
 def _marks(
-    log: FlightLog, name: str, surface: Surface, measured: Channel, stands: BoolArray | None
+    log: FlightLog, name: str, surface: Surface, measured: Channel, stands: Marks | None
 ) -> tuple[Rows, Marks, BoolArray]:
     """Rows with a value, why each row of the log does not count, and commands that were never sent."""
     known = np.isfinite(measured.values)
     time_s = measured.time_s
     command_s, command_deg = _commands(log, surface.command)
     others = _others(log, surface.alive, measured)
-    stands = np.zeros(others.size, dtype=bool) if stands is None else stands
+    stands = np.zeros(others.size, dtype=np.int8) if stands is None else stands
     position_deg = measured.values[known]
     rows = Rows(time_s[known], position_deg, latest(command_s, command_deg, time_s[known]), others, stands)
     never_sent = unanswered(command_s, command_deg, rows)

@@ -76,13 +76,13 @@ class Bus:
             return {}
         who, time_s, moved_deg, asked_deg = (np.concatenate(each) for each in zip(*columns, strict=True))
         order = np.argsort(time_s, kind="stable")
-        stands = np.zeros(time_s.size, dtype=bool)
+        stands = np.zeros(time_s.size, dtype=np.int8)
         other = np.full(time_s.size, NO_OTHERS, dtype=np.int8)
         standing(self._memory, who[order], time_s[order], moved_deg[order], asked_deg[order], other, stands)
         if stands.size:
             self.since_s = min(self.since_s, float(time_s[order][stands.argmax()])) if stands[-1] else float("inf")
         back = np.empty(stands.size, dtype=bool)
-        back[order] = stands
+        back[order] = stands > 0
         sizes = [each.time_s.size for each in new.values()]
         return dict(zip(new, np.split(back, np.cumsum(sizes)[:-1]), strict=True))
 
@@ -194,7 +194,7 @@ class Watch:
         """What of the waiting rows is decided and counts."""
         time_s, position_deg, asked_deg, stands = np.array(self._rows, dtype=float).T
         rows = Rows(
-            time_s, position_deg, asked_deg, np.full(time_s.size, NO_OTHERS, dtype=np.int8), stands != 0.0,
+            time_s, position_deg, asked_deg, np.full(time_s.size, NO_OTHERS, dtype=np.int8), stands.astype(np.int8),
             self._step_deg, self._refresh_s,
         )  # fmt: skip
         why, decided = marked(rows, final=final)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.core.evidence import ModelOrigin
-    from servofd.core.types import BoolArray
+    from servofd.core.types import Marks
     from servofd.feedback.fitted import Drafted
 
 _ROTORCRAFT = frozenset(
@@ -188,7 +188,7 @@ def _entries(log: FlightLog, pair: Pair) -> dict[str, Any]:
     return {"command": command, "measured": measured, "alive": pair.position.alive}
 
 
-def _draft(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, BoolArray]) -> DraftedSurface:
+def _draft(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, Marks]) -> DraftedSurface:
     """Draft of one surface; with an ordinary servo if its position is no measurement."""
     command, measured = entry["command"], entry["measured"]
     angle_command = pair.command == pair.position.command
@@ -208,7 +208,7 @@ def _draft(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, 
     return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment, until_s=fit.until_s))
 
 
-def _cut(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, BoolArray]) -> Series:
+def _cut(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, Marks]) -> Series:
     return cut(log, pair.surface, Aircraft.model_validate({"surfaces": {pair.surface: entry}}), bus)
 
 

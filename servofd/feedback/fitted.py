@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.aircraft.series import Series
-    from servofd.core.types import BoolArray, FloatArray, IntArray
+    from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
     from servofd.servo.servo_model import ServoModel
 
 
@@ -438,7 +438,7 @@ def fitted_servo(fit: RoughFit, title: str) -> Servo:
 
 
 def _fitted_surface(
-    log: FlightLog, name: str, aircraft: Aircraft, key: str, bus: Mapping[str, BoolArray]
+    log: FlightLog, name: str, aircraft: Aircraft, key: str, bus: Mapping[str, Marks]
 ) -> tuple[Surface, Servo]:
     """One surface with the servo that was fitted to it."""
     surface = aircraft.surfaces[name]

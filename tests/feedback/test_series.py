@@ -35,7 +35,7 @@ def flown() -> SimulatedFlight:
 def spoilt(flight: SimulatedFlight, reason: str) -> tuple[SimulatedFlight, BoolArray]:
     """The flight with one reason in it, and the rows of the second surface that are concerned."""
     deg, rows = flight.measured_deg.copy(), np.zeros(flight.time_s.size, dtype=bool)
-    fastest = 900 + int(np.argmax(np.abs(np.diff(deg[900:1200, 1]))))
+    fastest = 300 + int(np.argmax(np.abs(np.diff(deg[300:1200, 1]))))
     if reason == "SPIKE":
         rows[[fastest, 1300]] = True
         deg[rows, 1] += 25.0

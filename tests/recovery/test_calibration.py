@@ -323,7 +323,7 @@ def test_a_stream_finds_what_an_audit_finds() -> None:
     known = calibrated(of_stranger(aircraft, 1, "mixed", "rudder")).aircraft
     segment = of_stranger(aircraft, 4, "turbulence", "rudder", Failure("bias", "rudder", 60.0, 2.0))
     segment = segment.at(np.isfinite(segment.measured_deg))
-    nobody, never = np.full(segment.measured_s.size, NO_OTHERS), np.zeros(segment.measured_s.size, dtype=bool)
+    nobody, never = np.full(segment.measured_s.size, NO_OTHERS), np.zeros(segment.measured_s.size, dtype=np.int8)
     asked_deg = latest(segment.command_s, segment.command_deg, segment.measured_s)
     why, _ = marked(Rows(segment.measured_s, segment.measured_deg, asked_deg, nobody, never))
     verdict = judged(known, segment.at(why == Why.COUNTS))  # what a log leaves out a monitor leaves out itself
