@@ -148,7 +148,7 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
 
 @inner
 def _is_asked(m: FloatArray, time_s: float) -> bool:
-    """Whether a servo was asked to move since its reading changed last, and has had the time to, or was under way then."""
+    """Whether a servo was asked to move since its reading changed last, with time to do so, or was under way then."""
     least_deg = ASKED_DEG if np.isinf(m[_STEP]) else max(ASKED_DEG, _STEPS * m[_STEP])
     if abs(m[_LAG] - m[_THEN]) > max(least_deg, 0.5 * abs(m[_ASKED] - m[_THEN])):
         return True

@@ -36,9 +36,8 @@ if TYPE_CHECKING:
 
     from logparsers.records import Channel, FlightLog
     from servofd.aircraft.calibration import Calibration
-    from servofd.core.types import Marks
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray, Marks
 
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""

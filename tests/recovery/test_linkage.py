@@ -42,7 +42,7 @@ def test_a_tip_a_sensor_and_a_play_follow_the_shaft_as_if_integrated_finely(at_s
     np.testing.assert_allclose(tip, tip_deg[at], rtol=0, atol=1e-3)
     np.testing.assert_allclose(moved(FREE._replace(lag_s=0.03), at_s), lagged_deg[at], rtol=0, atol=5e-4)
     loose = moved(FREE._replace(backlash_deg=1.0), at_s)
-    # It turns back within a step of 2.5 ms: at 12 Hz and 3 deg it is at most 3 * (2 pi 12)^2 * 0.0025^2 / 8 deg further.
+    # It turns back within a step of 2.5 ms: at 12 Hz and 3 deg by at most 3 * (2 pi 12)^2 * 0.0025^2 / 8 deg too soon.
     np.testing.assert_allclose(loose, play(shaft_deg, 1.0, 0.0)[at], rtol=0, atol=1.4e-2)
 
 
