@@ -109,16 +109,16 @@ def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
     seen = np.concatenate([r.measured_deg[r.usable] for r in records])
     reach_deg = (float(np.quantile(seen, _SELDOM)), float(np.quantile(seen, 1.0 - _SELDOM)))
     if start is not None:
-        theta = np.clip(start, _LOWS, _HIGHS)
+        begun = np.clip(start, _LOWS, _HIGHS)
     else:
         is_delay = np.array([name == "delay_s" for name in NAMES])
         begins = [np.where(is_delay, delay_s, _VALUES) for delay_s in _DELAYS_S]
         tried = [_descended(records, begin, _NONE_HELD, reach_deg, _FIRST_STEPS) for begin in begins]
-        theta = min(tried, key=lambda each: each[1])[0]
-        theta, _ = _descended(records, theta, _NONE_HELD, reach_deg, _STEPS)
+        begun = min(tried, key=lambda each: each[1])[0]
+    theta, _ = _descended(records, begun, _NONE_HELD, reach_deg, _STEPS)
     errors, _, speeds = _evaluated(records, theta, reach_deg)
     sigma = _noise(errors, speeds, records).sigma_deg(np.concatenate(speeds))
-    again = [theta] if start is not None else [theta, *_alike(theta)]
+    again = [theta, begun] if start is not None else [theta, *_alike(theta)]
     return _finished(
         records, [_descended(records, each, _NONE_HELD, reach_deg, _STEPS, sigma) for each in again], reach_deg
     )
