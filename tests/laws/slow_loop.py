@@ -136,7 +136,8 @@ class SlowLoop:
             self.tip = self.followed
         half = 0.5 * self.physics.backlash_deg
         side = min(max(10.0 * self.load(self.state[0], around), -1.0), 1.0)  # to where the air pushes it
-        self.played += h * abs(side) * _PUSH_PER_PA_S * around[0] * (self.tip - side * half - self.played)
+        pushed = _PUSH_PER_PA_S * around[0] if side != 0.0 else 0.0
+        self.played += h * pushed * (self.tip - side * half - self.played)
         self.played = min(max(self.played, self.tip - half), self.tip + half)
         x = self.played
         surface = self.physics.gain * (x + self.physics.quadratic_per_deg * x**2 + self.physics.cubic_per_deg2 * x**3)

@@ -159,6 +159,8 @@ def test_the_example_of_explain_runs(
 def test_the_page_about_aircraft_files_names_every_effect_and_parameter() -> None:
     page = (ROOT / "docs" / "aircraft-file.md").read_text()
     for effect in catalogue():
+        if not effect.__module__.startswith("servofd."):  # one of a user's own, which another test has loaded
+            continue
         for word in (effect.name, *(parameter.name for parameter in effect.parameters)):
             assert f"`{word}`" in page, effect.key()
 
