@@ -39,7 +39,7 @@ def swept(effects: tuple[type[Effect], ...], values: list[float], seed: int) -> 
 @pytest.mark.parametrize(
     ("names", "seed"),
     [
-        (("resonance", "rate_limit"), 102),
+        pytest.param(("resonance", "rate_limit"), 102, marks=pytest.mark.nightly),
         pytest.param(("delay", "rate_limit", "deadband"), 102, marks=pytest.mark.nightly),
         pytest.param(("delay", "rate_limit", "backlash"), 101, marks=pytest.mark.nightly),
         pytest.param(("airload", "friction", "delay"), 103, marks=pytest.mark.nightly),
