@@ -67,6 +67,8 @@ _STEPS: Final = 2.5
 """More than two steps of a reading at once are motion: noise moves a quantised reading by one, rarely by two."""
 _LATELY_S: Final = 0.1
 """The command of so long ago is what a servo follows now: hobby servos have lags of 30 to 160 ms."""
+_DELAY_S: Final = 0.06
+"""A servo may take so long to begin to move: what it was asked later its reading does not owe yet."""
 _UNDER_WAY_S: Final = 1.0
 """For so long after its last change a servo that was under way is expected to go on: the slowest of the library
 crosses its travel within it."""
@@ -85,7 +87,7 @@ TINY_DEG: Final = 1e-6
 """Smaller differences are rounding of text and of single precision."""
 
 
-_MEMORY: Final = 14
+_MEMORY: Final = 15
 (
     _NEWEST,
     _CHANGED,
@@ -101,6 +103,7 @@ _MEMORY: Final = 14
     _SAME_ROWS,
     _SAME_LONGEST,
     _STOOD,
+    _OWING,
 ) = range(_MEMORY)
 
 
@@ -110,12 +113,12 @@ def new_bus(servos: int) -> FloatArray:
     Examples
     --------
     >>> new_bus(4).shape
-    (4, 14)
+    (4, 15)
     """
     memory = np.zeros((servos, _MEMORY))
     memory[:, [_NEWEST, _CHANGED]] = -np.inf
     memory[:, [_THEN, _BEFORE, _LAG, _ASKED]] = np.nan
-    memory[:, _STEP] = np.inf
+    memory[:, [_STEP, _OWING]] = np.inf
     return memory
 
 
@@ -138,22 +141,22 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
     if moved_deg != 0.0 or other == 1:
         if rests and not m[_STOOD]:
             m[_LONGEST] = max(m[_LONGEST], m[_REPEATS])
-        m[_STOOD] = 0.0
+        m[_STOOD], m[_OWING] = 0.0, np.inf
         m[_CHANGED], m[_REPEATS], m[_THEN], m[_BEFORE] = time_s, 0.0, asked_deg, m[_LAG]
         if moved_deg > TINY_DEG:
             m[_STEP] = min(m[_STEP], moved_deg)
     else:
         m[_REPEATS] += 1.0
+    least_deg = ASKED_DEG if np.isinf(m[_STEP]) else max(ASKED_DEG, _STEPS * m[_STEP])
+    under_way = time_s - m[_CHANGED] <= _UNDER_WAY_S and abs(m[_ASKED] - m[_BEFORE]) > least_deg
+    if under_way or abs(m[_ASKED] - m[_THEN]) > least_deg:
+        m[_OWING] = min(m[_OWING], time_s)
 
 
 @inner
 def _is_asked(m: FloatArray, time_s: float) -> bool:
     """Whether a servo was asked to move since its reading changed last, with time to do so, or was under way then."""
-    least_deg = ASKED_DEG if np.isinf(m[_STEP]) else max(ASKED_DEG, _STEPS * m[_STEP])
-    if abs(m[_LAG] - m[_THEN]) > max(least_deg, 0.5 * abs(m[_ASKED] - m[_THEN])):
-        return True
-    late_deg = max(abs(m[_THEN] - m[_BEFORE]), abs(m[_LAG] - m[_BEFORE]))
-    return bool(time_s - m[_CHANGED] <= _UNDER_WAY_S and late_deg > max(least_deg, 0.5 * abs(m[_ASKED] - m[_BEFORE])))
+    return bool(time_s - m[_OWING] >= _DELAY_S - TINY_DEG)
 
 
 @inner
@@ -314,8 +317,6 @@ def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
     return np.asarray(np.percentile(windows, _STEADIEST, axis=1, method="higher"))
 
 
-_DELAY_S: Final = 0.05
-"""A servo may take so long to begin to move: what it was asked later its reading does not owe yet."""
 _STEADIEST, _CLEAR = 25.0, 8.0
 """Percentile of those second differences, and how many times as far a reading jumps that was old: by six standard
 deviations of white noise."""

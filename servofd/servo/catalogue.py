@@ -81,6 +81,7 @@ def by_condition(effect: type[Effect], number: int, condition: str) -> type[Effe
     grid = tuple(share * (first.typical if first.low < 0.0 else 1.0) for share in _SHARES)
     slope = Parameter(f"{first.name}_by_run", ("run_slope",), -most, most, 0.0, first.typical, grid, aside=True)
     members = {
+        "__doc__": effect.__doc__,
         "parameters": (*effect.parameters, slope),
         "fixed": {
             **effect.fixed,

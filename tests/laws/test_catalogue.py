@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from servofd.servo.catalogue import installed
+from servofd.servo.catalogue import by_condition, installed, is_law, plain
 from servofd.servo.effect import Effect
 from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue
@@ -69,3 +69,11 @@ def test_the_ends_of_a_range_are_no_answer_and_its_middle_is(effect: type[Effect
                 assert parameter.at_bound(end) == (not parameter.aside and not is_neutral)
                 assert not parameter.at_bound(end + inside)
             assert not parameter.at_bound(middle)
+
+
+@pytest.mark.parametrize("effect", [effect for effect in catalogue() if effect.varies], ids=lambda each: each.key())
+def test_a_size_that_goes_with_a_condition_is_an_effect_of_its_own(effect: type[Effect]) -> None:
+    law = by_condition(effect, 0, "load")
+    assert is_law(law)
+    assert plain(law) is effect
+    assert [parameter.name for parameter in law.parameters][:-1] == [each.name for each in effect.parameters]
