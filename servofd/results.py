@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -419,7 +418,7 @@ class Calibrated(Calibration, Shown):
             {
                 "surface": one.surface,
                 "delay_ms": round(1e3 * one.estimates["delay_s"].value, 1),
-                "bandwidth_rad_s": round(math.exp(one.estimates["ln_bandwidth"].value), 1),
+                "bandwidth_rad_s": round(one.bandwidth_rad_s.value, 1),
                 "held_out_rms_deg": round(one.held_out_rms_deg, 3),
                 **{f"smallest_{name}": size for name, size in one.detectable.document().items()},
                 "flights": ", ".join(one.flights),

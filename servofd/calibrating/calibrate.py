@@ -88,6 +88,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
         name,
         known,
         estimates,
+        fitted.bandwidth_rad_s,
         _effects(fitted, records, estimates),
         measured,
         servo,

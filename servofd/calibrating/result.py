@@ -30,6 +30,8 @@ class CalibratedSurface:
     """Servo, noise, differences between flights, thresholds."""
     estimates: Mapping[str, Estimate]
     """Of the parameters, with 95 % intervals."""
+    bandwidth_rad_s: Estimate
+    """Where its gain is 3 dB below that at rest."""
     effects: tuple[str, ...]
     """Effects that predict flights better which they were not fitted to, in words, the most telling first."""
     measured: Scale

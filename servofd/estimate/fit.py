@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.noise import Noise
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
-from servofd.core.statistics import MAD_TO_SIGMA
+from servofd.core.statistics import MAD_TO_SIGMA, Estimate
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.servo.loops import compiled
 
@@ -44,6 +44,10 @@ _SIGMAS = np.array([prior.sigma for prior in PRIORS])
 WIDTHS: Final = {"deadband_deg": 1.0, "friction_deg": 2.0, "play_deg": 1.0}
 """How much of a change of direction each takes, in times its size."""
 _WIDTHS = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
+_LN_BANDWIDTH, _LN_DAMPING = NAMES.index("ln_bandwidth"), NAMES.index("ln_damping")
+_OTHER_POLES: Final = 0.015
+"""Two poles that are fitted to the three of an HS-225BB have a bandwidth that is lower by 1 to 3.5 % (eight fits to
+`fleet.flight`, of servos whose poles were scaled by 0.8 to 1.2)."""
 _NONE_HELD: Final = np.zeros(FITTED, dtype=bool)
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 
@@ -99,6 +103,24 @@ class Fit:
     """Of the noise, in the usable samples of all records."""
     estimates: FloatArray
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
+    halves: FloatArray
+    """By how much the parameters of one half of the flights differ from those of the other, shape (13,)."""
+
+    @property
+    def bandwidth_rad_s(self) -> Estimate:
+        """Frequency at which the fitted servo's gain is 3 dB below that at rest [rad/s].
+
+        Of two poles, omega^2 / (s^2 + 2 zeta omega s + omega^2), it is omega sqrt(a + sqrt(a^2 + 1)), a = 1 - 2 zeta^2.
+        """
+        theta = self.theta[[_LN_BANDWIDTH, _LN_DAMPING]]
+        damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[1]))
+        root = float(np.hypot(damped, 1.0))
+        slope = np.array([1.0, (damped - 1.0) / root])  # of its logarithm, over those of omega and zeta
+        pair = np.ix_([_LN_BANDWIDTH, _LN_DAMPING], [_LN_BANDWIDTH, _LN_DAMPING])
+        apart = 0.5 * float(slope @ self.halves[[_LN_BANDWIDTH, _LN_DAMPING]])
+        deviation = float(np.sqrt(slope @ self.covariance[pair] @ slope + apart**2 + _OTHER_POLES**2))
+        value = float(theta[0]) + 0.5 * float(np.log(damped + root))
+        return Estimate(*np.exp(Estimate.of(value, deviation)).tolist())
 
 
 def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
@@ -275,6 +297,7 @@ def _finished(
     return Fit(
         theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), left.rms_deg, share,
         tuple(r.usable for r in records), sigma, _unshrunk(theta, np.diag(covariance), apart),
+        left.changes[0] - left.changes[1],
     )  # fmt: skip
 
 

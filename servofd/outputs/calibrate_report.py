@@ -67,11 +67,11 @@ _CAPTION = "Bars of the smallest faults that 19 of 20 flights like the good ones
 
 
 def _row(one: CalibratedSurface) -> list[str]:
-    delay, bandwidth, rate = (one.estimates[key] for key in ("delay_s", "ln_bandwidth", "ln_rate"))
+    delay, rate = one.estimates["delay_s"], one.estimates["ln_rate"]
     return [
         one.surface,
         _interval(1e3 * x for x in delay),
-        _interval(exp(x) for x in bandwidth),
+        _interval(one.bandwidth_rad_s),
         _interval(exp(x) for x in rate) if rate.deviation < _NOT_REACHED else "not reached",
         f"{one.known.noise.still_deg:.2g}",
         f"{one.held_out_rms_deg:.2g}",
