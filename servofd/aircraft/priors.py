@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 
@@ -37,4 +38,6 @@ PRIORS: Final = (
     Prior("bend3_deg", "deg", 0.0, 0.5, -5.0, 5.0, 0.05, 0.1),
 )
 NAMES: Final = tuple(prior.name for prior in PRIORS)
+SIGMAS: Final = MappingProxyType({prior.name: prior.sigma for prior in PRIORS})
+"""How far any servo may differ from the usual one, by name."""
 FITTED: Final = len(PRIORS)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.priors import SIGMAS
 from servofd.calibrating.flights import Flight, busiest
 from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import Estimate, descended, deviations, line, mean_loss, memory, ordinary_deg
@@ -301,6 +302,12 @@ _LIMIT_REACHED = 0.5
 _LEAST_RATE_SURENESS = 0.1
 """Deviation of the logarithm of a rate limit: more, and the flight hardly shows it."""
 _SURE_SHARE, _BLOCKS = 0.999, 10
+_KNOWN: Mapping[str, float] = MappingProxyType(
+    {"delay_s": 1e3 * SIGMAS["delay_s"], "bandwidth_hz": SIGMAS["ln_bandwidth"]}
+)
+"""How far any servo may differ from the usual one, in the units of `FlownServo.vector`: a flight that tells no more
+tells nothing."""
+_NOT_SHOWN = "its motion tells no more of it than is known of any servo"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -355,7 +362,7 @@ def estimate_flight(
     dead_band = _fitted(motion, prior)
     backlash = _descended(motion, prior, dead_band.names, dead_band.vector, dead_band.scale_deg, behind=True)
     values |= _of_fit(dead_band, motion, voltage_v)
-    missing = {}
+    missing = {name: _NOT_SHOWN for name in _KNOWN if name not in values}
     if "rate_limit_deg_s" not in values:
         missing["rate_limit_deg_s"] = "never moved fast enough to show it"
     if "rate_per_volt_deg_s_v" not in values:
@@ -466,6 +473,8 @@ def _of_fit(fit: _Fit, motion: Motion, voltage_v: float | None) -> dict[str, Est
         "noise_deg": Estimate.of(noise, noise / np.sqrt(fit.error_deg.size)),
     }
     for name, estimate in zip(fit.names, numbers, strict=True):
+        if estimate.deviation > _KNOWN.get(name, np.inf):
+            continue
         if name == "delay_s":
             values[name] = Estimate(*(1e-3 * end for end in estimate))
         elif name == "bandwidth_hz" or (name == "rate_limit_deg_s" and estimate.deviation < _LEAST_RATE_SURENESS):

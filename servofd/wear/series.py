@@ -344,9 +344,7 @@ def forecast(piece: Piece, limit: float, *, above: bool) -> Forecast:
         return Forecast("none", TOO_FEW)
     line = piece.line
     now = line.at(piece.last)
-    if sign * (now.value - limit) >= 0.0 and (
-        count < FEWEST_FLIGHTS or min(sign * now.low, sign * now.high) >= sign * limit
-    ):
+    if min(sign * now.low, sign * now.high) >= sign * limit:
         return Forecast("reached", "is beyond its limit")
     if count < FEWEST_FLIGHTS:
         return Forecast(

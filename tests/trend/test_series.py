@@ -107,6 +107,7 @@ def test_a_step_within_what_a_healthy_servo_may_differ_by_is_not_told() -> None:
         (0.02 * NUMBER, 2.0, "crossing", "crosses its limit"),
         (0.06 * NUMBER, 2.0, "reached", "is beyond its limit"),
         (np.full(3, 2.5), 2.0, "reached", "is beyond its limit"),
+        (np.array([1.5, 3.5, 2.5, 1.2, 3.9]), 2.0, "none", "are needed for a forecast"),
     ],
 )
 def test_a_forecast_is_made_or_refused_in_words(value: np.ndarray, limit: float, kind: str, reason: str) -> None:

@@ -112,6 +112,18 @@ def test_a_calm_flight_tells_nothing_of_the_dynamics_and_says_so() -> None:
     assert set(values) == {"residual_p95_deg", "margin"}
 
 
+@pytest.mark.parametrize("rad_s", [0.05, 0.2, 1.0])
+def test_slow_motion_tells_neither_delay_nor_bandwidth_and_says_so(rad_s: float) -> None:
+    segment = flown()
+    asked_deg = 10.0 * np.sin(rad_s * segment.command_s)
+    noise_deg = np.random.default_rng(0).normal(0.0, 0.1, segment.measured_s.size)
+    moved_deg = PLANE.model("rudder").simulate(segment.command_s, asked_deg, segment.measured_s) + noise_deg
+    values, missing, _, _ = estimate_flight(flown(command_deg=asked_deg, measured_deg=moved_deg), PLANE)
+    assert abs(values["dead_band_deg"].value) < 0.05
+    assert not {"delay_s", "bandwidth_hz"} & set(values)
+    assert missing["delay_s"] == missing["bandwidth_hz"] == "its motion tells no more of it than is known of any servo"
+
+
 def test_a_flight_in_which_the_surface_jammed_is_no_account_of_its_servo() -> None:
     """No line runs through its dead band, which a fit puts at -63 deg; what was found is said, and it is an alarm."""
     flights = [f"sample_logs/faser_{name}_flight.mat" for name in ("healthy", "stuck")]
