@@ -277,22 +277,18 @@ def _repeats(rows: Rows, why: Marks) -> int:
     age_s = time_s - time_s[firsts[run]]
     left_deg = np.append(moved_deg[firsts[1:]], np.nan)  # by how much the reading moves in the end
     steps = np.where((moved_deg > TINY_DEG) & np.isfinite(moved_deg), moved_deg, np.inf)
-    step_deg = np.minimum(np.minimum.accumulate(steps)[lasts], rows.step_deg)
+    least_deg = _STEPS * np.minimum(np.minimum.accumulate(steps)[lasts], rows.step_deg)
     over = np.arange(lasts.size) < lasts.size - 1
-    noise_deg = np.full(lasts.size, np.inf)
-    ended = np.flatnonzero(over & (lasts > firsts))
-    noise_deg[ended] = _bend_deg(rows.position_deg[firsts], ended)
-    clear = over & (left_deg > _STEPS * step_deg) & (left_deg > _CLEAR * noise_deg)
+    clear = over & (left_deg > least_deg)
+    clear[clear] = left_deg[clear] > _CLEAR * _bend_deg(rows.position_deg[firsts], np.flatnonzero(clear))
     span_s = age_s[lasts]
-    quick = span_s <= _QUICK_S * (lasts - firsts)
-    seldom = over & quick & np.isfinite(noise_deg) & (noise_deg > _FLICKERS * step_deg)
     before = np.searchsorted(time_s, time_s[firsts] - _ANSWER_S)
     answered = np.maximum(np.searchsorted(time_s, time_s[lasts] - _DELAY_S, side="right") - 1, firsts)
     asked_deg = rows.asked_deg[np.stack([before, firsts, answered])]  # a servo may still follow what came before
     asked = np.ptp(asked_deg, axis=0) >= ASKED_DEG
     silent = over & (rows.other[lasts] == 0)
-    again = (clear | silent | seldom) & (span_s < DUPLICATE_S - TINY_DEG)
-    late = (seldom | (clear & asked & (left_deg >= ASKED_DEG))) & (span_s <= WAIT_S + TINY_DEG) & ~again
+    again = (clear | silent) & (span_s < DUPLICATE_S - TINY_DEG)
+    late = clear & asked & (left_deg >= ASKED_DEG) & (span_s <= WAIT_S + TINY_DEG) & ~again
     why[same & again[run]] = Why.DUPLICATE
     why[same & late[run]] = Why.HELD
     if rows.refresh_s > 0.0:
@@ -321,10 +317,6 @@ def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
     return np.asarray(np.percentile(windows, _STEADIEST, axis=1, method="higher"))
 
 
-_FLICKERS: Final = 2.0
-"""Times its step by which a reading's noise must go for a repeat to be no chance (one in nine of white noise)."""
-_QUICK_S: Final = 0.05
-"""Between readings that are further apart a servo moves so much that their second difference is not their noise."""
 _STEADIEST, _CLEAR = 25.0, 8.0
 """Percentile of those second differences, and how many times as far a reading jumps that was old: by six standard
 deviations of white noise."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.cli.terminal import check_targets, give_json, progress, show
+from servofd.cli.terminal import check_targets, complain, give_json, progress, show
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.bench import identify
@@ -31,7 +31,7 @@ def run(options: Options) -> int:
         )
     source = ", ".join(Path(log).name for log in options.logs)
     report = identify_report(found, source)
-    if options.save:
+    if options.save and not found.not_told:
         write_whole(options.save, servo_file(found, Path(options.save).stem, source).encode())
     if options.rrd:
         save_identification(found, options.rrd, source)
@@ -42,4 +42,6 @@ def run(options: Options) -> int:
             write_whole(folder / f"{picture.name}.png", picture.png())
         give_json(str(folder / "identify.json"), report.data)
     show(report, json=options.json, html=options.html)
-    return 0
+    if found.not_told and options.save:
+        complain(f"{options.save} was not written: a servo that a test does not tell is no model")
+    return 2 if found.not_told else 0

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from servofd.identification.records import Run
     from servofd.identification.response import FrequencyResponse, Spread
 
+_MOST_APART = 3.0
+"""A bandwidth that may as well be three times as large is not known."""
+_SWEEP_TO = 4.0
+"""Times the bandwidth to which a sweep should go: an octave beyond the second pole of the servos of the library."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
@@ -56,6 +61,23 @@ class Identification:
         """Rate limit, mean of both directions [deg/s]; None if none was seen."""
         rates = [r for r in (self.servo.rate_up_deg_s, self.servo.rate_down_deg_s) if r is not None]
         return float(np.mean(rates)) if rates else None
+
+    @property
+    def not_told(self) -> str:
+        """What these tests do not tell of the servo, and which would; empty if they tell all of it."""
+        gain, bandwidth = self.intervals.get("dc_gain"), self.intervals.get("bandwidth_rad_s")
+        if gain is not None and gain.low <= 0.0 <= gain.high:
+            return (
+                f"this test does not tell the gain ({gain.low:.2g} to {gain.high:.2g}): ask for slow movements that "
+                "are many times as large as the noise of the position"
+            )
+        if bandwidth is not None and not bandwidth.high <= _MOST_APART * bandwidth.low:
+            up_to_rad_s = _SWEEP_TO * self.servo.linear.transfer.bandwidth_rad_s
+            return (
+                f"this test does not tell the bandwidth ({bandwidth.low:.0f} to {bandwidth.high:.0f} rad/s): sweep "
+                f"slowly up to {up_to_rad_s:.0f} rad/s, and log the position at 50 Hz or more"
+            )
+        return ""
 
     @property
     def rms_deg(self) -> float:

@@ -197,7 +197,9 @@ def identify_report(found: Identification, source: str) -> Document:
     linear, servo = found.servo.linear, found.servo
     bandwidth = linear.transfer.bandwidth_rad_s
     sentence = f"{spoken(found.surface)}: a servo of order {linear.order}, delay {1e3 * linear.delay_s:.3g} ms"
-    if math.isfinite(bandwidth):
+    if found.not_told:
+        sentence = f"{spoken(found.surface)}: {found.not_told}"
+    elif math.isfinite(bandwidth):
         sentence += f", bandwidth {bandwidth:.3g} rad/s"
     values: dict[str, tuple[str, float | None, float]] = {
         "dc_gain": ("dc gain", linear.gain, 1.0),
@@ -229,7 +231,7 @@ def identify_report(found: Identification, source: str) -> Document:
         rows.append(("normalised error", f"up to {found.max_normalized_error:.3f}", f"{low:.1f} to {high:.1f} rad/s"))
     return Document(
         title=f"Identification of {spoken(found.surface)}",
-        status="healthy",
+        status="unknown" if found.not_told else "healthy",
         sentence=f"{sentence}; the fit leaves {found.rms_deg:.3g} deg rms",
         facts=f"{source}, method {found.method}",
         parts=[

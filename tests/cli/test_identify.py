@@ -59,6 +59,24 @@ class _Page(HTMLParser):
 
 
 @pytest.mark.slow
+def test_a_bandwidth_that_a_test_does_not_tell_is_not_stated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked_deg = 10.0 * np.sin(0.6 * QUICK.command_s)
+    moved_deg = ServoModel.of(servo_named("hs225bb-eq31")).simulate(QUICK.command_s, asked_deg, QUICK.measured_s)
+    path = written(tmp_path / "slow.csv", replace(QUICK, command_deg=asked_deg, measured_deg=moved_deg + NOISE_DEG))
+    saved = tmp_path / "servo.toml"
+    assert main(["identify", str(path), "--save", str(saved), "--json", str(tmp_path / "found.json")]) == 2
+    printed = capsys.readouterr()
+    assert "elevator: this test does not tell the bandwidth" in printed.out
+    assert "was not written" in printed.err
+    assert not saved.exists()
+    low, high = json.loads((tmp_path / "found.json").read_text())["uncertainty"]["bandwidth_rad_s"].values()
+    assert low <= 28.49 <= high
+    assert high > 3.0 * low
+
+
+@pytest.mark.slow
 def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chirp, large = written(tmp_path / "chirp.csv", QUICK), written(tmp_path / "step.csv", step(72.0))
     saved, page, folder = tmp_path / "mine.toml", tmp_path / "mine.html", tmp_path / "out"
