@@ -255,22 +255,42 @@ class Aircraft(_Entry):
     def with_servo(self, name: str) -> Self:
         """Return the same aircraft with one servo on every surface: one of the library, or of a servo file.
 
+        A file that ``servofd explain --save`` wrote gives each surface its servo, effects and thresholds: that of one
+        surface to all, those of several to their namesakes.
+
         Raises
         ------
         UnknownName
             If the library has no such servo.
         ConfigError
-            If the file does not describe one.
+            If the file does not describe one, or none of these surfaces.
 
         Examples
         --------
         >>> plain_aircraft(["rudder"]).with_servo("s9254").surfaces["rudder"].servo
         's9254'
         """
+        explained = explained_in(name)
+        if explained is not None:
+            return self._with_servos_of(explained, name)
         key, servo = find_servo(name)
         change = {"servo": key, "model": ModelOrigin(), **levels_in(name)}
         changed = {surface: entry.model_copy(update=change) for surface, entry in self.surfaces.items()}
         return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
+
+    def _with_servos_of(self, other: Aircraft, source: str) -> Self:
+        """The same surfaces with the servos of another aircraft's."""
+        only = next(iter(other.surfaces.values())) if len(other.surfaces) == 1 else None
+        changed = {
+            surface: entry.model_copy(update={key: getattr(found, key) for key in _OF_THE_SERVO})
+            for surface, entry in self.surfaces.items()
+            if (found := only or other.surfaces.get(surface)) is not None
+        }
+        if self.surfaces and not changed:
+            raise ConfigError(f"{source} has {', '.join(other.surfaces)}, and none of {', '.join(self.surfaces)}")
+        return self.model_copy(
+            update={"surfaces": {**self.surfaces, **changed}, "servos": {**self.servos, **other.servos}}
+        )
 
     def model(self, surface: str) -> ServoModel:
         """Healthy model of a surface: its servo, the stops of its linkage, and its effects.
@@ -292,6 +312,41 @@ class Aircraft(_Entry):
         if not entry.effects:
             return model
         return model.with_physics(effects_installed(plant_of(model).neutral, entry.effects))
+
+
+_OF_THE_SERVO = (
+    "servo", "effects", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model", "calibrated",
+)  # fmt: skip
+"""What a surface owes to the servo that turns it."""
+
+
+def explained_in(name: str) -> Aircraft | None:
+    """Aircraft of a file that says which servo turns which surface; None for a servo file or one of the library.
+
+    Examples
+    --------
+    >>> explained_in("s9254") is None
+    True
+    """
+    if not name.endswith(".toml") or "surfaces" not in read_toml(Path(name), name, "servo file"):
+        return None
+    return load_aircraft(name)
+
+
+def check_servo(name: str) -> None:
+    """Refuse what ``--servo`` cannot take.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither in the library nor a file that describes a servo.
+
+    Examples
+    --------
+    >>> check_servo("s9254")
+    """
+    if explained_in(name) is None:
+        find_servo(name)
 
 
 def plain_channels(surface: str) -> tuple[str, str]:

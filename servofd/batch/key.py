@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from logparsers.source import files_of
-from servofd.aircraft.schema import UNKNOWN_SERVO
+from servofd.aircraft.schema import UNKNOWN_SERVO, explained_in
 from servofd.batch.find import is_address
 from servofd.core.files import distinct_file_names
 from servofd.servo.library import find_servo, levels_in
@@ -71,6 +71,9 @@ class Job:
 
 def _described(servo: str) -> list[str]:
     """All that a servo file says, whatever its name."""
+    explained = explained_in(servo)
+    if explained is not None:
+        return [explained.model_dump_json()]
     return [find_servo(servo)[1].model_dump_json(), str(levels_in(servo))]
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft.schema import UNKNOWN_SERVO
+from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo
 from servofd.batch.find import flights_joined, is_address, is_folder, is_pattern
 from servofd.batch.key import Job
 from servofd.cli.terminal import (
@@ -27,7 +27,6 @@ from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.sentence import sparkline
-from servofd.servo.library import find_servo
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -91,7 +90,7 @@ def check(options: Options) -> None:
     if "" in options.logs:  # which pathlib takes for this folder and everything below it
         raise ConfigError("a log without a name; give a file, a folder or a pattern")
     if options.servo not in (None, UNKNOWN_SERVO):
-        find_servo(options.servo)
+        check_servo(options.servo)
     if options.rrd:
         needs("rerun")
     outputs = (options.rrd, options.json, options.html)

@@ -51,7 +51,10 @@ def run(options: Options) -> int:
         text, kept = model_file(found.explanations, found.aircraft, found.source, found.logs)
         for surface, reason in kept.items():
             complain(f"{options.save}: {surface} stays as it was: {one_line(reason)}")
-        write_whole(options.save, text.encode())
+        if text:
+            write_whole(options.save, text.encode())
+        else:
+            complain(f"{options.save} was not written: nothing that was found is a better model")
     if found.failures:
         return 2
     left = ("partly_explained", "unexplained")

@@ -7,14 +7,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft
+from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo, load_aircraft
 from servofd.batch.key import Job
 from servofd.cli.options import LOOPBACK
 from servofd.core.errors import ConfigError
 from servofd.serve.app import application
 from servofd.serve.flights import Flights
 from servofd.serve.guard import listening, serve
-from servofd.servo.library import find_servo
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 def run(options: Options) -> int:
     """Serve until Ctrl-C."""
     if options.servo not in (None, UNKNOWN_SERVO):
-        find_servo(options.servo)
+        check_servo(options.servo)
     job = Job(load_aircraft(options.config) if options.config else None, options.servo)
     token = "" if options.host in LOOPBACK else secrets.token_urlsafe(18)
     try:

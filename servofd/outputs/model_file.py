@@ -10,7 +10,7 @@ import numpy as np
 from servofd.core.errors import CalibrationError
 from servofd.core.toml_text import toml_key, toml_lines
 from servofd.feedback.fitted import good_levels, levels_of
-from servofd.servo.catalogue import OWN, plain, table_of
+from servofd.servo.catalogue import OWN, is_law, plain, table_of
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import Gain
 from servofd.servo.effects.sensor import Bias
@@ -39,6 +39,7 @@ class ModelFile(NamedTuple):
     """An aircraft file, and what it leaves as it was."""
 
     text: str
+    """Empty if nothing is better than what was known."""
     kept: dict[str, str]
     """Surfaces that have no better model, and why."""
 
@@ -47,12 +48,12 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
     """Aircraft file whose surfaces have what was missing; what has no better model stays as it was."""
     document = aircraft.model_dump(exclude_none=True, exclude_defaults=True)
     kept = {one.surface: reason for one in found if (reason := _why_not(one))}
-    lines = []
+    lines, is_better = [], False
     for one in found:
         entry = dict(document["surfaces"][one.surface])
         if one.surface not in kept:
             entry["effects"] = _merged(entry.get("effects", {}), _table(one))
-        elif not _is_own_fit(one):
+        elif one.selection.final.effects or not _is_own_fit(one):
             continue
         changed = {**document, "surfaces": {**document["surfaces"], one.surface: entry}}
         try:
@@ -61,8 +62,11 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
             kept[one.surface] = str(error)
             continue
         document["surfaces"][one.surface] = entry
+        is_better = True
         if one.surface not in kept:
             lines += _found(one, source)
+    if not is_better:
+        return ModelFile("", kept)
     lines = [*(f"# {surface}: as it was: {reason}." for surface, reason in kept.items()), *lines]
     return ModelFile("\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n", kept)
 
@@ -104,6 +108,11 @@ def _why_not(found: Explanation) -> str:
     own = [effect.name for effect in final.effects if not is_built_in(plain(effect))]
     if own:
         return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
+    by_run = [effect.name for effect in final.effects if is_law(effect)]
+    if by_run:
+        return (
+            f"{by_run[0]} differs with what the runs differ in, which a file cannot say: explain the runs of one kind"
+        )
     before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, final))
     # Where the servo itself was fitted to the log, it has taken up most of what the effects would explain.
     if after > (1.0 if _is_own_fit(found) else _WORTH_SAVING) * before:

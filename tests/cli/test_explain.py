@@ -153,13 +153,14 @@ def test_wrong_calls(options: list[str], reason: str, tmp_path: Path, capsys: py
 
 
 @pytest.mark.slow
-def test_what_has_no_better_model_is_saved_as_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_has_no_better_model_is_not_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, saved = healthy().write(tmp_path / "log.csv"), tmp_path / "same.toml"
     assert main(["explain", *KNOWN, str(path), "--save", str(saved)]) == 0
     captured = capsys.readouterr()
     assert "Nothing missing" in captured.out
     assert "stays as it was: no effect was found" in captured.err
-    assert main(["audit", str(path), "-c", str(saved)]) == 0
+    assert "was not written: nothing that was found is a better model" in captured.err
+    assert not saved.exists()
 
 
 @pytest.mark.slow

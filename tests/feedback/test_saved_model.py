@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,30 @@ def test_a_saved_explanation_finds_its_own_run_healthy(tmp_path: Path) -> None:
     assert elevator.tolerance is not None
     (result,) = servofd.audit(run, saved, surfaces=("elevator",))
     assert result.surfaces[0].status == "healthy"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["deadband:width_deg=1.5", "rate_limit:rate_limit_deg_s=40"])
+def test_what_is_saved_is_what_was_shown_with_its_effects(effect: str, tmp_path: Path) -> None:
+    run, saved = str(tmp_path / "run.csv"), str(tmp_path / "better.toml")
+    shown, again = tmp_path / "shown.json", tmp_path / "again.json"
+    assert main(["simulate", "-o", run, "--duration", "60", "--effect", f"elevator:{effect}"]) == 0
+    known = ["-s", "elevator", "--servo", "hs225bb-eq31"]
+    assert main(["explain", run, *known, "--save", saved, "--json", str(shown)]) == 0
+    assert main(["explain", run, "-s", "elevator", "--servo", saved, "--json", str(again)]) == 0
+    final, nominal = json.loads(shown.read_text())["final"], json.loads(again.read_text())["nominal"]
+    assert nominal["held_out_rms_deg"] == pytest.approx(final["held_out_rms_deg"], rel=0.05)
+    (result,) = servofd.audit(run, servo=saved, surfaces=("elevator",))
+    assert result.surfaces[0].status == "healthy"
+
+
+def test_a_saved_file_without_any_of_the_surfaces_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    two = tmp_path / "two.toml"
+    entry = 'servo = "s9254"\ncommand = { channel = "a", unit = "deg" }\n'
+    lines = [f"[surfaces.{name}]\n{entry}" for name in ("flap", "slat")]
+    two.write_text("\n".join(lines))
+    assert main(["audit", "sample_logs/table_three_faults.csv", "--servo", str(two)]) == 2
+    assert "has flap, slat, and none of aileron, elevator, rudder" in capsys.readouterr().err
 
 
 HIDDEN = sorted((Path(__file__).parents[2] / "sample_logs" / "hidden").glob("hidden_*.csv"))
