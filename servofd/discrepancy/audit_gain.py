@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.core.errors import NoMeasurement
+from servofd.core.errors import DesignError, NoMeasurement
 from servofd.detection.probability import Noise, smallest_bias_deg, threshold_for_rate_deg
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
@@ -66,10 +66,10 @@ class AuditGain:
 def audit_gain(
     segments: Sequence[Series], known: ServoModel, better: ServoModel, until_s: float = float("inf")
 ) -> AuditGain | None:
-    """Compare two models on the same flights; None if these are too short to tell the noise."""
+    """Compare two models on the same flights; None if these are too short to tell the noise, or no filter suits one."""
     try:
         before, after = (_watch(segments, model, better, until_s) for model in (known, better))
-    except NoMeasurement:
+    except (NoMeasurement, DesignError):
         return None
     return AuditGain(before, after)
 
