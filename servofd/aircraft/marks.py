@@ -68,7 +68,8 @@ _STEPS: Final = 2.5
 _LATELY_S: Final = 0.1
 """The command of so long ago is what a servo follows now: hobby servos have lags of 30 to 160 ms."""
 _DELAY_S: Final = 0.06
-"""A servo may take so long to begin to move: what it was asked later its reading does not owe yet."""
+"""A servo may take so long to begin to move: what it was asked later its reading does not owe yet. 50 ms marked
+12 rows of a software-in-the-loop flight with positions every 50 ms as frozen and 18 as held, 60 ms one and two."""
 _UNDER_WAY_S: Final = 1.0
 """For so long after its last change a servo that was under way is expected to go on: the slowest of the library
 crosses its travel within it."""

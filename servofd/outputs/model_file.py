@@ -110,9 +110,7 @@ def _why_not(found: Explanation) -> str:
         return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
     by_run = [effect.name for effect in final.effects if is_law(effect)]
     if by_run:
-        return (
-            f"{by_run[0]} differs with what the runs differ in, which a file cannot say: explain the runs of one kind"
-        )
+        return f"{by_run[0]} changes with the condition of the runs, which a file cannot hold: explain runs of one kind"
     before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, final))
     # Where the servo itself was fitted to the log, it has taken up most of what the effects would explain.
     if after > (1.0 if _is_own_fit(found) else _WORTH_SAVING) * before:
