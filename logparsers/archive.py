@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LIMIT_VARIABLE: Final = "LOGPARSERS_MOST_UNPACKED_MB"
-MOST_UNPACKED_MB: Final = 4096
-"""Of one log, unless `LIMIT_VARIABLE` in the environment says otherwise: deflate turns 4 MB of zeros into 4 GB."""
+MOST_UNPACKED_MB: Final = 1024
+"""Of one log, unless `LIMIT_VARIABLE` in the environment says otherwise: deflate turns 3 MB of zeros into 3 GB."""
 
 IN_MEMORY_MB: Final = 1024
 """Of all that is compressed within one file of MATLAB or HDF5, in the same way."""

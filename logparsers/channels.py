@@ -90,7 +90,7 @@ class Together(Mapping[str, Channel]):
 class LazyChannels(Mapping[str, Channel]):
     """Channels by name, each decoded when it is looked up; time stamps are kept, values are not.
 
-    Rows that came late are sorted in, rows whose stamps repeat or are wrong are left out: `survey` counts them.
+    Rows that came late are sorted in, rows that came twice or with a wrong stamp are left out: `survey` counts them.
 
     `recording`: the file. `names`: a choice of its series; all if None.
     """
@@ -173,7 +173,10 @@ class LazyChannels(Mapping[str, Channel]):
         if group not in self._clocks:
             time_s, sound = self._recording.stamps(group)
             rows, damage = clock.rise(time_s, sound)
-            self._clocks[group] = (own(time_s), None, None) if damage is None else (own(time_s[rows]), rows, damage)
+            if damage is None:
+                self._clocks[group] = own(clock.apart(time_s)), None, None
+            else:
+                self._clocks[group] = own(clock.apart(time_s[rows])), rows, damage
         return self._clocks[group]
 
 

@@ -105,13 +105,13 @@ def _rising(stamps: FloatArray) -> NDArray[np.bool_]:
 
 
 def rise(time_s: FloatArray, sound: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.intp], Damage | None]:
-    """Choose rows of a telemetry series, in an order in which their time stamps rise strictly.
+    """Choose rows of a telemetry series, in an order in which their time stamps never fall.
 
     Links and loggers let messages overtake each other, so that rows which came late are sorted in, unlike those of
-    a table (see `order`). Of rows with one stamp the first stays. What is left out is counted.
+    a table (see `order`). Rows of one stamp keep their order. What is left out is counted.
 
-    `time_s` (shape (n,)): time stamps in the order of the file [s]. `sound` (shape (n,)): False for rows whose stamp
-    is known to be wrong. Result: `rows` (shape (m,)): m <= n. `damage`: rows that came late or were left out.
+    `time_s` (shape (n,)): time stamps in the order of the file [s]. `sound` (shape (n,)): False for rows that are known
+    to be wrong. Result: `rows` (shape (m,)): m <= n. `damage`: rows that came late or were left out.
     """
     usable = np.isfinite(time_s)
     if sound is not None:
@@ -126,17 +126,47 @@ def rise(time_s: FloatArray, sound: NDArray[np.bool_] | None = None) -> tuple[ND
         rows, stamps = rows[near], stamps[near]
         step = np.diff(stamps)
     late = int(np.count_nonzero(step < 0.0))
-    if step.size and step.min() <= 0.0:
-        rank = np.argsort(stamps, kind="stable")
-        fresh = np.diff(stamps[rank], prepend=-np.inf) > 0.0
-        rows = rows[rank[fresh]]
+    if late:
+        rows = rows[np.argsort(stamps, kind="stable")]
     dropped = time_s.size - rows.size
     if not late and not dropped:
         return rows, None
     words = [f"{rows_text(late)} sorted in that came late"] if late else []
-    words += [f"{rows_text(dropped)} with repeated or wrong stamps left out"] if dropped else []
+    words += [f"{rows_text(dropped)} left out that came twice or with a wrong stamp"] if dropped else []
     where = (float(time_s[rows].min()), float(time_s[rows].max())) if rows.size else (None, None)
     return rows, Damage("out_of_order", ", ".join(words), late + dropped, *where)
+
+
+APART_S = 1e-9
+"""A thousandth of what the clocks of autopilots resolve."""
+
+
+def apart(time_s: FloatArray) -> FloatArray:
+    """Set rows of one stamp apart, in their order: by a nanosecond, or by less where the next stamp is nearer.
+
+    A vehicle logs all items of a mission within one microsecond; each is a row.
+
+    `time_s` (shape (n,)): stamps that never fall [s]. Result (shape (n,)): stamps that rise strictly.
+
+    Examples
+    --------
+    >>> [round(1e9 * float(x)) for x in apart(np.array([0.0, 0.0, 0.0, 1e-6]))]
+    [0, 1, 2, 1000]
+    """
+    fresh = np.diff(time_s, prepend=-np.inf) > 0.0
+    if fresh.all():
+        return time_s
+    begins = np.flatnonzero(fresh)
+    sizes = np.diff(begins, append=time_s.size)
+    step_s = np.minimum(APART_S, np.diff(time_s[begins], append=np.inf) / sizes)
+    place = np.arange(time_s.size)
+    risen: FloatArray = time_s + (place - np.repeat(begins, sizes)) * np.repeat(step_s, sizes)
+    if np.all(risen[1:] > risen[:-1]):
+        return risen
+    # Stamps since 1970 resolve 240 ns: neighbours in float64, whose bits count up with what they stand for.
+    bits = np.abs(risen).view(np.int64) * np.where(risen < 0.0, -1, 1)
+    bits = np.maximum.accumulate(bits - place) + place
+    return np.copysign(np.abs(bits).view(np.float64), bits)
 
 
 def gaps(time_s: FloatArray) -> tuple[Damage, ...]:

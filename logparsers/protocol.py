@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 class Autopilot(IntEnum):
     """MAV_AUTOPILOT."""
 
+    GENERIC = 0
     ARDUPILOTMEGA = 3
     INVALID = 8
     PX4 = 12
@@ -42,6 +46,8 @@ class Kind(IntEnum):
     """MAV_TYPE."""
 
     FIXED_WING = 1
+    ANTENNA_TRACKER = 5
+    GCS = 6
     ONBOARD_CONTROLLER = 18
 
 
@@ -87,6 +93,8 @@ class State(IntEnum):
     CRITICAL = 5
 
 
+NO_VEHICLES: Final = (Kind.GCS, Kind.ONBOARD_CONTROLLER, 26, 27, *range(30, 35), *range(36, 43), 44, 48)
+"""MAV_TYPE of what sends heartbeats beside a vehicle: gimbals, receivers, cameras, batteries, winches, lamps."""
 LONGEST_TEXT: Final = 50
 """Characters of one STATUSTEXT."""
 NO_INDEX: Final = 65_535
@@ -94,3 +102,15 @@ NO_INDEX: Final = 65_535
 SIGNED: Final = 1
 """Flag of a MAVLink 2 frame that a signature follows."""
 SIGNATURE_BYTES: Final = 13
+
+
+def kind_of(vehicle: str, parameters: Mapping[str, float]) -> str:
+    """Kind of an aircraft: one with motors that lift it says that it is a fixed wing, and its parameters that they do.
+
+    Examples
+    --------
+    >>> kind_of("fixed wing", {"Q_ENABLE": 1.0}), kind_of("fixed wing", {"Q_ENABLE": 0.0})
+    ('QuadPlane', 'fixed wing')
+    """
+    lifts = vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0.0) >= 1.0
+    return "QuadPlane" if lifts else vehicle

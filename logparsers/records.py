@@ -131,7 +131,7 @@ class Damage:
     -----
     Time: ``"gap"`` (nothing logged), ``"clock_jump"`` (the clock was set), ``"reboot"`` (the vehicle's clock began
     again), ``"arrival_jump"`` (the receiver's clock was set), ``"no_arrival_time"``, ``"out_of_order"`` (rows whose
-    stamps repeat or do not rise; those that were left out are counted).
+    stamps do not rise, or that came twice; those that were left out are counted).
 
     Bytes: ``"corrupt"`` (no record can be read there), ``"bad_checksum"``, ``"truncated"`` (the file or a row ends
     early), ``"bad_format"`` (the log contradicts itself about its own layout), ``"unknown_message"``.

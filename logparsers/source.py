@@ -33,6 +33,9 @@ _ADDRESS = re.compile(r"\w{2,}:/")
 
 HEAD_BYTES = 4096
 """Bytes from which the format is recognised: room for a HDF5 signature behind a MATLAB header, or for two frames."""
+_BLOCK = 1 << 20
+_ZEROS = bytes(1024)
+"""No format begins with as many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,8 +43,8 @@ class Source:
     """One open log.
 
     `path`: its name, for messages; ``<file>`` if it has none. `file`: the open file. `head`: its first `HEAD_BYTES`
-    bytes. `archive`: where it came from, if that holds several: then `path` is that name, and its own behind it.
-    `damage`: what is wrong with that archive.
+    bytes, those behind the zeros if it begins with that many. `archive`: where it came from, if that holds several:
+    then `path` is that name, and its own behind it. `damage`: what is wrong with that archive.
     """
 
     path: Path
@@ -194,4 +197,13 @@ def _source(path: Path, file: BinaryIO) -> Source:
         raise TypeError(f"{path}: a text file object; open it with mode 'rb'")
     if not head:
         raise EmptyLog(f"{path}: the file is empty (0 bytes); was the log copied completely?")
-    return Source(path, file, head)
+    return Source(path, file, _behind_zeros(file) if head.startswith(_ZEROS) else head)
+
+
+def _behind_zeros(file: BinaryIO) -> bytes:
+    """Bytes behind the zeros that begin a file: what a disk was given before a ground station wrote to it."""
+    file.seek(0)
+    while block := file.read(_BLOCK):
+        if found := block.lstrip(b"\0"):
+            return found[:HEAD_BYTES] + file.read(max(HEAD_BYTES - len(found), 0))
+    return _ZEROS

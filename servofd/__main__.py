@@ -1,6 +1,21 @@
-"""``python -m servofd``."""
+"""``servofd`` and ``python -m servofd``: what begins before anything that takes time to load."""
 
-from servofd.cli import main
+import signal
+import sys
+
+
+def main() -> int:
+    """Run one verb and return its exit code; an interrupt while the program loads, or ends, is no traceback."""
+    try:
+        from servofd.cli import main as program
+
+        code = program()
+    except KeyboardInterrupt:
+        sys.stderr.write("servofd: interrupted before anything was begun\n")
+        code = 128 + signal.SIGINT
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # threads that end do not tell of it
+    return code
+
 
 if __name__ == "__main__":
     raise SystemExit(main())

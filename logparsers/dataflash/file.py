@@ -18,6 +18,7 @@ from logparsers.dataflash.formats import DICTIONARY, NUMBER, WORDS
 from logparsers.dataflash.report import Boots, describe
 from logparsers.dataflash.text import TextStore
 from logparsers.errors import MissingChannel, UnreadableLog
+from logparsers.protocol import kind_of
 from logparsers.records import Text
 from logparsers.source import mapped
 from logparsers.texts import split_rows
@@ -273,8 +274,8 @@ class DataFlashFile:
 
     @cached_property
     def firmware(self) -> str:
-        """For example ``"ArduPlane V4.5.1 (1a2b3c4d)"``, from VER or MSG; empty if the log does not say."""
-        said = (t.text for t in (*_texts(self, "VER", "FWS"), *self.texts))
+        """For example ``"ArduPlane V4.5.1 (1a2b3c4d)"``, from VER, MSG or its first lines; empty if it does not say."""
+        said = (*(t.text for t in (*_texts(self, "VER", "FWS"), *self.texts)), *self._store.said)
         return next((t for t in said if re.match(r"[A-Za-z][\w:]* V?\d+\.\d", t)), "")
 
     @property
@@ -283,7 +284,7 @@ class DataFlashFile:
         name = self.firmware.partition(" ")[0]
         if name in ("ArduCopter", "APM:Copter"):
             return FRAMES.get(int(np.nan_to_num(self.parameters.get("FRAME_CLASS", 0.0))), "multirotor")
-        return VEHICLES.get(name, name)
+        return kind_of(VEHICLES.get(name, name), self.parameters)
 
     @cached_property
     def start_utc(self) -> datetime | None:

@@ -65,6 +65,8 @@ class Store(ABC):
         """Gaps and jumps of the clock."""
         self.notes: list[str] = []
         """What is odd about the definitions."""
+        self.said: tuple[str, ...] = ()
+        """What a text log says before its first definition: firmware and board, as those of 2013 do."""
         self.odd: NDArray[np.int64] = np.zeros(0, np.int64)
         """Where rows begin whose time stamp contradicts the rows around them."""
 

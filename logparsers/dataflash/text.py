@@ -102,7 +102,9 @@ class TextStore(Store):
                 lines = lines[commas[lines] >= len(layout.columns)]
                 good[lines] = True
                 self._lines[name] = lines
-        for line in np.flatnonzero(~good).tolist():
+        begin = int(np.argmax(good)) if good.any() else 0
+        self.said = tuple(filter(None, (self._line(line).decode("utf-8", "replace").strip() for line in range(begin))))
+        for line in (begin + np.flatnonzero(~good[begin:])).tolist():
             raw = self._line(line)
             if raw.strip():
                 self._damaged(int(self._starts[line]), len(raw))

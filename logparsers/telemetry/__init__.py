@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from logparsers.channels import recorded_log
+from logparsers.protocol import kind_of
 from logparsers.telemetry.file import TelemetryFile, Vehicle
 from logparsers.telemetry.messages import Sender
 from logparsers.telemetry.remote_log import BLOCKS, RemoteLogs, WithRemoteLog, remote_logs
@@ -24,15 +25,16 @@ def read_telemetry(source: Source, only: Only) -> FlightLog:
     file = TelemetryFile(source.mapped(), str(source.path))
     logs = remote_logs(file) if BLOCKS in file.messages else RemoteLogs((), ())
     craft = file.vehicle
+    parameters = {**logs.parameters, **file.parameters}
     return recorded_log(
         WithRemoteLog(file, logs) if logs.parts else file,
         source.path,
         "tlog",
         only,
         damage=(*file.damage, *logs.damage),
-        parameters={**logs.parameters, **file.parameters},
+        parameters=parameters,
         texts=file.texts,
-        vehicle=craft.type if craft else "",
+        vehicle=kind_of(craft.type, parameters) if craft else "",
         firmware=_firmware(craft) if craft else "",
         start_utc=file.start_utc,
     )

@@ -19,7 +19,7 @@ from logparsers.channels import MOST_CHANNELS, Series, as_float
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import DEFAULT_DIALECT, Dialect, enum_name, rival_names, version_text
 from logparsers.mavlink import dialect as dialect_called
-from logparsers.protocol import LONGEST_TEXT, Autopilot, Capability
+from logparsers.protocol import LONGEST_TEXT, NO_VEHICLES, Autopilot, Capability, Kind
 from logparsers.records import Damage, Text
 from logparsers.source import mapped
 from logparsers.telemetry import frames
@@ -43,6 +43,8 @@ _INTEGERS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}  # MAV_PA
 _BANNER = re.compile(r"(Ardu\w+|APM:\w+|PX4|Rover|Blimp|AntennaTracker)[ -]?V?\d")
 _NO_SERIES = ("PARAM_", "MISSION_", "STATUSTEXT", "FILE_TRANSFER", "LOG_", "REMOTE_LOG", "TERRAIN_DATA")
 """Messages that carry lists, files or words: their numbers are no signal over time."""
+_OFTEN_TWICE = 0.25
+"""Share of a message's rows from which on those that repeat the one before, stamp and all, are a link's doing."""
 
 
 _KINDS = {
@@ -148,9 +150,22 @@ class TelemetryFile(MessageTable):
                 found.update(self._of(message, sender, prefix, alone))
         return found
 
-    def stamps(self, group: Stream) -> tuple[NDArray[Any], None]:
-        """Time of each message [s]; those that could not be placed have their arrival time."""
-        return self.time_s(group.message, source=group.source, instance=group.instance), None
+    def stamps(self, group: Stream) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+        """Time of each message [s], and which did not come a second time, where many do, as over two links.
+
+        Those that could not be placed have their arrival time. A receiver that is asked twice between two fixes says
+        the same twice as well.
+        """
+        time_s = self.time_s(group.message, source=group.source, instance=group.instance)
+        again = np.diff(time_s, prepend=np.nan) == 0.0
+        if self.layout(group.message).clock is None or np.count_nonzero(again) < _OFTEN_TWICE * again.size:
+            return time_s, None
+        markers = self.stream(group.message, group.source)[self.pick(group.message, group.source, group.instance)]
+        width = max(field.offset + field.width for field in self.layout(group.message).fields.values())
+        places = np.flatnonzero(again)
+        now, before = (frames.gather(self._data, markers[each], 0, width) for each in (places, places - 1))
+        again[places] = (now == before).all(axis=1)
+        return time_s, ~again if np.count_nonzero(again) >= _OFTEN_TWICE * again.size else None
 
     def values(self, series: Series) -> NDArray[Any]:
         """Numbers of a series in the order of the file."""
@@ -274,18 +289,22 @@ def _decodable(sample: NDArray[np.uint8], known: Dialect) -> int:
 
 
 def _read_vehicle(file: TelemetryFile) -> Vehicle | None:
-    """Find the autopilot of a log: the sender of the most heartbeats that name one."""
-    best: tuple[int, Vehicle] | None = None
+    """Find the autopilot of a log: the sender of the most heartbeats of a vehicle that name one.
+
+    Ground stations that call themselves a generic autopilot, and trackers that follow the aircraft, come after it.
+    """
+    found: list[tuple[tuple[bool, bool, int], Vehicle]] = []
     for source in file.sources("HEARTBEAT"):
         autopilots = file.column("HEARTBEAT", "autopilot", source=source)
-        named = autopilots != Autopilot.INVALID
-        count = int(np.count_nonzero(named))
-        if not count or (best and count <= best[0]):
+        kinds = file.column("HEARTBEAT", "type", source=source)
+        named = (autopilots != Autopilot.INVALID) & ~np.isin(kinds, NO_VEHICLES)
+        if not named.any():
             continue
-        kind = int(np.bincount(file.column("HEARTBEAT", "type", source=source)[named]).argmax())
-        autopilot = enum_name("MAV_AUTOPILOT", int(np.bincount(autopilots[named]).argmax()))
-        best = count, Vehicle(enum_name("MAV_TYPE", kind), autopilot, _firmware(file, source), *source)
-    return best[1] if best else None
+        kind, autopilot = (int(np.bincount(each[named]).argmax()) for each in (kinds, autopilots))
+        rank = kind != Kind.ANTENNA_TRACKER, autopilot != Autopilot.GENERIC, int(np.count_nonzero(named))
+        names = enum_name("MAV_TYPE", kind), enum_name("MAV_AUTOPILOT", autopilot)
+        found.append((rank, Vehicle(*names, _firmware(file, source), *source)))
+    return max(found, key=lambda each: each[0])[1] if found else None
 
 
 def _firmware(file: TelemetryFile, source: Sender) -> str:

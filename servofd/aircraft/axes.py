@@ -109,6 +109,8 @@ class MotionModel(_Entry):
     axes: dict[str, AxisModel] = Field(min_length=1)
     parameters: dict[str, float] = Field(default_factory=dict)
     """SERVOn_... of the outputs that move surfaces and engines: for logs and links that do not tell them."""
+    left_out: tuple[str, ...] = ()
+    """Logs that were given and taught nothing, and why."""
 
     @model_validator(mode="after")
     def _named(self) -> Self:

@@ -48,6 +48,23 @@ def output_of(surface: Surface) -> int | None:
     return None
 
 
+ROTORCRAFT = {
+    **dict.fromkeys(
+        ("multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"),
+        "turn motors",
+    ),
+    "helicopter": "tilt a swash plate",
+}
+"""What the outputs of aircraft do that motors or rotors carry."""
+WITHOUT_SURFACES = {
+    **ROTORCRAFT,
+    "submarine": "turn thrusters",
+    "ground rover": "steer and drive wheels",
+    "surface boat": "steer and drive a boat",
+    "antenna tracker": "turn an antenna",
+}
+"""What the outputs of vehicles do that have no control surfaces."""
+
 SURFACE_FUNCTIONS = {
     2: "flap",
     3: "flap",

@@ -47,6 +47,8 @@ _WELL_EXPLAINED = 0.5
 """Share of the command's effect from which on a form is judged by how soon it shows a loss; a worse one measures
 gusts that the autopilot answers."""
 _LEAST_SECONDS = 60.0
+_LEAST_OF_A_FLIGHT_S = 15.0
+"""Of steady flight: a log with less tells less than one window of how its flight differs from the others."""
 _COLOUR_SAMPLES = 30
 """Sums over so many samples tell what the colour of the residual makes of its variance."""
 _OWN_SHARE = 0.05
@@ -75,13 +77,26 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     usable = [
         f.present & np.logical_and.reduce(list(covered(regime, flown_of(f, reference_m_s)).values())) for f in flights
     ]
-    seconds = sum(float(good.sum()) / f.rate_hz for f, good in zip(flights, usable, strict=True))
+    steady_s = [float(good.sum()) / f.rate_hz for f, good in zip(flights, usable, strict=True)]
+    kept = [f for f, long_s in zip(flights, steady_s, strict=True) if long_s >= _LEAST_OF_A_FLIGHT_S]
+    if kept and len(kept) < len(flights):
+        short = tuple(
+            f"{f.name}: {long_s:.0f} s of steady flight, at least {_LEAST_OF_A_FLIGHT_S:.0f} s are needed"
+            for f, long_s in zip(flights, steady_s, strict=True)
+            if long_s < _LEAST_OF_A_FLIGHT_S
+        )
+        model = calibrate_motion(kept, false_alarms_per_hour=false_alarms_per_hour)
+        return model.model_copy(update={"left_out": (*short, *model.left_out)})
+    seconds = sum(steady_s)
     if seconds < _LEAST_SECONDS:
         raise CalibrationError(
             f"{seconds:.0f} s of steady flight in {len(flights)} log{'s' * (len(flights) > 1)}; at least "
             f"{_LEAST_SECONDS:.0f} s are needed to fit how the aircraft answers, and flights of three days to know how "
             "it differs from day to day"
         )
+    if len(flights) == 1:  # each half is judged by the other
+        model = calibrate_motion(_halves(flights[0], usable[0]), false_alarms_per_hour=false_alarms_per_hour)
+        return model.model_copy(update={"flights": 1})
     groups = _groups(flights)
     per_hour = false_alarms_per_hour / len(SURFACE_AXES)  # lost thrust accuses no surface
     setting = _Setting(flights, usable, groups, reference_m_s)
@@ -140,6 +155,12 @@ def _regime(flights: Sequence[Motion], reference_m_s: float) -> Regime:
         throttle_low=float(np.quantile(throttle, 0.05)),
         lift_high_m_s2=float(np.quantile(lift, 0.99)),
     )
+
+
+def _halves(flight: Motion, usable: BoolArray) -> list[Motion]:
+    """A flight in two parts with as much steady flight in each."""
+    middle_s = float(flight.time_s[usable][np.count_nonzero(usable) // 2])
+    return [flight.within([(-math.inf, middle_s)]), flight.within([(middle_s, math.inf)])]
 
 
 def _groups(flights: Sequence[Motion]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from servofd.aircraft.outputs import named_outputs, outputs_of, pulse_channel
+from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
 from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
@@ -272,7 +272,6 @@ def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
 _FASTEST_HZ = 25.0
 _OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
-_ON_MOTORS = ("multirotor", "helicopter")
 _MEASURES_M_S = 1.0
 _RATES = (
     ("IMU[0].Gyr{}", "IMU.Gyr{}", "XYZ", np.degrees(1.0)),
@@ -295,7 +294,7 @@ def motion_of_autopilot(
     """Motion of an ArduPilot log, from flash or telemetry."""
     settings = {name: value for name, value in log.parameters.items() if _OF_AN_OUTPUT.fullmatch(name)}
     if not any(name.endswith("_FUNCTION") for name in settings):
-        if log.vehicle in _ON_MOTORS:
+        if log.vehicle in WITHOUT_SURFACES:
             raise NoMeasurement(_no_surfaces(log, airframe_of({})))
         settings = dict(parameters or {})
     outputs = outputs_of(settings)
@@ -354,9 +353,10 @@ def _number(parameter: str) -> int:
 
 
 def _no_surfaces(log: FlightLog, airframe: Airframe) -> str:
-    if airframe.lift_motors or log.vehicle in _ON_MOTORS:
-        kind = log.vehicle or "multirotor"
-        return f"{log.label}: a {kind}: no control surfaces to judge; its outputs drive motors"
+    kind = log.vehicle or ("multirotor" if airframe.lift_motors else "")
+    if airframe.lift_motors or kind in WITHOUT_SURFACES:
+        does = WITHOUT_SURFACES.get(kind, "turn motors")
+        return f"{log.label}: a {kind}: no control surfaces to judge; its outputs {does}"
     return (
         f"{log.label}: no output with the function of a control surface; SERVOn_FUNCTION must be among the log's "
         "parameters (a log that begins at boot has them)"

@@ -200,12 +200,18 @@ def interruptible() -> Iterator[None]:
     """Within the block, a termination raises `KeyboardInterrupt` like Ctrl-C, and no interrupt gets lost.
 
     Python ignores an exception that strikes inside a finaliser or a weak reference's callback: the run would go
-    on, with a traceback on the screen. Such an interrupt is raised once more, a moment later.
+    on, with a traceback on the screen. Such an interrupt is raised once more, a moment later. One that strikes while a
+    compiled module loads comes out as an `ImportError`, and is an interrupt again here.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    terminate, unraisable = signal.getsignal(signal.SIGTERM), sys.unraisablehook
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    unraisable, struck = sys.unraisablehook, threading.Event()
+
+    def strike(_number: int, _frame: object) -> None:
+        struck.set()
+        raise KeyboardInterrupt
 
     def ignored(event: sys.UnraisableHookArgs) -> None:
         if issubclass(event.exc_type, KeyboardInterrupt):
@@ -214,13 +220,19 @@ def interruptible() -> Iterator[None]:
         else:
             unraisable(event)
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in before:
+        signal.signal(number, strike)
     sys.unraisablehook = ignored
     try:
         yield
+    except ImportError as error:
+        if struck.is_set():
+            raise KeyboardInterrupt from error
+        raise
     finally:
         sys.unraisablehook = unraisable
-        signal.signal(signal.SIGTERM, terminate)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _silence() -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.aircraft.outputs import Pair, find_pairs, pulse_channel
+from servofd.aircraft.outputs import WITHOUT_SURFACES, Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import Series, bus_of, cut
 from servofd.core.errors import NoMeasurement
@@ -29,11 +29,6 @@ if TYPE_CHECKING:
     from servofd.core.types import Marks
     from servofd.feedback.fitted import Drafted
 
-_ROTORCRAFT = frozenset(
-    {"multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"}
-)
-
-
 _MOTION = (
     "healthy flights of four days tell what each axis loses: `servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, "
     "then `servofd FLIGHT -c plane.toml`; for a verdict on each servo "
@@ -50,14 +45,14 @@ def what_to_log(log: FlightLog) -> str:
     >>> what_to_log(FlightLog(Path("a.ulg"), "ulog", {}))[:30]
     'send the positions as DEBUG_FL'
     """
-    if log.vehicle in _ROTORCRAFT:
-        return f"it is of a {log.vehicle}, which has no control surfaces: its outputs turn motors"
+    if log.vehicle in WITHOUT_SURFACES:
+        return f"it is of a {log.vehicle}, which has no control surfaces: its outputs {WITHOUT_SURFACES[log.vehicle]}"
     if log.format == "ulog":
         return (
             "send the positions as DEBUG_FLOAT_ARRAY (name SRVP) and log debug topics (SDLOG_PROFILE bit 5); "
             "actuator_outputs and actuator_servos are commands"
         )
-    motion = _MOTION if log.vehicle == "fixed wing" else ""
+    motion = _MOTION if log.vehicle in ("fixed wing", "QuadPlane") else ""
     if log.format == "tlog":
         return motion + (
             "send the positions as NAMED_VALUE_FLOAT SRVP1, SRVP2, ... in degrees: `servofd onboard --stream-only -o "

@@ -146,8 +146,15 @@ def calibrate_axes(
     from servofd.axes.calibrate import calibrate_motion
     from servofd.axes.motion import motion_of
 
-    logs = list(each_once(logs_of(paths)))
-    flights = [motion_of(log) for log in logs]
+    logs, flights, silent = [], [], []
+    for log in each_once(logs_of(paths)):
+        try:
+            flights.append(motion_of(log))
+            logs.append(log)
+        except NoMeasurement as error:
+            silent.append(str(error))
+    if not flights:
+        raise NoMeasurement("; ".join(dict.fromkeys(silent)))
     rate_hz = min(flight.rate_hz for flight in flights)
     flights = [
         flight if flight.rate_hz < _SAME_RATE * rate_hz else motion_of(log, rate_hz)
@@ -157,7 +164,8 @@ def calibrate_axes(
         flights = [replace(flight, day=f"{flight.day}, {place}") for place, flight in enumerate(flights)]
     if spans:
         flights = [flight.within(spans) for flight in flights]
-    return calibrate_motion(flights, false_alarms_per_hour=false_alarms_per_hour)
+    model = calibrate_motion(flights, false_alarms_per_hour=false_alarms_per_hour)
+    return model.model_copy(update={"left_out": (*silent, *model.left_out)})
 
 
 def calibrate(

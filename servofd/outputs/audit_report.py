@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.aircraft.outputs import ROTORCRAFT
 from servofd.axes.model import FORMS
 from servofd.axes.motion import LIFT_MOTORS
 from servofd.axes.verdict import named, shown
@@ -353,12 +354,6 @@ def _gap(time_s: FloatArray) -> str:
     return f"{step_s[longest]:.3g} (at {time_s[longest]:.2f} s)"
 
 
-_NO_SURFACES = frozenset(
-    {
-        *("multirotor", "quadrotor", "hexarotor", "octorotor", "tricopter", "decarotor", "dodecarotor", "coaxial"),
-        "helicopter",
-    }
-)
 _OUTPUT = re.compile(r"(?:RCOU|RCO2|SERVO_OUTPUT_RAW)\.(?:C|Ch|servo)(\d+)(?:_raw)?")
 _LEAST_US, _MOST_US = 900.0, 2200.0
 _LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
@@ -375,7 +370,7 @@ _UNEVEN = "a motor that is always asked for more than the others has to carry mo
 
 def motors_of(log: FlightLog) -> Section | None:
     """Commands and saturation of motors, empty if none was logged; None unless the aircraft is one without surfaces."""
-    if log.vehicle not in _NO_SURFACES:
+    if log.vehicle not in ROTORCRAFT:
         return None
     names = {int(found[1]): name for name in log.channels if (found := _OUTPUT.fullmatch(name))}
     functions = {number: log.parameters.get(f"SERVO{number}_FUNCTION") for number in names}

@@ -128,7 +128,7 @@ def motion_report(model: MotionModel) -> Document:
     days = "1 day" if model.days == 1 else f"{model.days} days"
     low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
     notes = [
-        "explained: share of the command's effect, on days that the model had not seen; ±: how far healthy windows "
+        "explained: share of the command's effect, in flights that the model had not seen; ±: how far healthy windows "
         "stray; suspect, fault: from which multiple of the largest value in these flights on",
         f"judged between {low:.0f} and {high:.0f} m/s, with at least {model.regime.throttle_low:.0%} throttle",
     ]
@@ -151,5 +151,7 @@ def motion_report(model: MotionModel) -> Document:
         notes.append(
             "each flight counts as a day of its own; several of one day are told by the date in a log, or in its name"
         )
-    facts = f"{model.flights} flights, {model.hours:.2f} h, {days}"
+    notes += [f"left out: {why}" for why in model.left_out]
+    flights = "1 flight" if model.flights == 1 else f"{model.flights} flights"
+    facts = f"{flights}, {model.hours:.2f} h, {days}"
     return Document("Calibration of motion", "healthy", "", facts, [Table("Axes", _AXES, rows), Bullets(notes)])

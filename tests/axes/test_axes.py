@@ -139,6 +139,18 @@ def test_one_short_flight_is_refused() -> None:
         calibrate_motion([flown(1, duration_s=30.0)])
 
 
+def test_a_log_that_is_too_short_is_left_out_and_the_others_calibrate() -> None:
+    model = calibrate_motion([flown(seed) for seed in range(1, 4)] + [flown(9, duration_s=8.0)])
+    assert model.flights == 3
+    assert [why.partition(":")[0] for why in model.left_out] == ["flight 9"]
+
+
+def test_one_flight_calibrates_by_its_halves_and_says_how_often_it_is_wrong() -> None:
+    model = calibrate_motion([flown(1, duration_s=300.0)])
+    assert (model.flights, model.days) == (1, 1)
+    assert model.axes["roll"].false_alarms_per_hour > 0.0
+
+
 HEADER = (
     "t_s,ail_cmd_us,ele_cmd_us,thr_us,ailL_out_us,p_rad_s,q_rad_s,r_rad_s,ax_m_s2,ay_m_s2,az_m_s2,phi_rad,theta_rad,"
 )

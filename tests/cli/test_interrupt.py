@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from servofd.__main__ import main
 from servofd.cli import interruptible
 
 
@@ -37,3 +38,29 @@ def test_a_termination_is_an_interrupt_and_the_old_handler_comes_back() -> None:
     with pytest.raises(KeyboardInterrupt), interruptible():
         signal.raise_signal(signal.SIGTERM)
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_an_interrupt_while_a_compiled_module_loads_is_no_import_error() -> None:
+    def load() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("PyCapsule_Import could not import module") from None
+
+    with pytest.raises(KeyboardInterrupt), interruptible():
+        load()
+
+
+def test_an_interrupt_while_the_program_loads_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def strike() -> int:
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr("servofd.cli.main", strike)
+    try:
+        assert main() == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err.count("\n") == 1

@@ -7,6 +7,7 @@ import gzip
 import io
 import lzma
 import resource
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -85,6 +86,14 @@ def test_a_bomb_is_refused_at_the_limit(pack: Callable[[bytes], bytes], monkeypa
     monkeypatch.setenv(LIMIT_VARIABLE, "60")
     with pytest.raises(LogError, match="belong to no known format"):
         logparsers.read(io.BytesIO(bomb))
+
+
+def test_an_archive_that_promises_2_gb_is_refused_before_it_is_unpacked() -> None:
+    packed = bytearray(zipped({"flight.bin": DATAFLASH}))
+    at = packed.rindex(b"PK\x01\x02")
+    struct.pack_into("<I", packed, at + 24, 2_000_000_000)  # the size that its directory gives (APPNOTE 4.3.12)
+    with pytest.raises(LogError, match="unpacks to more than 1024 MB"):
+        logparsers.read(io.BytesIO(packed))
 
 
 @pytest.mark.parametrize(

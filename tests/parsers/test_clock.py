@@ -145,20 +145,31 @@ def test_rise_loses_no_row_in_silence(ticks: list[int], seed: int) -> None:
     stamps[np.random.default_rng(seed).random(stamps.size) < 0.1] = np.nan
     rows, damage = clock.rise(stamps)
     chosen = stamps[rows]
-    assert (np.diff(chosen) > 0.0).all()
+    risen = clock.apart(chosen)
+    assert (np.diff(risen) > 0.0).all()
+    np.testing.assert_allclose(risen, chosen, rtol=0.0, atol=60e-9)
     lost = stamps.size - rows.size
+    assert lost == np.count_nonzero(np.isnan(stamps)) or np.nanmax(stamps) - np.nanmin(stamps) > clock.LATE_S
     assert (damage.count if damage else 0) >= lost
     if damage is None:
         np.testing.assert_array_equal(rows, np.arange(stamps.size))
 
 
-def test_rise_sorts_late_rows_in_and_drops_repeated_ones() -> None:
+def test_rise_sorts_late_rows_in_and_keeps_those_of_one_stamp() -> None:
     late = np.concatenate([GRID[:500], GRID[501:600], GRID[500:501], GRID[600:], GRID[-1:]])
     rows, damage = clock.rise(late)
-    np.testing.assert_array_equal(late[rows], GRID)
+    np.testing.assert_array_equal(late[rows], np.append(GRID, GRID[-1]))
     assert damage is not None
-    assert (damage.kind, damage.count) == ("out_of_order", 2)
-    assert damage.note == "1 row sorted in that came late, 1 row with repeated or wrong stamps left out"
+    assert (damage.kind, damage.count, damage.note) == ("out_of_order", 1, "1 row sorted in that came late")
+    assert clock.rise(np.repeat(GRID, 3))[1] is None
+
+
+@pytest.mark.parametrize("begin_s", [-1e-6, 0.0, 1e4, 1.7e9, -1.7e9])
+def test_rows_of_one_stamp_are_set_apart_and_pass_no_other(begin_s: float) -> None:
+    stamps = begin_s + np.repeat([0.0, 1e-6, 2.0], [16, 1, 30])
+    risen = clock.apart(stamps)
+    assert (np.diff(risen) > 0.0).all()
+    np.testing.assert_allclose(risen, stamps, rtol=0.0, atol=1e-6 if abs(begin_s) < 1e6 else 2e-5)
 
 
 @pytest.mark.parametrize("wrong", [-1e9, 0.0, 1e9, 19.0 + 86400.0])

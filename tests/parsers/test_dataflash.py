@@ -24,7 +24,9 @@ from logparsers.dataflash import DataFlashFile
 from logparsers.dataflash.binary import BinaryStore
 from logparsers.dataflash.encode import Message, encode
 from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
+from servofd.feedback.draft import what_to_log
 from tests.fuzz.mutate import mutated
+from tests.parsers import dataflash_writer
 from tests.parsers.dataflash_writer import SEED, as_text, before_stamps, servo_flight
 from tests.parsers.external import real_logs
 
@@ -310,7 +312,47 @@ def test_one_wrong_time_stamp_is_not_believed() -> None:
     assert channels(log)["RCOU.C1"].values.size == 99
     (lost,), _ = channels(log).survey()
     assert (lost.kind, lost.count) == ("out_of_order", 1)
-    assert lost.note == "RCOU: 1 row with repeated or wrong stamps left out"
+    assert lost.note == "RCOU: 1 row left out that came twice or with a wrong stamp"
+
+
+def test_messages_of_one_stamp_are_all_there_and_a_sound_log_is_not_damaged() -> None:
+    """The sixteen items of a mission are logged within one microsecond."""
+    items = Message(
+        "CMD", "QHHf", {"TimeUS": [7_000_000] * 16, "CTot": [16] * 16, "CNum": range(16), "Prm1": [0.5] * 16}
+    )
+    log = logparsers.read(io.BytesIO(encode([*servo_flight(), items])))
+    assert log["CMD.CNum"].values.tolist() == list(range(16))
+    np.testing.assert_allclose(log["CMD.CNum"].time_s, 7.0, rtol=0.0, atol=1e-6)
+    assert log.damage == ()
+
+
+@pytest.mark.parametrize(
+    ("firmware", "frame", "vehicle"),
+    [
+        ("ArduPlane V4.5.1", {"Q_ENABLE": 1.0}, "QuadPlane"),
+        ("ArduPlane V4.5.1", {"Q_ENABLE": 0.0}, "fixed wing"),
+        ("ArduCopter V4.5.1", {"FRAME_CLASS": 6.0}, "helicopter"),
+        ("ArduSub V4.1.0", {}, "submarine"),
+    ],
+)
+def test_the_firmware_and_its_settings_tell_the_kind_of_vehicle(
+    firmware: str, frame: dict[str, float], vehicle: str
+) -> None:
+    first_us = 5_000_000
+    said = Message("MSG", "QZ", {"TimeUS": [first_us], "Message": [firmware]})
+    pulses = {"TimeUS": first_us + 20_000 * np.arange(50), "C1": [1500] * 50}
+    parm = {"TimeUS": [first_us] * len(frame), "Name": list(frame), "Value": list(frame.values())}
+    log = logparsers.read(io.BytesIO(encode([said, Message("RCOU", "QH", pulses), Message("PARM", "QNf", parm)])))
+    assert log.vehicle == vehicle
+    assert ("servo" in what_to_log(log)) == (vehicle in ("fixed wing", "QuadPlane"))
+
+
+def test_the_first_lines_of_an_old_text_log_name_its_firmware() -> None:
+    content = b"4\n\nArduCopter V3.0.1 (5c6503e2)\nFree RAM: 1331\nAPM 2\n" + dataflash_writer.before_stamps(100)
+    log = logparsers.read(io.BytesIO(content))
+    assert (log.firmware, log.vehicle) == ("ArduCopter V3.0.1 (5c6503e2)", "multirotor")
+    assert [damage.kind for damage in log.damage] == ["bad_format"]
+    assert "has no control surfaces: its outputs turn motors" in what_to_log(log)
 
 
 # -- damaged logs -----------------------------------------------------------------------------------------

@@ -187,6 +187,41 @@ def test_a_second_port_has_its_number_in_brackets() -> None:
     assert found["SERVO_OUTPUT_RAW[1].servo1_raw"].values.tolist() == [1501.0]
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"type": 6, "autopilot": 0},
+        {"type": 18, "autopilot": 3},
+        {"type": 0, "autopilot": 0},
+        {"type": 5, "autopilot": 3},
+    ],
+)
+def test_heartbeats_beside_the_vehicles_do_not_outvote_it(other: dict[str, int]) -> None:
+    copter = writer.frame("HEARTBEAT", {"type": 2, "autopilot": 3})
+    entries = [(float(k), copter) for k in range(3)]
+    entries += [(0.1 * k, writer.frame("HEARTBEAT", other, source=(255, 190))) for k in range(40)]
+    found = TelemetryFile.open(writer.log(sorted(entries))).vehicle
+    assert found is not None
+    assert (found.type, found.system) == ("quadrotor", 1)
+
+
+def test_a_log_behind_a_megabyte_of_zeros_is_read() -> None:
+    content = writer.flight(2.0)
+    log = logparsers.read(io.BytesIO(bytes(880_000) + content))
+    whole = logparsers.read(io.BytesIO(content))
+    np.testing.assert_array_equal(log["ATTITUDE.roll"].values, whole["ATTITUDE.roll"].values)
+    assert [(damage.kind, damage.count) for damage in log.damage] == [("corrupt", 880_000)]
+
+
+def test_what_comes_over_two_links_counts_once_and_other_rows_of_one_stamp_stay() -> None:
+    def named(value: float) -> bytes:
+        return writer.frame("NAMED_VALUE_FLOAT", {"time_boot_ms": 9000, "name": "SRVP1", "value": value})
+
+    log = logparsers.read(io.BytesIO(writer.log([(0.0, named(1.0)), (0.0, named(1.0)), (0.0, named(2.0))])))
+    assert log["NAMED_VALUE_FLOAT[SRVP1].value"].values.tolist() == [1.0, 2.0]
+    assert [damage.count for damage in log.damage if damage.kind == "out_of_order"] == [1]
+
+
 def test_the_vehicle_introduces_itself(flight: Path) -> None:
     log = TelemetryFile.open(flight)
     craft = log.vehicle
