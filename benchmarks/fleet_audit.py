@@ -21,7 +21,7 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.batch.local import cores
-from servofd.fleet.run import audit_fleet, judge_log
+from servofd.fleets.run import audit_fleet, judge_log
 from servofd.servo.faults import Stuck
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.pulses import outputs_of
@@ -30,7 +30,7 @@ from servofd.simulation.writers import write_flight
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from servofd.fleet.run import JudgedLog
+    from servofd.fleets.run import JudgedLog
 
 _SURFACES = ("elevator", "rudder", "aileron_left", "aileron_right", "flap_left", "flap_right")
 _EVERY = 20

@@ -26,15 +26,21 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit as SurfaceAudit
     from servofd.discrepancy.explanation import Explanation as Explanation
     from servofd.discrepancy.explanation import explain_gap as explain_gap
-    from servofd.fleet.run import audit_logs as audit_logs
+    from servofd.fleets.run import audit_logs as audit_logs
     from servofd.identification.result import Identification as Identification
     from servofd.jobs.explaining import explain_logs as explain_logs
     from servofd.results import Audit as Audit
     from servofd.results import Audits as Audits
+    from servofd.results import Comparison as Comparison
+    from servofd.results import Fleet as Fleet
     from servofd.results import audit as audit
     from servofd.results import calibrate as calibrate
+    from servofd.results import compare as compare
     from servofd.results import explain as explain
+    from servofd.results import fleet as fleet
     from servofd.results import identify as identify
+    from servofd.results import load as load
+    from servofd.results import simulate as simulate
     from servofd.results import trend as trend
     from servofd.servo.effect import Effect as Effect
     from servofd.servo.effect import Parameter as Parameter
@@ -50,6 +56,8 @@ _HOME = {
     "Aircraft": "aircraft.schema",
     "Audit": "results",
     "Audits": "results",
+    "Comparison": "results",
+    "Fleet": "results",
     "Explanation": "discrepancy.explanation",
     "Identification": "identification.result",
     "LogAudit": "detection.verdict",
@@ -65,7 +73,11 @@ _HOME = {
     "SurfaceAudit": "detection.verdict",
     "TransferFunction": "servo.transfer",
     "audit": "results",
-    "audit_logs": "fleet.run",
+    "compare": "results",
+    "fleet": "results",
+    "load": "results",
+    "simulate": "results",
+    "audit_logs": "fleets.run",
     "calibrate": "results",
     "audit_log": "detection.audit",
     "cut": "aircraft.series",

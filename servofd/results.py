@@ -2,43 +2,66 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar, cast, overload
 
+import numpy as np
+
+from logparsers import FlightLog, LogError
+from servofd.aircraft.columns import aircraft_of_columns
+from servofd.axes.verdict import AxisAudit
+from servofd.batch.find import META_FILE, find_logs, is_plain_file
 from servofd.batch.key import Job
 from servofd.calibrating.result import Calibration, calibration_to_toml
-from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
+from servofd.core.errors import ConfigError, NoMeasurement, ServofdError, UnknownName, needs, suggest
 from servofd.core.files import write_whole
+from servofd.core.series import latest
 from servofd.detection.verdict import LogAudit, SurfaceAudit
-from servofd.feedback.flown import known_aircraft, log_files
+from servofd.feedback.flown import known_aircraft, layout_of, log_files, logs_of
+from servofd.feedback.tables import as_described, frame_of, is_table
+from servofd.fleets.overview import Overview, overview
+from servofd.fleets.run import audit_fleet
+from servofd.fleets.store import by_path, read_logs
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
-from servofd.outputs.audit_report import audit_report
+from servofd.jobs.simulating import simulated
+from servofd.outputs.audit_report import audit_report, axis_chart
 from servofd.outputs.calibrate_report import calibrate_figure, calibrate_report
+from servofd.outputs.chart import flight_chart
+from servofd.outputs.compare_report import charts, compare_report, overlaid
 from servofd.outputs.document import Table
 from servofd.outputs.explain_report import explain_figures, explain_report
-from servofd.outputs.figure import audit_figure
+from servofd.outputs.figure import chart_figure
+from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.identify_report import identify_figures, identify_report
 from servofd.outputs.model_file import model_file
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import spoken
 from servofd.outputs.trend_report import quantity_row, trend_picture, trend_report
+from servofd.simulation.flight import SimulatedFlight
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from rich.console import Console
 
-    from logparsers import FlightLog
+    from logparsers import Channel
     from servofd.aircraft.schema import Aircraft
-    from servofd.detection.threshold import ThresholdKind
+    from servofd.aircraft.series import Series
+    from servofd.detection.residual import Residuals
+    from servofd.detection.threshold import Threshold, ThresholdKind
     from servofd.discrepancy.explanation import Explanation
+    from servofd.feedback.flown import Log
+    from servofd.outputs.chart import Chart
     from servofd.outputs.document import Document
 
 
@@ -71,7 +94,7 @@ class Shown(ABC):
 
     @classmethod
     def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
-        return cls(**{field.name: getattr(found, field.name) for field in fields(found)})
+        return cls(**_fields(found))
 
     def to_pandas(self) -> pd.DataFrame:
         """One row for each surface or quantity."""
@@ -87,7 +110,7 @@ class Shown(ABC):
 
     def __repr__(self) -> str:
         """Short: one line, and one for each surface or quantity."""
-        rows = [list(map(str, list(row.values())[:_SHORT])) for row in self._rows()]
+        rows = [["" if v is None else str(v) for v in list(row.values())[:_SHORT]] for row in self._rows()]
         widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(rows[0]) if rows else 0)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         report, name = self.report(), type(self).__name__
@@ -109,12 +132,39 @@ _SHORT, _SHOWN = 3, 6
 
 P = ParamSpec("P")
 Result = TypeVar("Result", bound=Shown)
+Given = TypeVar("Given")
+
+_OPTION = re.compile(r"(?<![\w-])(?:-(?P<short>[cs])|--(?P<long>[a-z][a-z-]*))(?![\w-])(?: (?P<value>[A-Za-z0-9.]+))?")
+_DISORDER = ("split the log there", "sort it by its time, or tell flights apart by a column run")
+_TABLES = ("DataFrame:", "dict:")
+_KEYWORDS = {"c": "aircraft", "s": "surface", "config": "aircraft", "duration": "duration_s"}
+
+
+def _in_words_of_python(verb: Callable[P, Given]) -> Callable[P, Given]:
+    """The verb with errors that name its arguments where those of the command line name options."""
+
+    @wraps(verb)
+    def call(*args: P.args, **options: P.kwargs) -> Given:
+        try:
+            return verb(*args, **options)
+        except (LogError, ServofdError) as error:
+            text = str(error).replace(*_DISORDER) if str(error).startswith(_TABLES) else str(error)
+            error.args = (_OPTION.sub(_keyword, text), *error.args[1:])
+            raise
+
+    return call
+
+
+def _keyword(option: re.Match[str]) -> str:
+    name = option["short"] or option["long"].replace("-", "_")
+    return f"{_KEYWORDS.get(name, name)}={option['value'] or ''}"
 
 
 def _shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable[P, Result]:
     """The verb as the command line calls it, with a result that shows itself."""
 
     @wraps(verb)
+    @_in_words_of_python
     def call(*args: P.args, **options: P.kwargs) -> Result:
         return kind._of(verb(*args, **options))
 
@@ -122,33 +172,170 @@ def _shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable
     return call
 
 
+class _Drawn(ABC):
+    """A surface or an axis that draws itself, and gives its numbers over time."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        """What is said of it."""
+        return self.said
+
+    @property
+    @abstractmethod
+    def said(self) -> str:
+        """Name, status and reason."""
+
+    @abstractmethod
+    def chart(self) -> Chart:
+        """The whole flight of it."""
+
+    @abstractmethod
+    def series(self) -> pd.DataFrame:
+        """Its numbers over time."""
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Figure of the whole flight; into one's own axes, the upper part into one, or all of it into several."""
+        needs("matplotlib")
+        return chart_figure(self.chart(), ax)
+
+
+class AuditedSurface(SurfaceAudit, _Drawn):
+    """Verdict on one surface."""
+
+    __slots__ = ()
+    __repr__ = _Drawn.__repr__
+
+    @property
+    def said(self) -> str:
+        """Name, status and reason."""
+        return f"{self.surface}: {self.status}: {self.reason}"
+
+    def chart(self) -> Chart:
+        """The whole flight of the surface."""
+        self._curves()
+        return flight_chart(self)
+
+    def series(self) -> pd.DataFrame:
+        """What was asked, simulated and measured, the residual and its threshold over time, all in degrees.
+
+        One row for each position, with the time of the log as index [s]; `judged` is false while the filter settles and
+        where nothing was measured. The command is the last that was sent before.
+        """
+        needs("pandas")
+        import pandas as pd
+
+        segment, residuals, threshold = self._curves()
+        time_s = residuals.time_s
+        return pd.DataFrame(
+            {
+                "command_deg": latest(segment.command_s, segment.command_deg, time_s),
+                "simulated_deg": residuals.simulated_deg,
+                "measured_deg": residuals.measured_deg,
+                "residual_deg": residuals.residual_deg,
+                "threshold_deg": threshold.level_deg,
+                "judged": residuals.settled,
+            },
+            index=pd.Index(time_s, name="time_s"),
+        )
+
+    def _curves(self) -> tuple[Series, Residuals, Threshold]:
+        if self.segment is None or self.residuals is None or self.threshold is None:
+            raise NoMeasurement(f"{self.surface}: there is nothing to draw: {self.reason}")
+        return self.segment, self.residuals, self.threshold
+
+
+class AuditedAxis(AxisAudit, _Drawn):
+    """What the motion of the aircraft tells of one axis."""
+
+    __slots__ = ()
+    __repr__ = _Drawn.__repr__
+
+    @property
+    def said(self) -> str:
+        """Name, status and reason."""
+        return f"{self.axis}: {self.status}: {self.reason}"
+
+    def chart(self) -> Chart:
+        """The whole flight of the axis."""
+        return axis_chart(self)
+
+    def series(self) -> pd.DataFrame:
+        """Effect of the command that was expected, and what the motion shows, in the unit of the axis' model.
+
+        `share` is the distance from healthy over its threshold; `judged` is false outside the calibrated regime.
+        """
+        needs("pandas")
+        import pandas as pd
+
+        columns = {"expected": self.asked, "shown": self.shown, "share": np.sqrt(np.maximum(self.score, 0.0))}
+        return pd.DataFrame(columns | {"judged": self.inputs.usable}, index=pd.Index(self.time_s, name="time_s"))
+
+
 class Audit(LogAudit, Shown):
     """Verdicts on the surfaces of one run of a log.
 
-    A loop over it gives itself, so that a loop over `audit` need not know whether a log holds runs.
+    Each is `found["elevator"]` or `found.elevator`, and `found["roll"]` an axis. A loop over it gives itself, so that a
+    loop over `audit` need not know whether a log holds runs. Two are equal if they say the same; ``a - b`` compares
+    them. A pickle of it holds verdicts and curves, and not the other channels of the log.
     """
 
     __slots__ = ()
     __repr__ = Shown.__repr__
+
+    @classmethod
+    def _of(cls, found: LogAudit) -> Self:
+        surfaces = tuple(AuditedSurface(**_fields(one)) for one in found.surfaces)
+        return cls(found.log, found.aircraft, surfaces, tuple(AuditedAxis(**_fields(one)) for one in found.axes))
 
     def __iter__(self) -> Iterator[Self]:
         """Itself, once."""
         return iter((self,))
 
     @overload
-    def __getitem__(self, surface: str) -> SurfaceAudit: ...
+    def __getitem__(self, name: str) -> Any: ...  # noqa: ANN401 - a surface or an axis
 
     @overload
-    def __getitem__(self, surface: int) -> Self: ...
+    def __getitem__(self, name: int) -> Self: ...
 
-    def __getitem__(self, surface: str | int) -> SurfaceAudit | Self:
-        """Verdict on one surface; by number the only run, itself, as in a loop."""
-        if isinstance(surface, int):
-            return (self,)[surface]
-        found = {one.surface: one for one in self.surfaces}
-        if surface not in found:
-            raise UnknownName(suggest("surface", surface, found))
-        return found[surface]
+    def __getitem__(self, name: str | int) -> Any:
+        """Verdict on one surface or axis; by number the only run, itself, as in a loop."""
+        if isinstance(name, int):
+            return (self,)[name]
+        found = self._named()
+        if name not in found:
+            raise UnknownName(suggest("surface", name, found))
+        return found[name]
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - a surface or an axis
+        """Verdict on one surface or axis, as far as its name is none that every result has."""
+        found = {} if name.startswith("_") else self._named()
+        if name not in found:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}, and the log no such surface")
+        return found[name]
+
+    def __dir__(self) -> list[str]:
+        """With the surfaces and axes, which a notebook completes."""
+        return sorted({*super().__dir__(), *filter(str.isidentifier, self._named())})
+
+    def _named(self) -> dict[str, AuditedSurface | AuditedAxis]:
+        axes = cast("tuple[AuditedAxis, ...]", self.axes)
+        surfaces = cast("tuple[AuditedSurface, ...]", self.surfaces)
+        return {one.axis: one for one in axes} | {one.surface: one for one in surfaces}
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both say the same of the same log."""
+        return isinstance(other, Audit) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash((self.log.label, self.log.duration_s, tuple(one.surface for one in self.surfaces)))
+
+    def __sub__(self, other: Audit) -> Comparison:
+        """Both beside each other."""
+        return compare(self, other)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _audit_of, (_plain(self.log, {}), self.aircraft, self.surfaces, self.axes)
 
     def report(self) -> Document:
         """Verdicts in words, tables and charts."""
@@ -158,38 +345,43 @@ class Audit(LogAudit, Shown):
         """As in JSON, schema servofd.audit/1."""
         return dict(self.report().data)
 
-    def series(self, surface: str) -> pd.DataFrame:
-        """Measured and simulated deflection, residual and threshold of one surface, over time; all in degrees."""
-        needs("pandas")
-        import pandas as pd
+    def series(self, name: str) -> pd.DataFrame:
+        """Numbers of one surface or axis over time (`AuditedSurface.series`, `AuditedAxis.series`)."""
+        found: pd.DataFrame = self[name].series()
+        return found
 
-        one = self[surface]
-        if one.residuals is None or one.threshold is None:
-            raise ConfigError(f"{surface}: no residual: {one.reason}")
-        return pd.DataFrame(
-            {
-                "measured_deg": one.residuals.measured_deg,
-                "simulated_deg": one.residuals.simulated_deg,
-                "residual_deg": one.residuals.residual_deg,
-                "threshold_deg": one.threshold.level_deg,
-                "judged": one.residuals.settled,
-            },
-            index=pd.Index(one.residuals.time_s, name="time_s"),
-        )
+    def plot(self, name: str | None = None, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
+        if name is not None:
+            return self._drawn(self[name], ax)
+        surfaces = [one.surface for one in self.surfaces if one.residuals is not None and one.threshold is not None]
+        drawn = [self[one] for one in surfaces or [axis.axis for axis in self.axes]]
+        if not drawn:
+            raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
+        return self._drawn(min(drawn, key=lambda one: _WORST_FIRST.index(one.status)), ax)
 
-    def plot(self, surface: str | None = None) -> Figure:
-        """Figure of one surface; of the worst that could be judged if none is named."""
-        needs("matplotlib")
-        drawn = [one for one in self.surfaces if one.residuals is not None and one.threshold is not None]
-        if surface is None and not drawn:
-            raise ConfigError(f"nothing to draw: {self.sentence}")
-        chosen = self[surface] if surface is not None else min(drawn, key=lambda one: _WORST_FIRST.index(one.status))
-        return audit_figure(chosen)
+    @staticmethod
+    def _drawn(one: _Drawn, ax: Axes | Sequence[Axes] | None) -> Figure:
+        return one.plot(ax)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [_row(one) for one in self.surfaces] + [
             {"surface": axis.axis, "status": axis.status, "reason": axis.reason} for axis in self.axes
         ]
+
+
+def _fields(found: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
+    return {field.name: getattr(found, field.name) for field in fields(found)}
+
+
+def _plain(log: FlightLog, channels: Mapping[str, Channel]) -> dict[str, Any]:
+    """What a pickle holds of a log."""
+    span_s = log.span_s or (0.0, log.duration_s)
+    return _fields(log) | {"channels": dict(channels), "parameters": dict(log.parameters), "span_s": span_s}
+
+
+def _audit_of(log: dict[str, Any], *others: Any) -> Audit:  # noqa: ANN401 - the other fields
+    return Audit(FlightLog(**log), *others)
 
 
 _WORST_FIRST = ("fault", "suspect", "unknown", "healthy", "no_data")
@@ -240,22 +432,24 @@ class Audits(tuple[Audit, ...]):
         return Path(path)
 
 
+@_in_words_of_python
 def audit(
-    log: str | Path | pd.DataFrame,
+    log: Log,
     aircraft: Aircraft | str | Path | None = None,
     *,
     servo: str | None = None,
     threshold_deg: float | None = None,
     threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
-) -> Audit | Audits:
-    """Judge every surface of a log.
+    columns: Mapping[str, str] | None = None,
+) -> Audit | Audits | Fleet:
+    """Judge every surface of a log, or of each log of a folder.
 
     Parameters
     ----------
-    log : str, Path or DataFrame
-        The log; or a table with ``time_s`` (a column, or the index) and, for each surface, ``<surface>_cmd_deg`` and
-        ``<surface>_pos_deg``.
+    log : str, Path, open file, DataFrame or dict of arrays
+        The log; or a folder, pattern or address of many; or a table whose clock is a column (``time_s``, ``t_ms``,
+        dates) or the index, with ``<surface>_cmd_deg`` and ``<surface>_pos_deg`` for each surface.
     aircraft : Aircraft, str or Path, optional
         An aircraft, its file, or the name of one that comes with servofd; what the log itself says if left out.
     servo : str, optional
@@ -267,11 +461,15 @@ def audit(
         Kind of threshold for all surfaces.
     surfaces : tuple of str
         Which to judge; all if empty.
+    columns : mapping of str to str, optional
+        What the columns of a table are, where their names do not say it, as `pandas.DataFrame.rename` takes it:
+        ``{"t": "time_ms", "de": "elevator_cmd_rad", "de_meas": "elevator_pos_rad"}``; units are s, ms, us, ns, and deg,
+        rad, us (of pulse).
 
     Returns
     -------
-    Audit or Audits
-        One result; of a log that holds several runs one for each.
+    Audit, Audits or Fleet
+        One result; of a log that holds several runs one for each; of a folder what its logs say together.
 
     Raises
     ------
@@ -288,9 +486,236 @@ def audit(
     >>> found.to_pandas()[["surface", "status"]].values.tolist()
     [['elevator', 'fault'], ['rudder', 'healthy']]
     """
-    job = Job(known_aircraft(aircraft), servo, threshold_deg, threshold, surfaces)
+    if threshold not in (None, "constant", "interval"):
+        raise ConfigError(f"threshold is 'constant' or 'interval'; a level in degrees is threshold_deg={threshold}")
+    known = known_aircraft(aircraft)
+    if columns is not None:
+        if known is not None:
+            raise ConfigError("columns and aircraft both say what the columns are; give one of them")
+        if is_table(log):
+            log, columns = as_described(frame_of(log), columns)
+        known = aircraft_of_columns(columns)
+    names = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
+    job = Job(known, servo, threshold_deg, threshold, names)
+    if isinstance(log, str | Path) and not is_plain_file(str(log)):
+        return _fleet_of([str(log)], job)
     found = [Audit._of(result) for result in workflow.audit(log, job)]
     return found[0] if len(found) == 1 else Audits(found)
+
+
+class Fleet(Overview, Shown):
+    """What many logs say together."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    def report(self) -> Document:
+        """Flights, the worst first, then surfaces and faults."""
+        return fleet_report(self.document())
+
+    def _rows(self) -> list[dict[str, Any]]:
+        names = ("path", "run", "status", "sentence", "start_utc", "duration_s", "surface")
+        rows = [{name: flight[name] for name in names} for flight in self.flights]
+        return [{"flight": flight_name(row)} | {k: v for k, v in row.items() if k != "run"} for row in rows]
+
+
+def _fleet_of(inputs: list[str], job: Job) -> Fleet:
+    """Judge all logs of some folders side by side; a bar shows how far it is."""
+    from rich.console import Console
+    from rich.progress import track
+
+    logs = find_logs(inputs, layout_of(job.aircraft)).logs
+    bar = Console(stderr=True)
+    judged = track(
+        audit_fleet(logs, job),
+        f"{len(logs)} logs",
+        len(logs),
+        console=bar,
+        transient=True,
+        disable=not _is_watched(bar),
+    )
+    return Fleet._of(overview(by_path([run.row | {"content": one.content} for one in judged for run in one.runs])))
+
+
+def _is_watched(console: Console) -> bool:
+    return console.is_terminal or console.is_jupyter
+
+
+@_in_words_of_python
+def fleet(folder: str | Path, aircraft: Aircraft | str | Path | None = None, *, servo: str | None = None) -> Fleet:
+    """What the logs of a folder say together.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Results of ``servofd audit LOGS/ -o FOLDER``, which are read; or logs, which are judged.
+    aircraft, servo
+        As for `audit`, of logs.
+
+    Examples
+    --------
+    >>> fleet("sample_logs/faser_stuck_flight.ma?", servo="hs225bb-eq31").statuses
+    {'fault': 1}
+    """
+    if (Path(folder) / META_FILE).is_file():
+        return Fleet._of(overview(read_logs(Path(folder))))
+    return _fleet_of([str(folder)], Job(known_aircraft(aircraft), servo))
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Comparison(Shown):
+    """Two flights beside each other."""
+
+    first: Audit
+    second: Audit
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Of both flights."""
+        return _name(self.first.log), _name(self.second.log)
+
+    def report(self) -> Document:
+        """Verdicts of the same surfaces beside each other, and their curves over each other."""
+        documents = [one.to_dict() for one in (self.first, self.second)]
+        return compare_report(self.names, documents, parts=[charts(self._both(), self.names, (0.0, 0.0))])
+
+    def plot(self, surface: str | None = None, at_s: tuple[float, float] = (0.0, 0.0)) -> Figure:
+        """Figure of one surface in both flights, the first if none is named; `at_s` of each lies at 0 [s]."""
+        needs("matplotlib")
+        both = self._both()
+        if surface is not None and surface not in both:
+            raise UnknownName(suggest("surface of both flights", surface, both))
+        for name in [surface] if surface else both:
+            chart = overlaid(name, both[name], self.names, at_s)
+            if chart is not None:
+                return chart_figure(chart)
+        raise NoMeasurement("no surface was judged in both flights")
+
+    def _both(self) -> dict[str, tuple[SurfaceAudit, SurfaceAudit]]:
+        others = {one.surface: one for one in self.second.surfaces}
+        return {one.surface: (one, others[one.surface]) for one in self.first.surfaces if one.surface in others}
+
+    def _rows(self) -> list[dict[str, Any]]:
+        rows = []
+        for name, entries in self.report().data["surfaces"].items():
+            statuses = [entry["status"] if entry else None for entry in entries]
+            sizes = [(entry or {}).get("residual") for entry in entries]
+            first, second = (size["max_abs_deg"] if size else None for size in sizes)
+            rows.append(
+                {
+                    "surface": name,
+                    "status_a": statuses[0],
+                    "status_b": statuses[1],
+                    "max_abs_deg_a": first,
+                    "max_abs_deg_b": second,
+                    "max_abs_deg_difference": None if first is None or second is None else first - second,
+                }
+            )
+        return rows
+
+
+def _name(log: FlightLog) -> str:
+    return log.source.name + (f" (run {log.run})" if log.run else "")
+
+
+def compare(first: Audit, second: Audit) -> Comparison:
+    """Two flights beside each other, surface by surface; ``first - second`` is the same.
+
+    Examples
+    --------
+    >>> flights = ["sample_logs/faser_healthy_flight.mat", "sample_logs/faser_stuck_flight.mat"]
+    >>> compare(*(audit(log, surfaces=("elevator",)) for log in flights)).sentence
+    'Elevator differs.'
+    """
+    return Comparison(first, second)
+
+
+@_in_words_of_python
+def load(
+    log: Log, aircraft: Aircraft | str | Path | None = None, *, columns: Mapping[str, str] | None = None
+) -> FlightLog | tuple[FlightLog, ...]:
+    """Channels of a log, as whatever is judged would read them; of a log with several runs one for each.
+
+    Examples
+    --------
+    >>> load("sample_logs/faser_stuck_flight.mat")["de_pos"].unit
+    'rad_or_count'
+    """
+    if columns is not None:
+        if is_table(log):
+            log, columns = as_described(frame_of(log), columns)
+        aircraft = aircraft_of_columns(columns)
+    found = tuple(logs_of(log, known_aircraft(aircraft)))
+    return found[0] if len(found) == 1 else found
+
+
+class Flown(SimulatedFlight):
+    """A simulated flight, which is a log for every verb."""
+
+    __slots__ = ()
+
+    def to_pandas(self) -> pd.DataFrame:
+        """As a plain table: time, and command and measured position of each surface [deg]."""
+        needs("pandas")
+        import pandas as pd
+
+        columns = {"time_s": self.time_s}
+        for k, name in enumerate(self.surfaces):
+            columns |= {f"{name}_cmd_deg": self.command_deg[:, k], f"{name}_pos_deg": self.measured_deg[:, k]}
+        return pd.DataFrame(columns)
+
+    def __repr__(self) -> str:
+        return f"Flown: {', '.join(self.surfaces)}, {self.time_s[-1]:.1f} s"
+
+
+@_in_words_of_python
+def simulate(
+    output: str | Path | None = None,
+    aircraft: Aircraft | str | Path | None = None,
+    *,
+    servo: str | None = None,
+    command: str = "flight",
+    duration_s: float = 60.0,
+    rate_hz: float | None = None,
+    seed: int = 0,
+    fault: str | Sequence[str] = (),
+    effect: str | Sequence[str] = (),
+    noise_deg: float = 0.1,
+) -> Flown:
+    """Fly an aircraft whose faults are known, and write its log if `output` names a file.
+
+    Parameters
+    ----------
+    output : str or Path, optional
+        Log to write: ``.csv``, ``.mat``, ``.bin``, ``.tlog`` or ``.ulg``.
+    aircraft, servo
+        As for `audit`; three surfaces of one servo if left out.
+    command : {"flight", "chirp", "steps", "doublets"}
+        What is asked of the surfaces.
+    duration_s, rate_hz : float
+        Length [s], and sample rate [Hz].
+    seed : int
+        The same seed gives the same flight.
+    fault, effect : str or sequence of str
+        ``"elevator:stuck@30"``, ``"elevator:delay:delay_s=0.02"``.
+    noise_deg : float
+        Standard deviation of noise on what is measured [deg].
+
+    Examples
+    --------
+    >>> flown = simulate(duration_s=40.0, fault="rudder:stuck@20", seed=1)
+    >>> audit(flown, servo="hs225bb-eq31").rudder.faults[0].kind
+    'stuck'
+    """
+    made = simulated(
+        output, aircraft, servo=servo, command=command, duration_s=duration_s, rate_hz=rate_hz, seed=seed,
+        fault=_several(fault), effect=_several(effect), noise_deg=noise_deg,
+    )  # fmt: skip
+    return Flown(**_fields(made.flight))
+
+
+def _several(texts: str | Sequence[str]) -> Sequence[str]:
+    return (texts,) if isinstance(texts, str) else texts
 
 
 class Identified(Identification, Shown):
@@ -324,6 +749,10 @@ class Explained(Shown):
     aircraft: Aircraft
     source: str
     logs: tuple[FlightLog, ...]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        logs = [_plain(log, log.channels) for log in self.logs]
+        return _explained_of, (self.explanation, self.aircraft, self.source, logs)
 
     @property
     def answer(self) -> str:
@@ -366,8 +795,13 @@ class Explained(Shown):
         return [first, *steps]
 
 
+def _explained_of(explanation: Explanation, aircraft: Aircraft, source: str, logs: list[dict[str, Any]]) -> Explained:
+    return Explained(explanation, aircraft, source, tuple(FlightLog(**log) for log in logs))
+
+
+@_in_words_of_python
 def explain(
-    logs: str | Path | pd.DataFrame | Sequence[str | Path | pd.DataFrame],
+    logs: Log | Sequence[Log],
     aircraft: str | Path | Aircraft | None = None,
     *,
     surface: str | None = None,

@@ -14,16 +14,16 @@ from servofd.cli.terminal import complain, give_json, one_line, print_document, 
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import layout_of
-from servofd.fleet.overview import Overview, log_status, overview
-from servofd.fleet.run import audit_fleet
-from servofd.fleet.store import FleetStore, by_path, read_logs
+from servofd.fleets.overview import Overview, log_status, overview
+from servofd.fleets.run import audit_fleet
+from servofd.fleets.store import FleetStore, by_path, read_logs
 from servofd.outputs.fleet_report import fleet_report, flight_name
 
 if TYPE_CHECKING:
     from servofd.batch.find import Found, LogSource
     from servofd.batch.key import Job
     from servofd.cli.options import Options
-    from servofd.fleet.run import JudgedLog
+    from servofd.fleets.run import JudgedLog
 
 _SHOWN = 3
 

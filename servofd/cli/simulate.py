@@ -6,41 +6,32 @@ import dataclasses
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from logparsers.codec import Codec
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
-from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft, plain_aircraft
 from servofd.cli.terminal import complain
-from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
+from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.files import write_whole
+from servofd.jobs.simulating import simulated
 from servofd.live.threads import signature_of
-from servofd.servo.catalogue import effect_of
-from servofd.servo.faults import FAULTS, in_order
-from servofd.servo.library import servo_named
 from servofd.simulation.airframe import AirframeFault, fly_airframe
 from servofd.simulation.airframe_log import airframe_log
 from servofd.simulation.ardupilot import rate_hz as rate_of
-from servofd.simulation.flight import simulate_flight
-from servofd.simulation.pulses import outputs_of
 from servofd.simulation.vehicle.fly import fly, legs
 from servofd.simulation.vehicle.troubles import TROUBLES, Air
 from servofd.simulation.vehicle.vehicle import Settings
-from servofd.simulation.writers import write_flight, writer_for
+from servofd.simulation.words import numbers_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
-    from servofd.servo.effect import Effect
-    from servofd.servo.faults import Fault
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.troubles import Trouble
 
 _LOOP_HZ = 50.0
-_LIVE_S = 600.0
+_FILE_S, _LIVE_S = 60.0, 600.0
 _AIRFRAME_S, _STORM = 180.0, 10.0
 _MOST_CLOCK_S = 1e7
 _OF_STREAM = (
@@ -48,8 +39,6 @@ _OF_STREAM = (
     *("mavlink1", "signing_key", "clock_s", "trouble"),
 )
 """Options of a live link, which make no sense for a file."""
-
-_Made = TypeVar("_Made")
 
 
 def run(options: Options) -> int:
@@ -61,49 +50,31 @@ def run(options: Options) -> int:
         for name in _OF_STREAM:
             if getattr(options, name) is not None:
                 raise ConfigError(f"--{name.replace('_', '-')} belongs to --stream; {options.output} is a file")
-        writer = writer_for(options.output, options.generation)
-    elif options.generation is None:
-        writer = None
-    else:
+    elif options.generation is not None:
         raise ConfigError("--generation: a generation of servo telemetry belongs to a .bin log, and to that alone")
-    usual_hz, usual_s = (writer.rate_hz, 60.0) if writer else (_LOOP_HZ, _LIVE_S)
-    rate_hz = usual_hz if options.rate_hz is None else options.rate_hz
-    duration_s = usual_s if options.duration is None else options.duration
-    servo = None if options.servo == UNKNOWN_SERVO else options.servo
-    if servo is not None:
-        servo_named(servo)
-    if options.seed < 0:
-        raise ConfigError(f"--seed {options.seed}: give a whole number of zero or more")
-    shipped = "faser" if writer and Path(options.output).suffix.lower() == ".mat" else None
-    config = options.config or shipped
-    surfaces = ("elevator", "aileron", "rudder")
-    simulated = next(iter(load_aircraft("simulated").surfaces.values()))
-    aircraft = load_aircraft(config) if config else plain_aircraft(surfaces, simulated.servo)
-    if servo is not None:
-        aircraft = aircraft.with_servo(servo)
-    effects: dict[str, list[Effect]] = {}
-    for text in options.effect:
-        surface, effect = _effect(text)
-        effects.setdefault(surface, []).append(effect)
-    flown = simulate_flight(
-        aircraft,
+    streamed = options.stream is not None
+    duration_s = options.duration if options.duration is not None else _LIVE_S if streamed else _FILE_S
+    made = simulated(
+        None if streamed else options.output,
+        options.config,
+        servo=options.servo,
         command=options.command,
         duration_s=duration_s,
-        rate_hz=rate_hz,
+        rate_hz=_LOOP_HZ if streamed and options.rate_hz is None else options.rate_hz,
         seed=options.seed,
-        faults=_faults(options.fault, duration_s),
-        effects=effects,
+        fault=options.fault,
+        effect=options.effect,
         noise_deg=options.noise_deg,
-        outputs=outputs_of(aircraft) if writer is None or writer.pulses else (),
+        generation=options.generation,
+        pulses=streamed,
     )
-    if writer is None:
-        if flown.context.logged:
+    if streamed:
+        if made.flight.context.logged:
             raise ConfigError(
                 "--stream: an effect depends on the air or the supply, which a stream does not tell: use -o"
             )
-        return _stream(options, flown, aircraft)
-    write_flight(options.output, flown, aircraft, generation=options.generation)
-    print(f"{options.output}: {duration_s:g} s at {rate_hz:g} Hz, {', '.join(flown.surfaces)}")
+        return _stream(options, made.flight, made.aircraft)
+    print(f"{options.output}: {duration_s:g} s at {made.rate_hz:g} Hz, {', '.join(made.flight.surfaces)}")
     return 0
 
 
@@ -123,7 +94,7 @@ def _run_airframe(options: Options) -> int:
         surface, _, rest = text.partition(":")
         what, *pairs = rest.split(":")
         kind, at, start = what.partition("@")
-        values = _numbers(f"--fault {text}", [f"start_s={start}", *pairs]) if at else {}
+        values = numbers_of(f"--fault {text}", [f"start_s={start}", *pairs]) if at else {}
         if set(values) - {"end_s"} != {"start_s", "value"}:
             raise ConfigError(
                 f"--fault {text}: write SURFACE:KIND@START:value=X, for example elevator:stuck@60:value=-2"
@@ -140,80 +111,6 @@ def _run_airframe(options: Options) -> int:
     write_whole(options.output, airframe_log(flight))
     print(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.mixer.names)}, no feedback")
     return 0
-
-
-def _faults(texts: list[str], duration_s: float) -> dict[str, tuple[Fault, ...]]:
-    """Faults of each surface, within the flight and one at a time."""
-    faults: dict[str, tuple[Fault, ...]] = {}
-    for text in texts:
-        surface, fault = _fault(text)
-        if not 0.0 <= fault.start_s < duration_s:
-            raise ConfigError(
-                f"--fault {text}: starts at {fault.start_s:g} s, the flight lasts from 0 to {duration_s:g} s"
-            )
-        try:
-            faults[surface] = in_order([*faults.get(surface, ()), fault])
-        except ConfigError as error:
-            raise ConfigError(f"--fault {text}: {error}") from None
-    return faults
-
-
-def _fault(text: str) -> tuple[str, Fault]:
-    """Read ``surface:kind@start:key=value``."""
-    surface, _, rest = text.partition(":")
-    what, *pairs = rest.split(":")
-    kind, at, start = what.partition("@")
-    if not (surface and at):
-        raise ConfigError(f"--fault {text}: write SURFACE:KIND@START, for example elevator:stuck@20")
-    if kind not in FAULTS:
-        raise UnknownName(f"--fault {text}: {suggest('fault', kind, FAULTS)}")
-    if any(pair.startswith("start_s=") for pair in pairs):
-        raise ConfigError(f"--fault {text}: the time stands after the @, not in start_s")
-    values = _numbers(f"--fault {text}", [f"start_s={start}", *pairs])
-    fault: Fault = _made(FAULTS[kind], values, f"--fault {text}")
-    return surface, fault
-
-
-def _effect(text: str) -> tuple[str, Effect]:
-    """Read ``surface:effect:key=value``."""
-    where = f"--effect {text}"
-    surface, _, rest = text.partition(":")
-    name, *pairs = rest.split(":")
-    if not (surface and name):
-        raise ConfigError(f"{where}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
-    forms = [pair for pair in pairs if pair.startswith("form=")]
-    values: dict[str, float | str] = dict(_numbers(where, [pair for pair in pairs if pair not in forms]))
-    if forms:
-        values["form"] = forms[-1].removeprefix("form=")
-    try:
-        return surface, effect_of(name, values)
-    except ServofdError as error:
-        raise ConfigError(f"{where}: {error}") from None
-
-
-def _numbers(where: str, pairs: list[str]) -> dict[str, float]:
-    values = {}
-    for pair in pairs:
-        key, _, number = pair.partition("=")
-        try:
-            values[key] = float(number)
-        except ValueError:
-            raise ConfigError(f"{where}: {pair!r} is not KEY=NUMBER") from None
-        if not math.isfinite(values[key]):
-            raise ConfigError(f"{where}: {pair!r} is not finite")
-    return values
-
-
-def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _Made:
-    """Instance of a small dataclass from its numbers."""
-    fields = {f.name: f for f in dataclasses.fields(kind) if f.init}  # type: ignore[arg-type]
-    required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}
-    if set(values) - set(fields) or required - set(values):
-        raise ConfigError(f"{where}: takes {', '.join(fields)}; {', '.join(sorted(required))} must be given")
-    try:
-        return kind(**values)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
 
 
 def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> int:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import io
-from collections.abc import Sequence
-from os import PathLike
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import logparsers
 from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft, plain_channels
 from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
+from servofd.feedback.tables import log_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog, LogFile
 
-    Log = LogFile | pd.DataFrame
+    Log = LogFile | TextIO | pd.DataFrame | Mapping[str, Any]
 
 
 _BENCH = ("cmd", "meas")
@@ -51,16 +50,7 @@ def log_files(logs: Log | Sequence[Log]) -> list[LogFile]:
     each: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not each:
         raise NoMeasurement("no log was named; give at least one")
-    return [log if isinstance(log, str | PathLike) or hasattr(log, "read") else _table_file(log) for log in each]
-
-
-def _table_file(table: pd.DataFrame) -> LogFile:
-    if not hasattr(table, "to_csv"):
-        raise TypeError(f"a log is a path or a DataFrame, and not of type {type(table).__name__}")
-    table = table.reset_index() if table.index.name == "time_s" else table
-    content = io.BytesIO(table.to_csv(index=False).encode())
-    content.name = "DataFrame"
-    return content
+    return [log_file(log) for log in each]
 
 
 def logs_of(logs: Log | Sequence[Log], aircraft: Aircraft | None = None) -> Iterator[FlightLog]:
@@ -68,8 +58,8 @@ def logs_of(logs: Log | Sequence[Log], aircraft: Aircraft | None = None) -> Iter
 
     Parameters
     ----------
-    logs : str, Path, binary file, DataFrame, or sequence of them
-        A table has ``time_s`` (a column, or the index) and the columns of a plain table.
+    logs : str, Path, open file, DataFrame, dict of arrays, or sequence of them
+        A table has a clock (`servofd.feedback.tables.with_clock`) and the columns of a plain table.
     aircraft : Aircraft, optional
         Tells how its tables are to be read.
 

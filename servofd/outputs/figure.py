@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from servofd.core.files import write_whole
 from servofd.outputs.chart import flight_chart, thinned
@@ -12,9 +14,13 @@ from servofd.outputs.palette import COLOURS
 from servofd.outputs.picture import finish, new_figure, saved
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from servofd.detection.verdict import SurfaceAudit
+    from servofd.outputs.chart import Chart
 
 _TITLE_COLUMNS = 130
 _WIDEST = 4000
@@ -33,9 +39,18 @@ def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
 
 def audit_figure(audit: SurfaceAudit) -> Figure:
     """Draw the whole flight of one surface."""
-    chart = flight_chart(audit)
-    figure, all_axes = new_figure(len(chart.panels), height=6.5, width=11.0, ratios=(3, 2))
-    for panel, axes in zip(chart.panels, all_axes, strict=True):
+    return chart_figure(flight_chart(audit))
+
+
+def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+    """Draw a chart of a page, all of it, or into somebody's axes as many of its panels as these are."""
+    if ax is None:
+        figure, all_axes = new_figure(len(chart.panels), height=6.5, width=11.0, ratios=(3, 2)[: len(chart.panels)])
+    else:
+        all_axes = tuple(np.ravel(np.asarray(ax, dtype=object)))
+        figure = cast("Figure", all_axes[0].get_figure(root=True))
+    panels = chart.panels[: len(all_axes)]
+    for panel, axes in zip(panels, all_axes, strict=False):
         for curve in panel.curves:
             time_s, values = thinned(curve.time_s, curve.values, _WIDEST)
             axes.plot(
@@ -56,5 +71,5 @@ def audit_figure(audit: SurfaceAudit) -> Figure:
     for span in chart.spans:
         style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": COLOURS[span.role]}
         upper.text(span.start_s, 1.0, f" {span.label}", transform=upper.get_xaxis_transform(), **style)
-    finish(*all_axes, x="time [s]", y=[f"{panel.title} [{panel.unit}]" for panel in chart.panels])
+    finish(*all_axes[: len(panels)], x="time [s]", y=[f"{panel.title} [{panel.unit}]" for panel in panels])
     return figure

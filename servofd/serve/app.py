@@ -13,10 +13,10 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse
 from starlette.routing import Route
 
+from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
-from servofd.outputs.sentence import spoken
 from servofd.serve.flights import RESULTS, TooLarge
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, RECORDING, progress_in
@@ -136,11 +136,9 @@ class _Routes:
             ]
         except OSError:
             raise HTTPException(409, "One of the two is not judged yet.") from None
-        rows = _compared([_parts(document["logs"]) for document in documents])
-        head: list[str | Cell] = ["surface", *(Cell(one.name, link=f"/flights/{one.id}") for one in flights)]
-        table = Table("The same surfaces and axes in two flights, the worst first", head, rows)
-        names = " and ".join(one.name for one in flights)
-        return _page(Document(names, "no_data", names, parts=[table]))
+        return _page(
+            compare_report([one.name for one in flights], documents, [f"/flights/{one.id}" for one in flights])
+        )
 
     async def viewer(self, request: Request) -> Response:
         name = request.path_params["file"] or "index.html"
@@ -183,39 +181,3 @@ def _rerun_version() -> str:
         return version("rerun-sdk")
     except PackageNotFoundError:
         return "none"
-
-
-_RANKS = ("fault", "suspect", "healthy", "unknown", "no_data", "")
-
-
-def _parts(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Surfaces and axes of a flight by name, each from the run of the log in which it did worst."""
-    found: dict[str, Any] = {}
-    for run in runs:
-        axes = {f"{name} axis": entry for name, entry in run.get("axes", {}).items()}
-        for name, entry in (run["surfaces"] | axes).items():
-            known = found.get(name)
-            if known is None or _RANKS.index(entry["status"]) < _RANKS.index(known["status"]):
-                found[name] = entry
-    return found
-
-
-def _compared(parts: list[dict[str, Any]]) -> list[list[str | Cell]]:
-    """One row for each surface and axis that either flight knows, the worst first."""
-    names = list(dict.fromkeys(name for one in parts for name in one))
-    rows = [(spoken(name), [_entry(one.get(name)) for one in parts]) for name in names]
-    rows.sort(key=lambda row: min(_RANKS.index(one.status) for one in row[1]))
-    return [[name, *cells] for name, cells in rows]
-
-
-def _entry(entry: dict[str, Any] | None) -> Cell:
-    if entry is None:
-        return Cell("not in this flight")
-    residual, numbers = entry.get("residual"), ""  # of an axis its sentence tells all
-    if residual is not None:
-        numbers = (
-            f"largest residual {residual['max_abs_deg']:.2f} deg, mean {residual['mean_deg']:+z.2f}, "
-            f"standard deviation {residual['std_deg']:.2f}"
-        )
-    outline = (residual or entry).get("outline") or ()
-    return Cell(entry["reason"], entry["status"], outline=outline, soft=numbers)

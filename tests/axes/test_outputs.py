@@ -13,8 +13,8 @@ from servofd.aircraft.axes import motion_to_toml
 from servofd.axes.judge import judge_motion
 from servofd.cli import main
 from servofd.core.statistics import Estimate
-from servofd.fleet.overview import overview
-from servofd.fleet.store import read_logs, read_table
+from servofd.fleets.overview import overview
+from servofd.fleets.store import read_logs, read_table
 from servofd.outputs.sentence import axes_sentence
 from tests.axes.flights import flown
 from tests.axes.test_axes import as_table

@@ -41,7 +41,7 @@ def results(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What an audit of all of them leaves; only read."""
     folder = tmp_path_factory.mktemp("results") / "r"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("servofd.fleet.run.run_local", in_line)
+        patch.setattr("servofd.fleets.run.run_local", in_line)
         assert main(["audit", str(logs), "--servo", "hs225bb-eq31", "-o", str(folder)]) == 1
     return folder
 

@@ -16,8 +16,8 @@ from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.cli import main
 from servofd.core.errors import ConfigError
-from servofd.fleet.overview import overview
-from servofd.fleet.store import FleetStore, locked, read_logs
+from servofd.fleets.overview import overview
+from servofd.fleets.store import FleetStore, locked, read_logs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +36,7 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             done.append(item.path)
             yield item, task(item)
 
-    monkeypatch.setattr("servofd.fleet.run.run_local", in_line)
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     return done
 
 
@@ -220,7 +220,7 @@ def test_a_log_that_could_not_be_read_is_tried_again_and_replaced(
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        ('{"schema": "servofd.fleet/9", "job": "x"}', "holds results of the form servofd.fleet/9"),
+        ('{"schema": "servofd.fleets/9", "job": "x"}', "holds results of the form servofd.fleets/9"),
         ("not json", "is not what servofd writes"),
     ],
 )
@@ -263,13 +263,13 @@ def test_the_overview_counts_what_the_logs_say(results: Path, capsys: pytest.Cap
     assert {count.surface: count.kinds for count in seen.surfaces} == {"elevator": {}, "rudder": {"stuck": 1}}
     code, out, _ = run(capsys, "fleet", results, "--json", "-")
     document = json.loads(out)
-    assert (code, document["schema"], len(document["faults"])) == (1, "servofd.fleet/1", 1)
+    assert (code, document["schema"], len(document["faults"])) == (1, "servofd.fleets/1", 1)
 
 
 @pytest.mark.slow
 def test_a_table_has_the_same_columns_whatever_it_holds(tmp_path: Path, logs: Path) -> None:
-    from servofd.fleet.run import judge_log
-    from servofd.fleet.store import TABLES
+    from servofd.fleets.run import judge_log
+    from servofd.fleets.store import TABLES
 
     with FleetStore(tmp_path, Job().key) as store:
         for source in find_logs([str(logs / "flight0.csv"), "no_such.csv"]).logs:
@@ -317,7 +317,7 @@ def test_only_one_audit_writes_to_a_folder(logs: Path, tmp_path: Path, capsys: p
 def test_the_lock_of_a_killed_audit_is_free(tmp_path: Path) -> None:
     program = f"""
 import pathlib, time
-from servofd.fleet.store import locked
+from servofd.fleets.store import locked
 file = locked(pathlib.Path({str(tmp_path)!r}))
 print("mine", flush=True)
 time.sleep(600)

@@ -17,8 +17,8 @@ import pytest
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.cli import main
-from servofd.fleet.run import audit_fleet
-from servofd.fleet.store import TABLES, rows
+from servofd.fleets.run import audit_fleet
+from servofd.fleets.store import TABLES, rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -104,7 +104,7 @@ def test_an_end_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(
     for k in range(8):  # a blank line more each: other bytes, the same flight
         (many / f"flight{k}.csv").write_bytes((logs / "flight0.csv").read_bytes() + b"\n" * k)
     at_once = (
-        "import servofd.fleet.store; servofd.fleet.store._SECONDS_PER_PART = 0.0\n" if end == signal.SIGKILL else ""
+        "import servofd.fleets.store; servofd.fleets.store._SECONDS_PER_PART = 0.0\n" if end == signal.SIGKILL else ""
     )
     command = [sys.executable, "-c", at_once + _MAIN, "audit", str(many), "-o", str(tmp_path / "r"), "--workers", "1"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}

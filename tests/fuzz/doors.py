@@ -27,8 +27,8 @@ from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.cli import main
 from servofd.core.errors import ServofdError
-from servofd.fleet.overview import overview
-from servofd.fleet.store import FleetStore, read_logs
+from servofd.fleets.overview import overview
+from servofd.fleets.store import FleetStore, read_logs
 from servofd.live.session import Session
 from servofd.outputs.fleet_report import fleet_report
 from servofd.outputs.json_report import audit_document, to_json

@@ -22,8 +22,8 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.feedback.draft import draft_aircraft, draft_to_toml
-from servofd.fleet.run import audit_fleet
-from servofd.fleet.store import FleetStore
+from servofd.fleets.run import audit_fleet
+from servofd.fleets.store import FleetStore
 from servofd.outputs.recording.scene import ATTITUDE, send_context
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.surface import send_surface

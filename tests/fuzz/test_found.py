@@ -25,7 +25,7 @@ from servofd.core.errors import ConfigError, RecordingError
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.verdict import Statistics
 from servofd.feedback.draft import draft_aircraft
-from servofd.fleet.store import FleetStore, read_table
+from servofd.fleets.store import FleetStore, read_table
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
 from servofd.outputs.recording.content import Trace

@@ -6,7 +6,7 @@ import html
 import re
 from pathlib import Path
 
-from servofd.fleet.overview import overview
+from servofd.fleets.overview import overview
 from servofd.outputs.fleet_report import fleet_report
 from servofd.outputs.page import html_page
 

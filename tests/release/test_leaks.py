@@ -13,7 +13,7 @@ import pytest
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
 from servofd.cli import main
-from servofd.fleet.run import audit_fleet
+from servofd.fleets.run import audit_fleet
 from tests.fuzz.seeds import drafted
 from tests.live.vehicles import free_port, plane_file
 
@@ -117,7 +117,7 @@ def test_fleets_in_processes() -> None:
 @pytest.mark.nightly
 def test_fleets_kept_in_a_folder(flight: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "servofd.fleet.run.run_local", lambda task, items, _workers: ((item, task(item)) for item in items)
+        "servofd.fleets.run.run_local", lambda task, items, _workers: ((item, task(item)) for item in items)
     )
     path = flight(".csv")
     leaves_nothing(lambda: main(["audit", path, "--workers", "1", "-o", str(tmp_path / "results")]))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from servofd.batch.find import LogSource
-    from servofd.fleet.run import JudgedLog
+    from servofd.fleets.run import JudgedLog
 
 _LOG = {"content": "string", "path": "string", "run": "string", "start_utc": "time"}
 TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
@@ -176,7 +176,7 @@ def _fault(fault: dict[str, Any], level: str) -> dict[str, Any]:
     }
 
 
-_SCHEMA = "servofd.fleet/1"
+_SCHEMA = "servofd.fleets/1"
 _EARLIER = "earlier"
 _KEY = re.compile(r"\w+")  # it names a folder
 _LOGS_PER_PART = 64

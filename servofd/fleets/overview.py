@@ -76,8 +76,8 @@ class Overview:
         return 2 if self.not_judged or not self.logs else 0
 
     def document(self) -> dict[str, Any]:
-        """As plain dictionaries and lists, schema servofd.fleet/1."""
-        return {"schema": "servofd.fleet/1", **asdict(self)}
+        """As plain dictionaries and lists, schema servofd.fleets/1."""
+        return {"schema": "servofd.fleets/1", **asdict(self)}
 
 
 def overview(logs: Sequence[dict[str, Any]]) -> Overview:

@@ -1,0 +1,115 @@
+"""Faults and effects of a simulation as a user writes them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, TypeVar
+
+from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
+from servofd.servo.catalogue import effect_of
+from servofd.servo.faults import FAULTS, in_order
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from servofd.servo.effect import Effect
+    from servofd.servo.faults import Fault
+
+_Made = TypeVar("_Made")
+
+
+def effects_of(texts: Sequence[str]) -> dict[str, list[Effect]]:
+    """Effects of each surface, from ``SURFACE:EFFECT[:KEY=VALUE...]``.
+
+    Examples
+    --------
+    >>> effects_of(["elevator:delay:delay_s=0.02"])
+    {'elevator': [Delay(0.02)]}
+    """
+    effects: dict[str, list[Effect]] = {}
+    for text in texts:
+        surface, effect = _effect(text)
+        effects.setdefault(surface, []).append(effect)
+    return effects
+
+
+def faults_of(texts: Sequence[str], duration_s: float) -> dict[str, tuple[Fault, ...]]:
+    """Faults of each surface, within the flight and one at a time, from ``SURFACE:KIND@START[:KEY=VALUE...]``.
+
+    Examples
+    --------
+    >>> faults_of(["elevator:stuck@20"], 60.0)
+    {'elevator': (Stuck(start_s=20.0, end_s=inf, position_deg=None),)}
+    """
+    faults: dict[str, tuple[Fault, ...]] = {}
+    for text in texts:
+        surface, fault = _fault(text)
+        if not 0.0 <= fault.start_s < duration_s:
+            raise ConfigError(
+                f"--fault {text}: starts at {fault.start_s:g} s, the flight lasts from 0 to {duration_s:g} s"
+            )
+        try:
+            faults[surface] = in_order([*faults.get(surface, ()), fault])
+        except ConfigError as error:
+            raise ConfigError(f"--fault {text}: {error}") from None
+    return faults
+
+
+def _fault(text: str) -> tuple[str, Fault]:
+    """Read ``surface:kind@start:key=value``."""
+    surface, _, rest = text.partition(":")
+    what, *pairs = rest.split(":")
+    kind, at, start = what.partition("@")
+    if not (surface and at):
+        raise ConfigError(f"--fault {text}: write SURFACE:KIND@START, for example elevator:stuck@20")
+    if kind not in FAULTS:
+        raise UnknownName(f"--fault {text}: {suggest('fault', kind, FAULTS)}")
+    if any(pair.startswith("start_s=") for pair in pairs):
+        raise ConfigError(f"--fault {text}: the time stands after the @, not in start_s")
+    values = numbers_of(f"--fault {text}", [f"start_s={start}", *pairs])
+    fault: Fault = _made(FAULTS[kind], values, f"--fault {text}")
+    return surface, fault
+
+
+def _effect(text: str) -> tuple[str, Effect]:
+    """Read ``surface:effect:key=value``."""
+    where = f"--effect {text}"
+    surface, _, rest = text.partition(":")
+    name, *pairs = rest.split(":")
+    if not (surface and name):
+        raise ConfigError(f"{where}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
+    forms = [pair for pair in pairs if pair.startswith("form=")]
+    values: dict[str, float | str] = dict(numbers_of(where, [pair for pair in pairs if pair not in forms]))
+    if forms:
+        values["form"] = forms[-1].removeprefix("form=")
+    try:
+        return surface, effect_of(name, values)
+    except ServofdError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def numbers_of(where: str, pairs: Sequence[str]) -> dict[str, float]:
+    """Values of ``KEY=NUMBER``; `where` begins what is said of one that is none."""
+    values = {}
+    for pair in pairs:
+        key, _, number = pair.partition("=")
+        try:
+            values[key] = float(number)
+        except ValueError:
+            raise ConfigError(f"{where}: {pair!r} is not KEY=NUMBER") from None
+        if not math.isfinite(values[key]):
+            raise ConfigError(f"{where}: {pair!r} is not finite")
+    return values
+
+
+def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _Made:
+    """Instance of a small dataclass from its numbers."""
+    fields = {f.name: f for f in dataclasses.fields(kind) if f.init}  # type: ignore[arg-type]
+    required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}
+    if set(values) - set(fields) or required - set(values):
+        raise ConfigError(f"{where}: takes {', '.join(fields)}; {', '.join(sorted(required))} must be given")
+    try:
+        return kind(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
