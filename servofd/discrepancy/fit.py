@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.core.statistics import bounded_step
+from servofd.core.fitting import bounded_step
 from servofd.core.types import FloatArray, IntArray
 from servofd.discrepancy.noise import (
     COARSE_STEP_DEG,

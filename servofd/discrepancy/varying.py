@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.statistics import descended, deviations
+from servofd.core.fitting import Noise, Problem, fit
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
 from servofd.servo.catalogue import ALIKE, FEWEST_RUNS, is_law, law_of
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _LEAST_SHARE, _SIGMAS = 0.5, 3.0
 """Of the value that is common to all runs, the least that a run may have, and the inverse of the most; a run tells its
 own if it is so many standard deviations from both."""
-_STEP_SHARE, _EVALUATIONS = 0.02, 15
+_STEP_SHARE, _STEPS = 0.02, 15
 _LEAST_DETERMINED, _LEAST_GAIN = 0.7, 0.8
 """Share of the spread of the values that the line tells, and of the error of held-out runs that it may leave."""
 _LEAST_CHANGE = 0.05
@@ -186,15 +186,10 @@ def _own_value(selection: Selection, run: Record, index: int, parameter: Paramet
     def error_deg(x: FloatArray) -> FloatArray:
         return _error_deg(selection, run, index, float(x[0]))
 
-    def slopes(x: FloatArray) -> FloatArray:
-        there = x + (step if x[0] + step < high else -step)
-        slope: FloatArray = ((error_deg(there) - error_deg(x)) / (there - x))[:, None]
-        return slope
-
     bounds = np.array([low]), np.array([high])
-    found, slope = descended(error_deg, slopes, np.array([common]), bounds, evaluations=_EVALUATIONS)
-    left_deg, value = error_deg(found), float(found[0])
-    surely = _SIGMAS * float(deviations(slope, left_deg, long_run_factor(left_deg))[0])
+    found = fit(Problem.free(error_deg, bounds, Noise(), step), np.array([common]), steps=_STEPS)
+    value = float(found.x[0])
+    surely = _SIGMAS * float(np.sqrt(found.covariance(long_run_factor(found.error))[0, 0]))
     return value if value - low > surely and high - value > surely else float("nan")
 
 

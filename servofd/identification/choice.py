@@ -159,8 +159,8 @@ _CHANCE = 6.63
 """Quantile of chi squared at 1 %: by so much chance alone improves twice the logarithm of the likelihood."""
 _BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S = (2.0, 4.0, 8.0, 16.0), (0.7, 1.6), (0.0, 0.02, 0.05)
 _STARTS = 2
-_FEW, _MANY = 8, 60
-"""Simulations of a descent that shall only show whether the start was a good one, and of the last one."""
+_FEW, _MANY = 16, 120
+"""Steps of a descent that shall only show whether the start was a good one, and of the last one."""
 _DEAD_BAND_SHARES = (0.02, 0.04)
 """Of the range of motion, where the search for a dead band begins."""
 
@@ -239,10 +239,10 @@ def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None, 
         if best.is_white:
             other = _best_of(runs, [start, *(replace(start, linear=shape) for shape in _grid(n))])
         else:
-            other = fit_motion(runs, start, evaluations=_FEW)
+            other = fit_motion(runs, start, steps=_FEW)
         if other.bic < best.bic and (best.is_white or other.rms_deg < _WORTH * best.rms_deg):
             best = other
-    return _without_needless(runs, fit_motion(runs, best.servo, evaluations=_MANY))
+    return _without_needless(runs, fit_motion(runs, best.servo, steps=_MANY))
 
 
 def _without_needless(runs: Sequence[Run], fit: MotionFit) -> MotionFit:
@@ -265,7 +265,7 @@ def _better(old: MotionFit, new: MotionFit) -> MotionFit:
 def _best_of(runs: Sequence[Run], starts: Sequence[ServoCandidate]) -> MotionFit:
     """Fit from the few most promising of many starts."""
     scored = sorted(starts, key=lambda start: _score(runs, start))
-    rough = [fit_motion(runs, start, evaluations=_FEW) for start in scored[:_STARTS]]
+    rough = [fit_motion(runs, start, steps=_FEW) for start in scored[:_STARTS]]
     return fit_motion(runs, min(rough, key=lambda fit: fit.rms_deg).servo)
 
 

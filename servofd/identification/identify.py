@@ -121,7 +121,7 @@ def identify(
     if unity is not None:
         fit = unity
         notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
-    final = _with_rates(fit, limits, notes)
+    final = _with_rates(fit.servo, limits, notes)
     parts, offsets = evaluated(tests.runs, final)
     choice = Choice(free, choice.further if free is choice.fit else None)
     intervals = intervals_of(tests.fitted(free), choice, final, limits)
@@ -314,9 +314,8 @@ def _with_effects(tests: _Tests, linear: MotionFit, order: int | None) -> tuple[
     return fit, rate_limits(tests.runs, fit.servo.linear)
 
 
-def _with_rates(fit: MotionFit, limits: RateLimits, notes: list[str]) -> ServoCandidate:
+def _with_rates(servo: ServoCandidate, limits: RateLimits, notes: list[str]) -> ServoCandidate:
     """The servo with the rate limits of its steps, unless the motion gave them already."""
-    servo = fit.servo
     if servo.rate_up_deg_s is not None:
         return servo
     up, down = limits.up or limits.down, limits.down or limits.up
@@ -337,8 +336,7 @@ def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Series]]) -
         notes.append(f"phase asks for a delay of {1e3 * linear.delay_s:.2f} ms: set to 0")
         linear = replace(linear, delay_s=0.0)
     limits = rate_limits(tests.runs, linear)
-    fit = MotionFit(ServoCandidate(linear), np.zeros(1), (), np.zeros((order + 2, order + 2)))
-    servo = _with_rates(fit, limits, notes)
+    servo = _with_rates(ServoCandidate(linear), limits, notes)
     errors, offsets = evaluated(tests.runs, servo)
     rates = (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down))
     return Identification(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.errors import DesignError, IdentificationError
-from servofd.core.statistics import Estimate, descended, memory
+from servofd.core.fitting import Noise, Problem, fit
+from servofd.core.statistics import Estimate, memory
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.loops import play
@@ -17,6 +19,7 @@ from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
+    from servofd.core.fitting import Solution
     from servofd.core.types import ComplexArray, FloatArray
     from servofd.identification.records import Run
 
@@ -123,8 +126,6 @@ def shape_bounds(order: int, sample_time_s: float) -> tuple[FloatArray, FloatArr
 
 _OUT_OF_REACH_DEG = 1e4
 _DEVIATION_LAGS = 20
-_SMALLEST_SHARE, _SMALLEST = 1e-12, 1e-100
-"""Singular values below are as good as zero; the second keeps the inverse within the range of numbers."""
 _WHITE = 1.6
 """Von Neumann's ratio above which the errors are as good as noise (2 for white noise)."""
 _PARTS, _COMMON = 8, 3.5
@@ -198,7 +199,7 @@ class ServoCandidate:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class MotionFit:
     """A servo fitted to its motion."""
 
@@ -207,8 +208,18 @@ class MotionFit:
     """Of the measurement, one for each servo, shape (servos,)."""
     errors_deg: tuple[FloatArray, ...]
     """Measured minus simulated position of each run [deg]."""
-    covariance: FloatArray
+    found: Solution
     """Of `servo.vector()`."""
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Of `servo.vector()`; larger by the memory of the errors, if they have any.
+
+        Errors with a memory also come from what is not in the model, which no average makes smaller: then what each of
+        `_PARTS` parts of the tests alone would change counts in full, and for what they have in common.
+        """
+        parts = [] if self.is_white else np.array_split(np.arange(self.found.error.size), _PARTS)
+        return self.found.covariance(memory(self.errors_deg, _DEVIATION_LAGS), parts, _COMMON * _PARTS**0.5)
 
     @property
     def rms_deg(self) -> float:
@@ -219,7 +230,7 @@ class MotionFit:
     def bic(self) -> float:
         """Bayesian information criterion: a further parameter must pay for itself."""
         count = int(np.concatenate(self.errors_deg).size)
-        parameters = int(self.covariance.shape[0] + self.offsets_deg.size)
+        parameters = int(self.found.x.size + self.offsets_deg.size)
         return 2.0 * count * float(np.log(max(self.rms_deg, 1e-12))) + parameters * float(np.log(count))
 
     @property
@@ -248,7 +259,7 @@ class MotionFit:
         return Estimate.of(value, float(np.sqrt(max(variance, 0.0))))
 
 
-def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int = 30) -> MotionFit:
+def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, steps: int = 60) -> MotionFit:
     """Fit a servo to all runs at once: least squares of measured minus simulated position.
 
     The mean error of each servo is its offset. The covariance takes the memory of the errors into account, so that
@@ -256,22 +267,14 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, evaluations: int =
     """
     lower, upper = _bounds(runs, start)
     kinked = start.dead_band_deg is not None or start.rate_up_deg_s is not None
-    step = _KINKED_STEP if kinked else _SMOOTH_STEP
 
-    def errors(x: FloatArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
-        return evaluated(runs, start.with_vector(x))
+    def errors(x: FloatArray) -> FloatArray:
+        return np.concatenate(evaluated(runs, start.with_vector(x))[0])
 
-    def joined(x: FloatArray) -> FloatArray:
-        return np.concatenate(errors(x)[0])
-
-    def slopes(x: FloatArray) -> FloatArray:
-        here = joined(x)
-        return np.column_stack([(joined(x + step * unit) - here) / step for unit in np.eye(x.size)])
-
-    begin = np.clip(start.vector(), lower + 1e-3, upper - 1e-3)
-    found, jacobian = descended(joined, slopes, begin, (lower, upper), evaluations=evaluations)
-    parts, offsets_deg = errors(found)
-    return MotionFit(start.with_vector(found), offsets_deg, parts, _covariance(jacobian, parts))
+    problem = Problem.free(errors, (lower, upper), Noise(), _KINKED_STEP if kinked else _SMOOTH_STEP)
+    found = fit(problem, np.clip(start.vector(), lower + 1e-3, upper - 1e-3), steps=steps)
+    parts, offsets_deg = evaluated(runs, start.with_vector(found.x))
+    return MotionFit(start.with_vector(found.x), offsets_deg, parts, found)
 
 
 def _bounds(runs: Sequence[Run], start: ServoCandidate) -> tuple[FloatArray, FloatArray]:
@@ -302,26 +305,6 @@ def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatAr
         ]
     )
     return tuple(e - offsets[run.servo] for e, run in zip(errors, runs, strict=True)), offsets
-
-
-def _covariance(jacobian: FloatArray, errors: Sequence[FloatArray]) -> FloatArray:
-    """Of the parameters; larger by the memory of the errors, if they have any.
-
-    Errors with a memory also come from what is not in the model, which no average makes smaller: then what each of
-    `_PARTS` parts of the tests alone would change in the parameters counts in full, and for what they have in common.
-    """
-    every = np.concatenate(errors)
-    variance = float(every @ every) / max(every.size - jacobian.shape[1] - 1, 1)
-    # A pseudo-inverse that knows no small singular values: what is not identifiable must come out as wide.
-    _, sizes, right = np.linalg.svd(jacobian, full_matrices=False)
-    sizes = np.maximum(sizes, max(_SMALLEST_SHARE * sizes[0], _SMALLEST))
-    inverse = (right.T / sizes) @ (right / sizes[:, np.newaxis])
-    covariance: FloatArray = inverse * variance * memory(errors, _DEVIATION_LAGS)
-    if _von_neumann(errors) > _WHITE:
-        return covariance
-    pulls = np.array([part.sum(axis=0) for part in np.array_split(jacobian * every[:, np.newaxis], _PARTS)])
-    disagreement: FloatArray = _COMMON**2 * _PARTS * inverse @ (pulls.T @ pulls) @ inverse
-    return covariance + disagreement
 
 
 def _von_neumann(errors: Sequence[FloatArray]) -> float:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import IdentificationError
+from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.series import stretches
-from servofd.core.statistics import descended, mean_loss
 from servofd.identification.motion import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
 from servofd.servo.transfer import TransferFunction
 
@@ -254,10 +254,6 @@ def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServ
         ratio = np.log(response.response / model) * weight
         return np.concatenate([ratio.real, ratio.imag])
 
-    def slopes(x: FloatArray) -> FloatArray:
-        here = residual(x)
-        return np.column_stack([(residual(x + _STEP * unit) - here) / _STEP for unit in np.eye(x.size)])
-
     x0 = np.array([*start.shape, 1e3 * start.delay_s, np.log(abs(start.gain))])
     slowest, fastest = shape_bounds(start.order, response.sample_time_s)
     lower = np.array([*slowest, 0.0, -LARGEST_LOG_GAIN])
@@ -266,8 +262,8 @@ def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServ
     with np.errstate(all="ignore"):
         if not np.all(np.isfinite(residual(x0))):
             return start, np.inf
-        found, _ = descended(residual, slopes, x0, (lower, upper), evaluations=50, scale_deg=1.0)
-        return servo(found), mean_loss(residual(found), 1.0)
+        found = fit(Problem.free(residual, (lower, upper), Noise(huber=1.0), _STEP), x0, steps=100)
+        return servo(found.x), found.misfit
 
 
 def _weights(response: FrequencyResponse) -> FloatArray:

@@ -22,7 +22,8 @@ import numpy as np
 from servofd.aircraft.priors import SIGMAS
 from servofd.calibrating.flights import Flight, busiest
 from servofd.core.errors import NoMeasurement
-from servofd.core.statistics import Estimate, descended, deviations, line, mean_loss, memory, ordinary_deg
+from servofd.core.fitting import Noise, Problem, fit
+from servofd.core.statistics import MAD_TO_SIGMA, Estimate, line, memory
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.feedback.fitted import POLE_RAD_S
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
+    from servofd.core.fitting import Solution
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Residuals
     from servofd.servo.transfer import TransferFunction
@@ -294,9 +296,11 @@ _LEAST_SAMPLES = 300
 _LEAST_MOTION_NOISES = 10.0
 """Less motion than ten times the noise tells nothing of delay and bandwidth."""
 _WIDTHS_DEG = (0.0, 0.5, 1.0, 2.0, 4.0)
-_EVALUATIONS = 25
 _WIDTH_STEP_DEG, _STEP = 0.02, 0.01
 """For slopes, in degrees and in the units of `FlownServo.vector`."""
+_ORDINARY, _CLOSE = 3.0, 0.1
+"""Standard deviations beyond which an error counts by its size: a glitch bends nothing; and the misfit, of which one
+standard deviation of a number makes 1 or more, by which a step must improve."""
 _LIMIT_REACHED = 0.5
 """Motion that would take the linear servo to half of its limit may show a limit that has fallen."""
 _LEAST_RATE_SURENESS = 0.1
@@ -314,12 +318,11 @@ _NOT_SHOWN = "its motion tells no more of it than is known of any servo"
 class _Fit:
     servo: FlownServo
     names: tuple[str, ...]
-    vector: FloatArray
-    """Width, the numbers of the servo, gain and offset."""
+    found: Solution
+    """Of width, the numbers of the servo, gain and offset."""
     deviation: FloatArray
-    error_deg: FloatArray
-    scale_deg: float
-    """Errors beyond it count by their size."""
+    memory: float
+    """Samples that tell as much as one."""
 
 
 class ServoEstimate(NamedTuple):
@@ -360,20 +363,20 @@ def estimate_flight(
         of_servo = (name for name, what in QUANTITIES.items() if not what.of_axis)
         return ServoEstimate(values, {name: problem for name in of_servo if name not in values}, {}, 0.0)
     dead_band = _fitted(motion, prior)
-    backlash = _descended(motion, prior, dead_band.names, dead_band.vector, dead_band.scale_deg, behind=True)
+    sigma_deg = float(dead_band.found.problem.noise.sigma)
+    backlash = _descended(motion, prior, dead_band.names, dead_band.found.x, sigma_deg, behind=True)
     values |= _of_fit(dead_band, motion, voltage_v)
     missing = {name: _NOT_SHOWN for name in _KNOWN if name not in values}
     if "rate_limit_deg_s" not in values:
         missing["rate_limit_deg_s"] = "never moved fast enough to show it"
     if "rate_per_volt_deg_s_v" not in values:
         missing["rate_per_volt_deg_s_v"] = missing.get("rate_limit_deg_s", "no supply voltage in the log")
-    return ServoEstimate(values, missing, _of_fit(backlash, motion, voltage_v), _evidence(motion, dead_band, backlash))
+    return ServoEstimate(values, missing, _of_fit(backlash, motion, voltage_v), _evidence(dead_band, backlash))
 
 
-def _evidence(motion: Motion, dead_band: _Fit, backlash: _Fit) -> float:
+def _evidence(dead_band: _Fit, backlash: _Fit) -> float:
     """Logarithm of the odds for backlash, the memory of the errors taken into account."""
-    losses = [mean_loss(fit.error_deg, dead_band.scale_deg) + 1e-12 for fit in (dead_band, backlash)]
-    return 0.5 * motion.measured_deg.size / motion.memory(backlash.error_deg) * float(np.log(losses[0] / losses[1]))
+    return 0.5 * (dead_band.found.misfit - backlash.found.misfit) / backlash.memory
 
 
 def _of_residual(residuals: Residuals, level_deg: FloatArray) -> dict[str, Estimate]:
@@ -415,37 +418,28 @@ def _fitted(motion: Motion, prior: FlownServo) -> _Fit:
         starts.append((left_deg, width_deg, gain, offset_deg))
     left_deg, width_deg, gain, offset_deg = min(starts)
     begin = np.array([width_deg, *prior.vector(names), gain, offset_deg])
-    return _descended(motion, prior, names, begin, ordinary_deg(max(left_deg, 1e-6)), behind=False)
+    return _descended(motion, prior, names, begin, MAD_TO_SIGMA * max(left_deg, 1e-6), behind=False)
 
 
 def _descended(
-    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, scale_deg: float, *, behind: bool
+    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, sigma_deg: float, *, behind: bool
 ) -> _Fit:
     """Least squares from one starting point, of the zone of rest before or behind the servo."""
     measured_deg = motion.measured_deg
-    steps = np.array([_WIDTH_STEP_DEG, *(_STEP for _ in names)])
-
-    def shape(x: FloatArray) -> FloatArray:
-        return _simulated(motion, prior.with_vector(names, x[1:-2]), float(x[0]), behind=behind)
 
     def error(x: FloatArray) -> FloatArray:
-        left_deg: FloatArray = measured_deg - x[-2] * shape(x) - x[-1]
+        simulated_deg = _simulated(motion, prior.with_vector(names, x[1:-2]), float(x[0]), behind=behind)
+        left_deg: FloatArray = measured_deg - x[-2] * simulated_deg - x[-1]
         return left_deg
-
-    def slopes(x: FloatArray) -> FloatArray:
-        shifted = np.vstack([np.diag(steps), np.zeros((2, steps.size))]).T
-        here = shape(x)
-        columns = [-x[-2] * (shape(x + d) - here) / h for d, h in zip(shifted, steps, strict=True)]
-        all_slopes: FloatArray = np.column_stack([*columns, -here, -np.ones(measured_deg.size)])
-        return all_slopes
 
     # A delay cannot be negative, but a start at zero must lie within.
     least = np.array([-np.inf, *(-1e-9 if name == "delay_s" else -np.inf for name in names), -np.inf, -np.inf])
-    bounds = (least, np.full(begin.size, np.inf))
-    found, _ = descended(error, slopes, begin, bounds, evaluations=_EVALUATIONS, scale_deg=scale_deg)
-    left_deg = error(found)
-    deviation = deviations(slopes(found), left_deg, motion.memory(left_deg))
-    return _Fit(prior.with_vector(names, found[1:-2]), names, found, deviation, left_deg, scale_deg)
+    steps = np.array([_WIDTH_STEP_DEG, *(_STEP for _ in names), _STEP, _STEP])
+    noise = Noise(huber=_ORDINARY, sigma=sigma_deg)
+    found = fit(Problem.free(error, (least, np.full(begin.size, np.inf)), noise, steps), begin, close=_CLOSE)
+    remembered = motion.memory(found.error)
+    deviation = np.sqrt(np.diag(found.covariance(remembered)))
+    return _Fit(prior.with_vector(names, found.x[1:-2]), names, found, deviation, remembered)
 
 
 def _simulated(motion: Motion, servo: FlownServo, width_deg: float, *, behind: bool) -> FloatArray:
@@ -463,16 +457,16 @@ def _rested(values_deg: FloatArray, width_deg: float) -> FloatArray:
     return followed_deg if width_deg >= 0.0 else 2.0 * values_deg - followed_deg
 
 
-def _of_fit(fit: _Fit, motion: Motion, voltage_v: float | None) -> dict[str, Estimate]:
+def _of_fit(fitted: _Fit, motion: Motion, voltage_v: float | None) -> dict[str, Estimate]:
     """What was fitted, in the units of `QUANTITIES`."""
-    width, *numbers, _, offset = (Estimate.of(*pair) for pair in zip(fit.vector, fit.deviation, strict=True))
-    noise = noise_of(motion.measured_deg, fit.error_deg)
+    width, *numbers, _, offset = (Estimate.of(*pair) for pair in zip(fitted.found.x, fitted.deviation, strict=True))
+    noise = noise_of(motion.measured_deg, fitted.found.error)
     values = {
         "dead_band_deg": width,
         "bias_deg": offset,
-        "noise_deg": Estimate.of(noise, noise / np.sqrt(fit.error_deg.size)),
+        "noise_deg": Estimate.of(noise, noise / np.sqrt(fitted.found.error.size)),
     }
-    for name, estimate in zip(fit.names, numbers, strict=True):
+    for name, estimate in zip(fitted.names, numbers, strict=True):
         if estimate.deviation > _KNOWN.get(name, np.inf):
             continue
         if name == "delay_s":
