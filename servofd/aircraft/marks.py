@@ -18,6 +18,8 @@ from servofd.servo.loops import compiled, inner
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import ArrayLike
+
     from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
 
 
@@ -34,7 +36,7 @@ class Why(IntEnum):
     DUPLICATE = 4
     """A row written again before the servo answered anew, within 0.1 s."""
     HELD = 5
-    """A logger or a late bus that repeats the last value for up to 0.25 s while the servo moves."""
+    """A logger or a late bus that repeats the last value for up to 0.25 s, or four rows, while the servo moves."""
     FROZEN = 6
     """All servos that report repeat their readings at once while some are asked to move."""
     ECHO = 7
@@ -57,6 +59,8 @@ LAST_WITH_VALUE: Final = Why.UNSETTLED
 WAIT_S: Final = 0.25
 """Longest time for which a row is undecided [s]: a late bus is back by then (answers of an ArduPlane's six Volz servos
 came up to 0.2 s late, software in the loop)."""
+_ROWS_WAITED, _SLOW_WAIT_S = 4, 0.5
+"""The same where rows come so seldom that it is fewer than so many: at 10 Hz 0.4 s."""
 DUPLICATE_S: Final = 0.1
 """Readings of that bus are refreshed every 45 ms, at times after 80 ms; rows that repeat for less are no news."""
 FROZEN_S: Final = 0.1
@@ -75,37 +79,25 @@ _UNDER_WAY_S: Final = 1.0
 crosses its travel within it."""
 _SILENT_S: Final = 1.0
 """A servo that has sent no row for so long does not report."""
+_FEWEST_RESTS: Final = 50
+"""Rows at rest that tell for how long a reading usually stays the same: a second at 50 Hz."""
+_ASKED_TELLS, _MOST_TOLD, _TOLD = 6.0, 8.0, 12.0
+"""Minus the logarithm of the chance that readings stay the same while telemetry lives: that of a servo that is asked to
+move (it may be jammed), the most that one servo adds, and what all together need: 6e-6, and no servo alone."""
 _FEWEST_ROWS: Final = 200
-"""Rows at rest that tell for how long a reading may stay the same: four seconds at 50 Hz."""
-_OWED, _OWED_BESIDE = 3.0, 10.0
-"""Times the longest that a reading at rest, or other values of its telemetry, stayed the same before. Those may rest
-with the servo: the current of a Volz that jams does."""
-_FEWEST_REPEATS: Final = 3.0
-"""The same where the reading has never repeated."""
+"""Rows that tell for how long voltage and current of a servo may stay the same: four seconds at 50 Hz."""
+_OWED_BESIDE, _FEWEST_REPEATS = 10.0, 3.0
+"""Times the longest that they stayed the same before (the current of a Volz that jams rests with it), and rows if they
+never did."""
 _DEAD_S: Final = 0.5
 """A servo whose position, voltage and current all repeat for so long while it is asked to move has no telemetry."""
 TINY_DEG: Final = 1e-6
 """Smaller differences are rounding of text and of single precision."""
 
 
-_MEMORY: Final = 15
-(
-    _NEWEST,
-    _CHANGED,
-    _REPEATS,
-    _THEN,
-    _BEFORE,
-    _LAG,
-    _ASKED,
-    _STEP,
-    _ROWS,
-    _LONGEST,
-    _SAME,
-    _SAME_ROWS,
-    _SAME_LONGEST,
-    _STOOD,
-    _OWING,
-) = range(_MEMORY)
+_MEMORY: Final = 17
+_NEWEST, _CHANGED, _REPEATS, _THEN, _BEFORE, _LAG, _ASKED, _STEP, _STIRRED = range(9)
+_RESTS, _RUNS, _SQUARES, _SAME, _SAME_ROWS, _SAME_LONGEST, _STOOD, _OWING = range(9, _MEMORY)
 
 
 def new_bus(servos: int) -> FloatArray:
@@ -114,7 +106,7 @@ def new_bus(servos: int) -> FloatArray:
     Examples
     --------
     >>> new_bus(4).shape
-    (4, 15)
+    (4, 17)
     """
     memory = np.zeros((servos, _MEMORY))
     memory[:, [_NEWEST, _CHANGED]] = -np.inf
@@ -130,9 +122,10 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
         m[_LAG] = m[_ASKED] = asked_deg
     else:
         m[_LAG] += (1.0 - np.exp(-max(time_s - m[_NEWEST], 0.0) / _LATELY_S)) * (m[_ASKED] - m[_LAG])
+    m[_STIRRED] += asked_deg != m[_ASKED]
     m[_ASKED], m[_NEWEST] = asked_deg, time_s
     rests = abs(m[_ASKED] - m[_LAG]) <= ASKED_DEG
-    m[_ROWS] += rests
+    m[_RESTS] += rests
     m[_SAME_ROWS] += other >= 0
     m[_SAME] += other == 0
     if other == 1:
@@ -141,8 +134,9 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
         m[_SAME] = 0.0
     if moved_deg != 0.0 or other == 1:
         if rests and not m[_STOOD]:
-            m[_LONGEST] = max(m[_LONGEST], m[_REPEATS])
-        m[_STOOD], m[_OWING] = 0.0, np.inf
+            m[_RUNS] += m[_REPEATS]
+            m[_SQUARES] += m[_REPEATS] ** 2
+        m[_STOOD], m[_STIRRED], m[_OWING] = 0.0, 0.0, np.inf
         m[_CHANGED], m[_REPEATS], m[_THEN], m[_BEFORE] = time_s, 0.0, asked_deg, m[_LAG]
         if moved_deg > TINY_DEG:
             m[_STEP] = min(m[_STEP], moved_deg)
@@ -161,32 +155,40 @@ def _is_asked(m: FloatArray, time_s: float) -> bool:
 
 
 @inner
-def _owes(rows: float, longest: float, repeats: float, times: float) -> bool:
-    """Whether values that never stayed the same for long should have changed by now."""
-    return rows >= _FEWEST_ROWS and repeats >= max(_FEWEST_REPEATS, times * longest)
+def _flickers(m: FloatArray) -> float:
+    """How many usual runs of equal readings at rest the present one is long; 0 while that is not known.
+
+    Long runs count more in the mean, so that a reading which rests now and then is never taken for a lively one.
+    """
+    if m[_RESTS] < _FEWEST_RESTS:
+        return 0.0
+    return float(m[_REPEATS] / (max(m[_SQUARES] / m[_RUNS], 1.0) if m[_RUNS] > 0.0 else 1.0))
 
 
 @inner
-def _all_stand(memory: FloatArray, time_s: float) -> bool:
-    """Whether all servos that report have repeated for long enough while at least one was asked to move.
+def _all_stand(memory: FloatArray, time_s: float) -> tuple[bool, bool]:
+    """Whether all servos that report have repeated for so long that none alone can be the reason; are commands given.
 
-    Two have to bear witness, asked or flickering: one that jams while the others rest stands alone.
+    One that has sent nothing since the others changed last says nothing. Readings that flicker, and stop to do so
+    while commands go on, tell it of servos at rest.
     """
-    reporting = asked = witnesses = 0
     latest_s = -np.inf
+    for j in range(memory.shape[0]):
+        if memory[j, _REPEATS] >= 2.0 and time_s - memory[j, _NEWEST] <= _SILENT_S:
+            latest_s = max(latest_s, memory[j, _CHANGED])
+    reporting, stirred, told = 0, False, 0.0
     for j in range(memory.shape[0]):
         m = memory[j]
         if time_s - m[_NEWEST] > _SILENT_S:
             continue
         if m[_REPEATS] < 2.0:
-            return False
+            if m[_NEWEST] > latest_s:
+                return False, False
+            continue
         reporting += 1
-        latest_s = max(latest_s, m[_CHANGED])
-        is_asked = _is_asked(m, time_s)
-        asked += is_asked
-        if is_asked or _owes(m[_ROWS], m[_LONGEST], m[_REPEATS], _OWED):
-            witnesses += 1
-    return reporting >= 2 and asked >= 1 and witnesses >= 2 and time_s - latest_s >= FROZEN_S - TINY_DEG
+        stirred = stirred or m[_STIRRED] > 0.0 or m[_OWING] < np.inf
+        told += _ASKED_TELLS if _is_asked(m, time_s) else min(_flickers(m), _MOST_TOLD)
+    return reporting >= 2 and told >= _TOLD and time_s - latest_s >= FROZEN_S - TINY_DEG, stirred
 
 
 @compiled
@@ -207,14 +209,15 @@ def standing(
             continue
         if (
             time_s[k] - m[_CHANGED] >= _DEAD_S
-            and _owes(m[_SAME_ROWS], m[_SAME_LONGEST], m[_REPEATS], _OWED_BESIDE)
+            and m[_SAME_ROWS] >= _FEWEST_ROWS
+            and m[_REPEATS] >= max(_FEWEST_REPEATS, _OWED_BESIDE * m[_SAME_LONGEST])
             and _is_asked(m, time_s[k])
         ):
-            stands[k] = OWN_TELEMETRY
-        elif _all_stand(memory, time_s[k]):
-            stands[k] = 1
-        if stands[k] > 0:
-            m[_STOOD] = 1.0
+            stands[k], m[_STOOD] = OWN_TELEMETRY, 1.0
+            continue
+        all_stand, stirred = _all_stand(memory, time_s[k])
+        if all_stand:
+            stands[k], m[_STOOD] = stirred, 1.0
 
 
 class Rows(NamedTuple):
@@ -265,6 +268,19 @@ def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
     return why, why.size if final else min(undecided)
 
 
+def is_young(age_s: ArrayLike, repeats: ArrayLike) -> BoolArray:
+    """Whether values that repeat for so long [s], in so many rows, may be a late bus's or a logger's.
+
+    Examples
+    --------
+    >>> is_young([0.2, 0.3, 0.4], [10, 10, 4])
+    array([ True, False,  True])
+    """
+    age_s, repeats = np.asarray(age_s), np.asarray(repeats)
+    young: BoolArray = (age_s < WAIT_S - TINY_DEG) | ((repeats <= _ROWS_WAITED) & (age_s < _SLOW_WAIT_S - TINY_DEG))
+    return young
+
+
 def _repeats(rows: Rows, why: Marks) -> int:
     """Mark what only repeats; the first row that is not decided yet."""
     time_s, size = rows.time_s, rows.time_s.size
@@ -276,12 +292,14 @@ def _repeats(rows: Rows, why: Marks) -> int:
     run = np.cumsum(~same) - 1
     lasts = np.append(firsts[1:], size) - 1
     age_s = time_s - time_s[firsts[run]]
+    early = is_young(age_s, np.arange(size) - firsts[run])
     left_deg = np.append(moved_deg[firsts[1:]], np.nan)  # by how much the reading moves in the end
     steps = np.where((moved_deg > TINY_DEG) & np.isfinite(moved_deg), moved_deg, np.inf)
     least_deg = _STEPS * np.minimum(np.minimum.accumulate(steps)[lasts], rows.step_deg)
     over = np.arange(lasts.size) < lasts.size - 1
-    clear = over & (left_deg > least_deg)
-    clear[clear] = left_deg[clear] > _CLEAR * _bend_deg(rows.position_deg[firsts], np.flatnonzero(clear))
+    clear = over & (left_deg > least_deg) & (lasts > firsts) & early[lasts]
+    waits = bool(clear.size > 1 and clear[-2] and firsts[-1] == size - 1)  # for the row after the jump
+    clear[clear] = _is_clear(rows, firsts, lasts, np.flatnonzero(clear))
     span_s = age_s[lasts]
     before = np.searchsorted(time_s, time_s[firsts] - _ANSWER_S)
     answered = np.maximum(np.searchsorted(time_s, time_s[lasts] - _DELAY_S, side="right") - 1, firsts)
@@ -289,14 +307,13 @@ def _repeats(rows: Rows, why: Marks) -> int:
     asked = np.ptp(asked_deg, axis=0) >= ASKED_DEG
     silent = over & (rows.other[lasts] == 0)
     again = (clear | silent) & (span_s < DUPLICATE_S - TINY_DEG)
-    late = clear & asked & (left_deg >= ASKED_DEG) & (span_s <= WAIT_S + TINY_DEG) & ~again
+    late = clear & asked & (left_deg >= ASKED_DEG) & ~again
     why[same & again[run]] = Why.DUPLICATE
     why[same & late[run]] = Why.HELD
     if rows.refresh_s > 0.0:
         due = np.floor((age_s + 0.5 * np.diff(time_s, prepend=time_s[0])) / rows.refresh_s)  # in the row next to it
         why[same & (np.diff(due, prepend=0.0) <= 0.0)] = Why.DUPLICATE
     # What waits is decided with the first row that is old enough; the rows after that each by itself.
-    early = age_s < WAIT_S - TINY_DEG
     until = np.minimum(firsts + np.add.reduceat(early, firsts), lasts)
     stands = rows.stands > 0
     stood = np.concatenate([[0], np.cumsum(stands)])
@@ -305,19 +322,47 @@ def _repeats(rows: Rows, why: Marks) -> int:
     # Where voltage and current stand still as well, the telemetry was dead from the first of them on.
     dead = np.maximum.reduceat(rows.stands, firsts) == OWN_TELEMETRY
     why[same & dead[run]] = Why.FROZEN
-    return int(firsts[-1]) + 1 if span_s[-1] < WAIT_S - TINY_DEG else size
+    if waits:
+        return int(firsts[-2]) + 1
+    return int(firsts[-1]) + 1 if early[-1] else size
+
+
+def _is_clear(rows: Rows, firsts: IntArray, lasts: IntArray, which: IntArray) -> BoolArray:
+    """Whether readings that repeat and then jump were old, shape (k,), of some of the runs of equal readings.
+
+    The motion is much smoother without the repeats, or the jump stands out of the noise and it is smoother. A servo at
+    its stop, or one that sticks, sets out from rest: its jump is no larger than the motion that follows.
+    """
+    if not which.size:
+        return np.zeros(0, dtype=bool)
+    deg = rows.position_deg
+    begin, last, out = firsts[which], lasts[which], lasts[which] + 1
+    fresh = firsts[np.maximum(which - 1, 0)]
+    rougher = _unsteadiness(rows, fresh, begin, last, out, out + 1) / _unsteadiness(rows, fresh, begin, out, out + 1)
+    stands_out = np.abs(deg[out] - deg[last]) > _CLEAR * _bend_deg(deg[firsts], which)
+    is_clear: BoolArray = (rougher >= _MUCH_ROUGHER) | (stands_out & (rougher >= _ROUGHER))
+    return is_clear
+
+
+def _unsteadiness(rows: Rows, *path: IntArray | int) -> FloatArray:
+    """By how much the speed changes along some rows, each of shape (k,), altogether [deg/s], shape (k,)."""
+    rows_of = np.minimum(np.stack(np.broadcast_arrays(*path)), rows.time_s.size - 1)
+    step_s = np.maximum(np.diff(rows.time_s[rows_of], axis=0), _STEP_S)
+    changes = np.abs(np.diff(np.diff(rows.position_deg[rows_of], axis=0) / step_s, axis=0))
+    return np.asarray(np.maximum(changes.sum(axis=0), TINY_DEG))
 
 
 def _bend_deg(fresh_deg: FloatArray, where: IntArray) -> FloatArray:
     """Second difference of the fresh readings before some of them, where they move most steadily: noise."""
-    if not where.size:
-        return np.zeros(0)
     unknown = np.full(_BEFORE_ROWS + 2, np.inf)  # nothing jumps out of the noise before that is known
     bends = np.concatenate([unknown, np.abs(np.diff(fresh_deg, 2))])
     windows = np.lib.stride_tricks.sliding_window_view(bends, _BEFORE_ROWS)[where]
     return np.asarray(np.percentile(windows, _STEADIEST, axis=1, method="higher"))
 
 
+_ROUGHER, _MUCH_ROUGHER, _STEP_S = 1.5, 4.0, 1e-4
+"""How many times as much the speed changes with the repeats as without them: of a servo that sets out from rest not at
+all, of one in steady motion at least four times as much. No two rows are closer than the last [s]."""
 _STEADIEST, _CLEAR = 25.0, 8.0
 """Percentile of those second differences, and how many times as far a reading jumps that was old: by six standard
 deviations of white noise."""
@@ -348,8 +393,13 @@ def _spikes(rows: Rows, why: Marks) -> int:
         near = np.flatnonzero(np.abs(away_deg[1 : within + 1]) <= _BACK * away_deg[0])
         is_open = not near.size and k + within >= time_s.size
         back = k + 1 + int(near[0]) if near.size else time_s.size - 1
-        if not (near.size or is_open) or not _is_unasked(rows, k, back, float(away_deg[0])):
+        if not (near.size or is_open) or _was_asked(rows, k, back, float(away_deg[0])):
             continue
+        if _is_noise(rows, k, float(away_deg[0])):  # or motion, without which it were much smoother
+            is_open = is_open or back == time_s.size - 1  # the row after it tells
+            around = _unsteadiness(rows, k - 2, k - 1, back, back + 1)
+            if not is_open and _unsteadiness(rows, *range(k - 2, back + 2)) < _MUCH_ROUGHER * around:
+                continue
         if is_open:
             undecided = k
             break
@@ -358,13 +408,16 @@ def _spikes(rows: Rows, why: Marks) -> int:
     return undecided
 
 
-def _is_unasked(rows: Rows, first: int, back: int, size_deg: float) -> bool:
-    """Whether an excursion stands out of the noise, and no command of the last half second asked for the like."""
+def _is_noise(rows: Rows, first: int, size_deg: float) -> bool:
+    """Whether an excursion does not stand out of the noise before it."""
     before = rows.position_deg[max(first - _BEFORE_ROWS, 0) : first]
-    if size_deg <= _SPIKE_OF_NOISE * float(np.median(np.abs(np.diff(before, 2)))):
-        return False
+    return size_deg <= _SPIKE_OF_NOISE * float(np.median(np.abs(np.diff(before, 2))))
+
+
+def _was_asked(rows: Rows, first: int, back: int, size_deg: float) -> bool:
+    """Whether a command of the last half second asked for the like of an excursion."""
     begin = int(np.searchsorted(rows.time_s, rows.time_s[first] - _ASKED_BEFORE_S))
-    return _swing_deg(rows.asked_deg[begin : back + 1], back - first + 1) < _ASKED_FOR * size_deg
+    return _swing_deg(rows.asked_deg[begin : back + 1], back - first + 1) >= _ASKED_FOR * size_deg
 
 
 def _swing_deg(values_deg: FloatArray, width: int) -> float:

@@ -13,8 +13,8 @@ from servofd.aircraft.marks import (
     LAST_WITH_VALUE,
     NO_OTHERS,
     TINY_DEG,
-    WAIT_S,
     Rows,
+    is_young,
     marked,
     moved,
     new_bus,
@@ -124,8 +124,8 @@ class Watch:
     """What is passed on of each."""
     _waiting: int = 0
     """How many of the last rows are not decided."""
-    _run_s: float = float("-inf")
-    """Since when the reading is what it is [s]."""
+    _run: tuple[float, int] = (float("-inf"), 0)
+    """Since when the reading is what it is [s], and how often it has repeated."""
     _step_deg: float = float("inf")
     _refresh_s: float = 0.0
     _seen: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=3 * _ROWS_FOR_REFRESH))
@@ -174,9 +174,9 @@ class Watch:
         self._follow(row)
         jump_deg = float("inf") if before is None else abs(row[1] - before[1])
         is_same = jump_deg == 0.0
-        if not is_same:
-            self._run_s = row[0]
-        is_plain = ASKED_DEG >= jump_deg > 0.0 or (is_same and self._refresh_s == 0.0 and row[0] - self._run_s > WAIT_S)
+        self._run = (self._run[0], self._run[1] + 1) if is_same else (row[0], 0)
+        is_old = not is_young(row[0] - self._run[0], self._run[1])
+        is_plain = ASKED_DEG >= jump_deg > 0.0 or (is_same and self._refresh_s == 0.0 and is_old)
         echoes = abs(row[1] - row[2]) <= TINY_DEG * max(1.0, abs(row[2]))
         if self._waiting or not is_plain or echoes or row[3]:
             self._waiting += 1

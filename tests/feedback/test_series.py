@@ -202,3 +202,76 @@ def test_odd_logs_make_a_series_or_say_why_not(tmp_path: Path, hz: float, rows: 
     series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
     assert series.measured_s.size == rows
     assert series.why.dtype == np.int8
+
+
+def fleet(tmp_path: Path, seed: int, asked_deg: dict[str, FloatArray], dead: BoolArray) -> dict[str, BoolArray]:
+    """Rows that are frozen, by surface, where the telemetry of all of them repeats in some rows."""
+    rng = np.random.default_rng(seed)
+    columns = {"time_s": TIME_S}
+    for name, deg in asked_deg.items():
+        position_deg = np.round(np.interp(TIME_S - 0.05, TIME_S, deg) + 0.05 * rng.standard_normal(TIME_S.size), 2)
+        position_deg[dead] = position_deg[np.flatnonzero(dead)[0] - 1] if dead.any() else np.nan
+        columns |= {f"{name}_cmd_deg": deg, f"{name}_pos_deg": position_deg}
+    log = one_log(table(tmp_path / "a.csv", columns))
+    aircraft = plain_aircraft(list(asked_deg))
+    return {name: cut(log, name, aircraft).why == Why.FROZEN for name in asked_deg}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_readings_that_stop_to_flicker_while_commands_stir_are_frozen(seed: int, tmp_path: Path) -> None:
+    """Nobody is asked to move by half a degree: what tells it is noise that has gone."""
+    stir_deg = 0.1 * np.random.default_rng([7, seed]).standard_normal(TIME_S.size)
+    dead = (TIME_S >= 15.0) & (TIME_S < 15.6)
+    still = {name: k + stir_deg for k, name in enumerate(("left", "right", "rudder"))}
+    for found in fleet(tmp_path, seed, still, dead).values():
+        assert np.count_nonzero(found & dead) >= np.count_nonzero(dead) - 1  # a reading may be what it was by chance
+        assert np.count_nonzero(found & ~dead) <= 3
+    # Where no command changes either, nothing tells a bus that stands still from servos that do.
+    rest = {name: np.full(TIME_S.size, deg[0]) for name, deg in still.items()}
+    assert not any(found.any() for found in fleet(tmp_path, seed, rest, dead).values())
+
+
+def test_a_servo_that_has_sent_nothing_does_not_hide_that_the_others_stand_still(tmp_path: Path) -> None:
+    dead = (TIME_S >= 15.0) & (TIME_S < 15.6)
+    rng = np.random.default_rng(5)
+    columns = {"time_s": TIME_S}
+    for name in ("left", "right", "rudder"):
+        columns |= {f"{name}_cmd_deg": ASKED_DEG, f"{name}_pos_deg": followed(rng)}
+        columns[f"{name}_pos_deg"][dead] = np.nan if name == "rudder" else columns[f"{name}_pos_deg"][749]
+    why = cut(one_log(table(tmp_path / "a.csv", columns)), "left", plain_aircraft(["left", "right", "rudder"])).why
+    np.testing.assert_array_equal(why == Why.FROZEN, dead)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 4])
+def test_a_slow_logger_may_hold_a_value_for_four_rows(rows: int, tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 60.0, 0.1)
+    asked_deg = 12.0 * np.sin(1.5 * time_s)
+    position_deg = np.round(12.0 * np.sin(1.5 * (time_s - 0.05)), 2)
+    held = np.zeros(time_s.size, dtype=bool)
+    for first in range(100, 500, 42):  # three in a period: in motion as at its turns
+        held[first : first + rows] = True
+        position_deg[first : first + rows] = position_deg[first - 1]
+    columns = {"time_s": time_s, "rudder_cmd_deg": asked_deg, "rudder_pos_deg": position_deg}
+    series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
+    marked = np.isin(series.why, (Why.HELD, Why.DUPLICATE))
+    moved_deg = np.abs(position_deg - 12.0 * np.sin(1.5 * (time_s - 0.05)))
+    assert marked[held & (moved_deg > 3.0)].all()  # more than a servo at its turn moves
+    assert not marked[~held].any()
+
+
+def test_a_servo_that_rests_at_its_stop_and_leaves_it_fast_is_not_held(tmp_path: Path) -> None:
+    asked_deg = 12.0 * np.sin(15.0 * TIME_S)
+    position_deg = np.clip(np.round(12.0 * np.sin(15.0 * (TIME_S - 0.05)), 2), -8.0, 8.0)
+    series = one(tmp_path / "a.csv", rudder_cmd_deg=asked_deg, rudder_pos_deg=position_deg)
+    assert not series.repeats.any()
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_a_spike_in_a_flight_with_much_manoeuvring_is_marked(rows: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng([8, rows])
+    position_deg, thrown = followed(rng), np.zeros(TIME_S.size, dtype=bool)
+    for first in range(100, 1400, 130):
+        thrown[first : first + rows] = True
+        position_deg[first : first + rows] += rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 40.0)
+    series = one(tmp_path / "a.csv", rudder_pos_deg=position_deg)
+    np.testing.assert_array_equal(series.why == Why.SPIKE, thrown)
