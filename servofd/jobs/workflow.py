@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from logparsers import LogError
+from logparsers import EmptyLog, LogError, MissingChannel, UnknownFormat
 from servofd.aircraft.series import bus_of, cut
 from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
@@ -75,6 +75,8 @@ class FailedLog:
     path: str
     error: str
     log: FlightLog | None = None
+    is_log: bool = True
+    """False for what no reader takes for a log."""
 
 
 def judged(
@@ -84,7 +86,8 @@ def judged(
     try:
         yield from audit(path, job, threads=threads, progress=progress)
     except (LogError, ServofdError) as error:
-        yield FailedLog(path, str(error), getattr(error, "log", None))
+        is_log = not isinstance(error, (UnknownFormat, EmptyLog, MissingChannel))
+        yield FailedLog(path, str(error), getattr(error, "log", None), is_log)
     except MemoryError:
         yield FailedLog(path, f"{path}: does not fit into the memory of the process that read it")
 

@@ -1,8 +1,9 @@
-"""The routes of the page: flights, what was found in each, two beside each other."""
+"""The routes of the page: flights, what was found in each, and what is done with them at a click."""
 
 from __future__ import annotations
 
 import json
+from functools import cache
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -10,27 +11,41 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from servofd.aircraft.columns import TIME_UNITS, UNITS
+from servofd.core.errors import ConfigError
 from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
-from servofd.serve.flights import RESULTS, TooLarge
+from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
+from servofd.serve.forms import fields_of, files_in
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, RECORDING, progress_in
+from servofd.serve.preview import preview
 from servofd.serve.viewer import FILES, viewer_files
+from servofd.servo.prepare import is_prepared
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
     from starlette.requests import Request
-    from starlette.responses import Response
     from starlette.types import ASGIApp
 
-    from servofd.serve.flights import Flight, Flights
+    from servofd.serve.flights import Flight, Flights, Upload
+    from servofd.serve.tasks import Task, Verb
 
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
 _COMPARED = 2
+_ICON = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 16 16"><circle cx="8" cy="8" r="7" fill="#1f5f8b"/>'
+    '<path d="M2 9h3l2-5 2 8 2-4h3" fill="none" stroke="#fff" stroke-width="1.5"/></svg>'
+)
+_PAIRS = 8
+"""Surfaces of a table that can be chosen on its page."""
 
 
 def application(flights: Flights, token: str = "") -> ASGIApp:
@@ -41,14 +56,23 @@ def application(flights: Flights, token: str = "") -> ASGIApp:
             Route("/", routes.index),
             Route("/flights", routes.listed),
             Route("/flights", routes.take, methods=["PUT"]),
+            Route("/flights", routes.take_form, methods=["POST"]),
+            Route("/do", routes.act, methods=["POST"]),
             Route("/flights/{id}", routes.flight),
+            Route("/flights/{id}/choose", routes.choose, methods=["POST"]),
             Route("/flights/{id}/{file}", routes.result),
             Route("/compare", routes.compare),
+            Route("/tasks/{id}", routes.task),
+            Route("/favicon.ico", _icon),
             Route("/viewer/{file:path}", routes.viewer),
         ],
         exception_handlers={HTTPException: _said, Exception: _failed},
     )
     return Guard(app, token)
+
+
+async def _icon(_request: Request) -> Response:
+    return Response(_ICON, media_type="image/svg+xml", headers={"Cache-Control": "max-age=86400"})
 
 
 async def _said(_request: Request, error: Exception) -> Response:
@@ -70,15 +94,35 @@ class _Routes:
     def __init__(self, flights: Flights) -> None:
         self._flights = flights
 
-    async def index(self, _request: Request) -> Response:
+    async def index(self, request: Request) -> Response:
+        asked, status = request.query_params.get("q", ""), request.query_params.get("status", "")
+        every = [self._row(flight) for flight in self._flights.all()]
         rows = []
-        for one in map(self._row, self._flights.all()):
-            name, verdict, *cells = flight_row(one["name"], one["status"], one, f"/flights/{one['id']}")
-            state = verdict if one["state"] == "done" else one["state"]
+        for rank, one in enumerate(every):
+            shown = one["status"] if one["state"] == "done" else one["state"]
+            if asked.lower() not in f"{one['name']} {one['sentence']}".lower() or status not in ("", shown):
+                continue
+            name, _, *cells = flight_row(one["name"], one["status"], one, f"/flights/{one['id']}", rank)
+            state = Cell(status=shown, order=rank) if one["state"] == "done" else shown
             rows.append((name, state, *cells, Cell(choice=one["id"], soft=one["name"])))
-        flights = Table("Flights, the latest first", (*FLIGHTS_HEAD, "compare"), rows, long=True, id="flights")
-        where = "Drop flight logs here: .bin, .log, .tlog, .ulg, .mat, .csv, packed or not. They stay on this computer."
-        return _page(Document("servofd", "no_data", "Which servo is lying?", where, [flights]), flights=rows)
+        caption = "Flights by their date, the latest first; those without one at the end"
+        flights = Table(caption, (*FLIGHTS_HEAD, "tick"), rows, long=True, id="flights")
+        done = [
+            (Cell(task.title, link=f"/tasks/{task.id}"), _state(task), task.sentence) for task in self._flights.tasks()
+        ]
+        tasks = Table("Calibrations, trends and explanations", ("what", "state", "found"), done)
+        kinds = "Flight logs: .bin, .log, .tlog, .ulg, .mat, .csv, packed or not; and aircraft files."
+        where = f"{kinds} They stay on this computer."
+        return _page(
+            Document("Flights", "no_data", "Which servo is lying?", where, [flights, tasks]),
+            flights=rows,
+            hidden=len(every) - len(rows),
+            asked=asked,
+            verdict=status,
+            statuses=("fault", "suspect", "healthy", "unknown", "no_data", "not_a_log"),
+            aircraft=[*self._flights.aircraft(), *SHIPPED],
+            preparing=not is_prepared(),
+        )
 
     async def listed(self, _request: Request) -> Response:
         return JSONResponse([self._row(flight) for flight in self._flights.all()])
@@ -88,13 +132,15 @@ class _Routes:
         name = request.query_params.get("name", "") or "flight"
         expected = request.headers.get("content-length", "0")
         try:
-            upload = self._flights.upload(name, int(expected) if expected.isdecimal() else 0)
+            upload = await run_in_threadpool(self._flights.upload, name, int(expected) if expected.isdecimal() else 0)
         except TooLarge as error:
             return JSONResponse({"error": str(error)}, 413)
+        except OSError as error:
+            return JSONResponse({"error": f"{name}: cannot be kept: {error.strerror}"}, 507)
         try:
             async for some in request.stream():
                 await run_in_threadpool(upload.write, some)
-            flight = await run_in_threadpool(upload.finish)
+            taken = await run_in_threadpool(upload.finish)
         except TooLarge as error:
             upload.abandon()
             return JSONResponse({"error": str(error)}, 413)
@@ -104,16 +150,111 @@ class _Routes:
         except BaseException:
             upload.abandon()
             raise
-        return JSONResponse(self._row(flight), 201)
+        row = {} if taken.flight is None else self._row(taken.flight)
+        return JSONResponse(row | {"notice": taken.notice}, 201)
+
+    async def take_form(self, request: Request) -> Response:
+        """Logs of a form, as browsers send it that run no script."""
+        told: list[tuple[str | Cell, ...]] = []
+        upload: Upload | None = None
+        wrong = ""
+        try:
+            async for name, some in files_in(request.stream(), request.headers.get("content-type", "")):
+                try:
+                    if upload is None and not wrong:
+                        upload = self._flights.upload(name, 0)
+                    if upload is not None and some is not None:
+                        await run_in_threadpool(upload.write, some)
+                    elif upload is not None:
+                        taken, upload = await run_in_threadpool(upload.finish), None
+                        link = f"/flights/{taken.flight.id}" if taken.flight else ""
+                        told.append((Cell(name, link=link), taken.notice or "It is being judged."))
+                except TooLarge as error:
+                    if upload is not None:
+                        upload.abandon()
+                    upload, wrong = None, str(error)
+                if some is None:
+                    told += [(name, f"{wrong}.")] if wrong else []
+                    wrong = ""
+        except ClientDisconnect:
+            return JSONResponse({"error": "did not arrive completely"}, 400)
+        finally:
+            if upload is not None:
+                upload.abandon()
+        if not told:
+            raise HTTPException(400, "No file was chosen.")
+        count = f"{len(told)} {'file' if len(told) == 1 else 'files'} arrived."
+        return _page(Document("Files", "no_data", count, parts=[Table("Files", ("file", "what became of it"), told)]))
+
+    async def act(self, request: Request) -> Response:
+        """Something to do with the flights that are ticked."""
+        form = await fields_of(request)
+        verb, aircraft = form.get("do", ""), form.get("aircraft", "")
+        ticked = form.getlist("flight")
+        if verb == "delete":
+            if not ticked:
+                raise HTTPException(400, "Tick the flights to delete first.")
+            said = [await run_in_threadpool(self._flights.remove, one) for one in ticked]
+            return _page(Document("Deleted", "no_data", " ".join(said)))
+        flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
+        if verb not in ("calibrate", "trend", "explain"):
+            raise HTTPException(400, "There is nothing of that name to do.")
+        if not flights:
+            raise HTTPException(400, f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
+        if verb == "trend" and not (aircraft or self._flights.job.aircraft or flights[0].choice.aircraft):
+            raise HTTPException(400, "A trend follows one aircraft: choose its file beside the button first.")
+        try:
+            task = self._flights.begin(_VERBS[verb], flights, aircraft=aircraft, surface=form.get("surface", ""))
+        except ConfigError as error:
+            raise HTTPException(400, f"{error}.") from None
+        return RedirectResponse(f"/tasks/{task.id}", 303)
+
+    async def choose(self, request: Request) -> Response:
+        """Aircraft file or columns of one flight."""
+        flight, form = self._known(request.path_params["id"]), await fields_of(request)
+        try:
+            by_columns = form.get("by") == "columns"
+            columns = await run_in_threadpool(_columns, form, flight.log) if by_columns else {}
+            choice = Choice(form.get("aircraft", ""), columns)
+            await run_in_threadpool(self._flights.choose, flight.id, choice)
+        except ConfigError as error:
+            raise HTTPException(400, f"{flight.name}: {error}.") from None
+        return RedirectResponse(f"/flights/{flight.id}", 303)
 
     async def flight(self, request: Request) -> Response:
         flight = self._known(request.path_params["id"])
-        recording, row = (self._flights.results(flight.id) / RECORDING).is_file(), self._row(flight)
-        waits = "" if flight.state == "done" else f"{flight.name}: {flight.state}"
-        soon = f"{row['sentence']} This page shows the verdict as soon as there is one.".strip()
-        document = Document(flight.name, "no_data", waits, soon)
-        viewer = f"/flights/{quote(flight.id)}/{RECORDING}"  # but for the host, which only the browser knows
-        return _page(document, template="flight.html", flight=row, recording=recording, viewer=viewer)
+        folder, row = self._flights.results(flight.id), self._row(flight)
+        shown = preview(flight.log) if row["table"] or flight.choice.columns else None
+        columns = dict(flight.choice.columns) or (shown.guessed() if shown else {})
+        values: dict[str, Any] = {
+            "flight": row,
+            "recording": (folder / RECORDING).is_file(),
+            "viewer": f"/flights/{quote(flight.id)}/{RECORDING}",
+            "aircraft": [*self._flights.aircraft(), *SHIPPED],
+            "chosen": flight.choice.aircraft,
+            "preview": shown,
+            "pairs": _pairs(columns),
+            "clock": next(((c, m[5:]) for c, m in columns.items() if m.startswith("time_")), ("", "s")),
+            "by_columns": bool(flight.choice.columns),
+            "run": next((c for c, m in columns.items() if m == "run"), ""),
+            "units": UNITS,
+            "time_units": TIME_UNITS,
+        }
+        try:
+            found = (folder / PAGE).read_text(encoding="utf-8") if flight.state == "done" else ""
+        except OSError:
+            found = ""
+        if not found:
+            waits = row["sentence"] if flight.state == "done" else f"{flight.name}: {flight.state}"
+            soon = (
+                ""
+                if flight.state == "done"
+                else f"{row['sentence']} This page shows the verdict as soon as there is one."
+            )
+            status = row["status"] if row["status"] != "not_a_log" else "unknown"
+            document = Document(flight.name, status or "no_data", waits, soon.strip())
+            return _page(document, template="flight.html", **values)
+        return HTMLResponse(_within(found, Document(flight.name, "", ""), "flight_tools.html", values))
 
     async def result(self, request: Request) -> Response:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
@@ -125,10 +266,28 @@ class _Routes:
             download = f"{flight.name}.html"
         return FileResponse(path, media_type=_KINDS[name], filename=download)
 
+    async def task(self, request: Request) -> Response:
+        """A calibration, trend or explanation, or how far it is."""
+        task = self._flights.task(request.path_params["id"])
+        if task is None:
+            raise HTTPException(404, "There is no such calibration, trend or explanation.")
+        try:
+            found = (self._flights.task_folder(task.id) / PAGE).read_text("utf-8") if task.state == "done" else ""
+        except OSError:
+            found = ""
+        if found:
+            return HTMLResponse(_within(found, Document(task.title, "", ""), "task_tools.html", {"task": task}))
+        soon = task.sentence or f"It is {task.state}; this page shows the result as soon as there is one."
+        return _page(Document(task.title, task.status or "no_data", task.title, soon), template="task.html", task=task)
+
     async def compare(self, request: Request) -> Response:
         chosen = request.query_params.getlist("flight")
         if len(chosen) != _COMPARED:
-            raise HTTPException(400, "Choose two flights to compare.")
+            done = [flight for flight in self._flights.all() if flight.state == "done"]
+            asks = Document(
+                "Compare", "no_data", "Which two flights?", "Choose both; they are shown beside each other."
+            )
+            return _page(asks, template="compare.html", done=done, chosen=chosen[:_COMPARED])
         flights = [self._known(one) for one in chosen]
         try:
             documents = [
@@ -164,16 +323,65 @@ class _Routes:
             "duration_s": summary.duration_s if summary else None,
             "too_long": summary.too_long if summary else False,
             "surface": summary.surface if summary else "",
+            "surfaces": summary.surfaces if summary else (),
+            "table": summary.table if summary else False,
             "outline": summary.outline if summary else (),
         }
 
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
         if flight is None:
-            raise HTTPException(404, "There is no such flight.")
+            raise HTTPException(404, "There is no such flight; it may have been deleted.")
         return flight
 
 
+_VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "explain": "explain"}
+
+
+def _state(task: Task) -> str | Cell:
+    return Cell(status=task.status) if task.state == "done" else task.state
+
+
+def _within(found: str, document: Document, template: str, values: Mapping[str, Any]) -> str:
+    """The page of a result, with what can be done with it before it: one document."""
+    return found.replace("<body>\n", f"<body>\n{html_page(document, template, **values)}\n", 1)
+
+
+def _pairs(columns: Mapping[str, str]) -> Sequence[tuple[str, str, str, str, str]]:
+    """Surface, column and unit of its command, and of its position; some more to be filled."""
+    found: dict[str, dict[str, tuple[str, str]]] = {}
+    for column, meaning in columns.items():
+        for what in ("cmd", "pos"):
+            name, is_of, unit = meaning.rpartition(f"_{what}_")
+            if is_of:
+                found.setdefault(name, {})[what] = (column, unit)
+    none = ("", "deg")
+    pairs = [(name, *parts.get("cmd", none), *parts.get("pos", none)) for name, parts in found.items()]
+    return [*pairs[:_PAIRS], *[("", "", "deg", "", "deg")] * (1 if pairs else 2)]
+
+
+def _columns(form: Mapping[str, str], log: Path) -> dict[str, str]:
+    """What the columns of a table are, as the form says it."""
+    shown = preview(log)
+    meant = [(form.get("time", ""), f"time_{form.get('time_unit', 's')}"), (form.get("run", ""), "run")]
+    for k in range(_PAIRS + 1):
+        name = form.get(f"surface{k}", "").strip() or (f"surface {k + 1}" if form.get(f"cmd{k}") else "")
+        units = {what: form.get(f"{what}_unit{k}", "deg") for what in ("cmd", "pos")}
+        meant += [(form.get(f"{what}{k}", ""), f"{name}_{what}_{unit}") for what, unit in units.items()]
+    chosen = [(column, meaning) for column, meaning in meant if column]
+    columns = dict(chosen)
+    if len(columns) < len(chosen):
+        twice = next(column for column, _ in chosen if sum(column == other for other, _ in chosen) > 1)
+        raise ConfigError(f"column {twice!r} was chosen for two things")
+    if not any(meaning.startswith("time_") for meaning in columns.values()):
+        raise ConfigError("choose the column of the time")
+    for column, meaning in columns.items():
+        if meaning != "run" and (shown is None or column not in shown.numeric):
+            raise ConfigError(f"column {column!r} holds no numbers")
+    return columns
+
+
+@cache
 def _rerun_version() -> str:
     from importlib.metadata import PackageNotFoundError, version
 

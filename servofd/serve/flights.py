@@ -3,32 +3,47 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import multiprocessing
 import os
 import queue
 import re
+import secrets
 import shutil
 import tempfile
 import threading
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
+from servofd.aircraft.columns import aircraft_of_columns
+from servofd.aircraft.schema import load_aircraft
 from servofd.batch.find import META_FILE, find_logs
 from servofd.batch.key import Job, content_key
 from servofd.batch.local import cores, interrupts_wait, processes
-from servofd.core.errors import ConfigError
+from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import distinct_file_names, make_folder, write_whole
 from servofd.serve.judge import Summary, judge
+from servofd.serve.tasks import Task, Verb, do
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
+
+    from servofd.aircraft.schema import Aircraft
 
 State = Literal["waiting", "at work", "done"]
 
 RESULTS = "servofd"
 """Folder of results within the folder of logs."""
+BIN = "bin"
+"""What was thrown away, within the results."""
+SHIPPED = ("faser", "bench")
+"""Aircraft that come with servofd."""
+_TASKS, _CHOICE, _UPLOAD = "tasks", "choice.json", ".upload-"
 _ID = re.compile(r"[0-9a-f]{32}")
 _KEPT_FREE_BYTES = 200 * 1024 * 1024
 _DIED = "Could not be judged: its process ended before it was done (out of memory, or stopped)."
@@ -36,6 +51,16 @@ _DIED = "Could not be judged: its process ended before it was done (out of memor
 
 class TooLarge(ConfigError):  # noqa: N818 - reads better without "Error"
     """More than this page takes, or than the disk holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a flight is judged with, where somebody chose it on the page."""
+
+    aircraft: str = ""
+    """Its file in the folder, or the name of one that comes with servofd."""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    """Of a table, what its columns are (`servofd.aircraft.columns`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +73,31 @@ class Flight:
     size_bytes: int
     state: State
     summary: Summary | None = None
+    choice: Choice = Choice()
 
     @property
     def name(self) -> str:
         """Name of the file, without its folders."""
         return self.log.name
+
+
+class Taken(NamedTuple):
+    """What became of a file that was dropped."""
+
+    flight: Flight | None
+    """None for what is no flight: an aircraft file."""
+    notice: str
+    """What to say of it; empty of a new flight, which its row shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """Something for a process: what to call, and who hears of its end."""
+
+    begin: Callable[[], Callable[[], object] | None]
+    """Gives what to call, or None if it is not wanted any more."""
+    end: Callable[[object], None]
+    fail: Callable[[str], None]
 
 
 class Flights:
@@ -66,10 +111,13 @@ class Flights:
         self.folder, self.job, self.most_bytes = folder, job, most_bytes
         make_folder(folder / RESULTS)
         write_whole(folder / RESULTS / META_FILE, b"{}\n")  # no logs are looked for in there
+        for left in (folder / RESULTS).glob(f"{_UPLOAD}*"):  # by a server that was killed
+            left.unlink(missing_ok=True)
         self._flights: dict[str, Flight] = {}
+        self._tasks: dict[str, Task] = {}
         self._ended = False
         self._lock = threading.Lock()
-        self._waiting: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._workers = [threading.Thread(target=self._work, daemon=True) for _ in range(workers or cores())]
         self._finder = threading.Thread(target=self._find, daemon=True)
 
@@ -88,9 +136,11 @@ class Flights:
             thread.join()
 
     def all(self) -> list[Flight]:
-        """Every flight, the one that came last first."""
+        """Every flight: what is not done, then by the date of the flight, the latest first, then those without one."""
         with self._lock:
-            return list(reversed(self._flights.values()))
+            flights = list(reversed(self._flights.values()))
+        dated = sorted(flights, key=lambda one: (one.summary and one.summary.start_utc) or "", reverse=True)
+        return sorted(dated, key=lambda one: one.state == "done")
 
     def get(self, flight_id: str) -> Flight | None:
         """A flight by its digest."""
@@ -113,64 +163,250 @@ class Flights:
 
     def add(self, log: Path, flight_id: str) -> Flight:
         """Take up a log of the folder; one that was judged in the same way before is done."""
+        choice = _chosen(self.results(flight_id))
         summary = Summary.read(self.results(flight_id))
-        if summary is not None and summary.key != self.job.key:
+        if summary is not None and summary.key != self._key(choice):
             summary = None
         with self._lock:
             known = self._flights.get(flight_id)
             if known is not None:
                 return known
-            flight = Flight(flight_id, log, log.stat().st_size, "done" if summary else "waiting", summary)
+            flight = Flight(flight_id, log, log.stat().st_size, "done" if summary else "waiting", summary, choice)
             self._flights[flight_id] = flight
         if flight.state == "waiting":
-            self._waiting.put(flight_id)
+            self._judge(flight_id)
         return flight
 
-    def _find(self) -> None:
-        """Logs that lie in the folder already."""
+    def choose(self, flight_id: str, choice: Choice) -> None:
+        """Judge a flight again, with what was chosen.
+
+        Raises
+        ------
+        ConfigError
+            If what was chosen is not there or makes no sense, or the flight is gone or is being judged.
+        """
+        self.job_of(choice)
+        with self._lock:
+            flight = self._flights.get(flight_id)
+            if flight is None or flight.state == "at work":
+                raise ConfigError(
+                    "this flight is being judged; choose again when it is done" if flight else "it is gone"
+                )
+            self._flights[flight_id] = replace(flight, state="waiting", summary=None, choice=choice)
+        make_folder(self.results(flight_id))
+        write_whole(self.results(flight_id) / _CHOICE, json.dumps(asdict(choice)).encode())
+        if flight.state == "done":
+            self._judge(flight_id)
+
+    def remove(self, flight_id: str) -> str:
+        """Move the log of a flight to the bin; gives what to say of it."""
+        with self._lock:
+            flight = self._flights.get(flight_id)
+            if flight is not None and flight.state != "at work":
+                del self._flights[flight_id]
+        if flight is None:
+            return "This flight is gone already."
+        if flight.state == "at work":
+            return f"{flight.name} is being judged; delete it when it is done."
+        make_folder(self.folder / RESULTS / BIN)
+        with suppress(FileNotFoundError):  # somebody took it away by hand
+            _moved(flight.log, self.folder / RESULTS / BIN, flight.name)
+        return f"{flight.name} is in the bin (the folder {RESULTS}/{BIN})."
+
+    def aircraft(self) -> list[str]:
+        """Aircraft files of the folder."""
+        return sorted(path.name for path in self.folder.glob("*.toml") if path.is_file())
+
+    def aircraft_of(self, flight: Flight) -> Aircraft | None:
+        """What it is judged with."""
+        return self.job_of(flight.choice).aircraft
+
+    def job_of(self, choice: Choice) -> Job:
+        """What to judge with, as it was chosen.
+
+        Raises
+        ------
+        ConfigError
+            If it is not there, or makes no sense.
+        """
+        if choice.columns:
+            return replace(self.job, aircraft=aircraft_of_columns(choice.columns))
+        if not choice.aircraft:
+            return self.job
+        if choice.aircraft in SHIPPED:
+            return replace(self.job, aircraft=load_aircraft(choice.aircraft))
+        if choice.aircraft not in self.aircraft():
+            raise ConfigError(f"{choice.aircraft}: there is no such aircraft file in the folder")
         try:
-            found = find_logs([str(self.folder)]).logs
-        except ConfigError:  # there are none
-            return
-        for source in found:
+            return replace(self.job, aircraft=load_aircraft(self.folder / choice.aircraft))
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(f"{self.folder}{os.sep}", "")) from None
+
+    def tasks(self) -> list[Task]:
+        """What was done at a click, the latest first."""
+        with self._lock:
+            return list(reversed(self._tasks.values()))
+
+    def task(self, task_id: str) -> Task | None:
+        """One of them."""
+        with self._lock:
+            return self._tasks.get(task_id)
+
+    def task_folder(self, task_id: str) -> Path:
+        """Folder of its results."""
+        if not _ID.fullmatch(task_id):
+            raise ConfigError("no such task")
+        return self.folder / RESULTS / _TASKS / task_id
+
+    def begin(self, verb: Verb, flights: Sequence[Flight], *, aircraft: str = "", surface: str = "") -> Task:
+        """Calibrate from flights, follow them, or explain a surface of one.
+
+        Raises
+        ------
+        ConfigError
+            If the aircraft file is not there or makes no sense.
+        """
+        choice = Choice(aircraft) if aircraft else flights[0].choice
+        known = self.job_of(choice).aircraft
+        names = ", ".join(one.name for one in flights)
+        titles = {"calibrate": f"Calibration from {names}", "trend": f"Trend of {names}"}
+        task = Task(secrets.token_hex(16), verb, titles.get(verb, f"Explanation of {surface}, {names}"))
+        output = self._free_name(Path(aircraft).stem or "aircraft") if verb == "calibrate" else Path()
+        call = partial(
+            do, task, str(self.task_folder(task.id)), [str(f.log) for f in flights], known, surface, str(output)
+        )
+        with self._lock:
+            self._tasks[task.id] = task
+
+        def at_work() -> Callable[[], object]:
+            self._set_task(replace(task, state="at work"))
+            return call
+
+        self._waiting.put(
+            _Work(
+                at_work,
+                lambda done: self._set_task(done) if isinstance(done, Task) else None,
+                lambda text: self._set_task(replace(task, state="done", status="unknown", sentence=text)),
+            )
+        )
+        return task
+
+    def _free_name(self, stem: str) -> Path:
+        """Path of an aircraft file that is not there yet."""
+        number = 1
+        while True:
+            path = self.folder / f"{stem}-{number}.toml"
+            if not path.exists():
+                return path
+            number += 1
+
+    def _set_task(self, task: Task) -> None:
+        with self._lock:
+            self._tasks[task.id] = task
+
+    def _key(self, choice: Choice) -> str:
+        with suppress(ConfigError):
+            return self.job_of(choice).key
+        return ""
+
+    def _find(self) -> None:
+        """Logs that lie in the folder already, and what was dropped and judged before and is no log."""
+        found: list[str] = []
+        with suppress(ConfigError):  # there are none
+            found = [source.path for source in find_logs([str(self.folder)]).logs]
+        others = [path for path in self.folder.iterdir() if path.is_file() and path.suffix != ".toml"]
+        for path in (*map(Path, found), *others):
             try:
-                self.add(Path(source.path), content_key(source.path))
+                flight_id = content_key(str(path))
+                if str(path) in found or (self.results(flight_id).is_dir() and self.get(flight_id) is None):
+                    self.add(path, flight_id)
             except OSError:  # gone, or not to be read
                 continue
+        folder = self.folder / RESULTS / _TASKS
+        tasks = [task for path in folder.glob("*") if (task := Task.read(path)) is not None] if folder.is_dir() else []
+        with self._lock:
+            self._tasks = {task.id: task for task in tasks} | self._tasks
+
+    def _judge(self, flight_id: str) -> None:
+        self._waiting.put(
+            _Work(
+                partial(self._begun, flight_id),
+                lambda summary: self._set(flight_id, "done", summary) if isinstance(summary, Summary) else None,
+                lambda text: self._set(flight_id, "done", Summary("unknown", text)),
+            )
+        )
+
+    def _begun(self, flight_id: str) -> Callable[[], object] | None:
+        flight = self.get(flight_id)
+        if flight is None or flight.state != "waiting":
+            return None
+        self._set(flight_id, "at work", None)
+        try:
+            job = self.job_of(flight.choice)
+        except ConfigError as error:
+            self._set(flight_id, "done", Summary("unknown", f"Could not be judged: {error}."))
+            return None
+        return partial(judge, str(flight.log), str(self.results(flight_id)), job)
 
     def _work(self) -> None:
-        """Judge what waits, in a process that is replaced if it dies; a flight that it dies of says so."""
+        """Do what waits, in a process that is replaced if it dies; a flight that it dies of says so."""
         while True:
             with processes(1) as pool:
-                while (flight_id := self._waiting.get()) is not None and not self._ended:
-                    flight = self._set(flight_id, "at work", None)
+                while (work := self._waiting.get()) is not None and not self._ended:
+                    call = work.begin()
+                    if call is None:
+                        continue
                     try:
                         with interrupts_wait():
-                            future = pool.submit(judge, str(flight.log), str(self.results(flight_id)), self.job)
-                        self._set(flight_id, "done", future.result())
+                            future = pool.submit(call)
+                        work.end(future.result())
                     except BrokenProcessPool:
-                        self._set(flight_id, "done", Summary("unknown", _DIED))
+                        work.fail(_DIED)
                         break
                     except Exception as error:
-                        text = str(error).replace(str(flight.log), flight.name)
-                        self._set(flight_id, "done", Summary("unknown", f"Could not be judged: {text}"))
+                        work.fail(f"Could not be judged: {str(error).replace(f'{self.folder}{os.sep}', '')}")
                 else:
                     return
 
-    def _set(self, flight_id: str, state: State, summary: Summary | None) -> Flight:
+    def _set(self, flight_id: str, state: State, summary: Summary | None) -> None:
         with self._lock:
-            flight = replace(self._flights[flight_id], state=state, summary=summary)
-            self._flights[flight_id] = flight
-        return flight
+            flight = self._flights[flight_id]
+            self._flights[flight_id] = replace(flight, state=state, summary=summary)
+
+
+def _chosen(folder: Path) -> Choice:
+    """What was chosen for a flight before."""
+    try:
+        return Choice(**json.loads((folder / _CHOICE).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return Choice()
+
+
+def _moved(path: Path, folder: Path, name: str) -> Path:
+    """Move a file under its name, or with a number if another has it; never over one that is there."""
+    stem, suffix = Path(name).stem, Path(name).suffix
+    number = 1
+    while True:
+        target = folder / (name if number == 1 else f"{stem}~{number}{suffix}")
+        try:
+            target.open("xb").close()
+        except FileExistsError:
+            number += 1
+            continue
+        try:
+            return path.replace(target)
+        except BaseException:
+            target.unlink()
+            raise
 
 
 class Upload:
     """The bytes of a log as they come; nothing of it is left if they do not all come."""
 
     def __init__(self, flights: Flights, name: str) -> None:
-        self._flights = flights
+        self._flights, self.given = flights, name
         (self._name,) = distinct_file_names([name.replace("\\", "/").rpartition("/")[2]])
-        handle, self._path = tempfile.mkstemp(dir=flights.folder / RESULTS, prefix=".upload-")
+        handle, self._path = tempfile.mkstemp(dir=flights.folder / RESULTS, prefix=_UPLOAD)
         self._file = os.fdopen(handle, "wb")
         self._digest = hashlib.blake2b(digest_size=16)
         self._size = 0
@@ -183,34 +419,52 @@ class Upload:
         try:
             self._file.write(some)
         except OSError as error:
-            raise TooLarge(f"{self._name}: there is no room for it on the disk ({error.strerror})") from None
+            raise self._no_room(error) from None
         self._digest.update(some)
 
-    def finish(self) -> Flight:
+    def finish(self) -> Taken:
         """All have come: the log goes into the folder, and is judged when its turn comes."""
-        self._file.close()
-        path, flight_id = Path(self._path), self._digest.hexdigest()
-        known = self._flights.get(flight_id)
-        if known is not None:
+        try:
+            self._file.close()
+            path, flight_id = Path(self._path), self._digest.hexdigest()
+            known = self._flights.get(flight_id)
+            if known is None:
+                return self._placed(path, flight_id)
             path.unlink()
-            return known
-        return self._flights.add(self._placed(path), flight_id)
+        except OSError as error:
+            raise self._no_room(error) from None
+        return self._already(known)
 
     def abandon(self) -> None:
         """They do not all come."""
-        self._file.close()
+        with suppress(OSError):
+            self._file.close()
         Path(self._path).unlink(missing_ok=True)
 
-    def _placed(self, path: Path) -> Path:
-        """Under its own name, or with a number if another log has it; never over one that is there."""
-        stem, suffix = Path(self._name).stem, Path(self._name).suffix
+    def _placed(self, path: Path, flight_id: str) -> Taken:
+        """In the folder, as a flight or as an aircraft file."""
         path.chmod(0o644)
-        number = 1
-        while True:
-            target = self._flights.folder / (self._name if number == 1 else f"{stem}~{number}{suffix}")
-            try:
-                target.open("xb").close()
-            except FileExistsError:
-                number += 1
-                continue
-            return path.replace(target)
+        named = self._name == self.given
+        if self._name.endswith(".toml"):
+            with suppress(ConfigError, NoMeasurement):
+                load_aircraft(path.rename(path.with_suffix(".toml")))
+                target = _moved(path.with_suffix(".toml"), self._flights.folder, self._name)
+                return Taken(None, f"{target.name} is an aircraft file: choose it on the page of a flight.")
+            path = path.with_suffix(".toml")
+        target = _moved(path, self._flights.folder, self._name)
+        flight = self._flights.add(target, flight_id)
+        if flight.log != target:  # the same bytes came twice at once
+            target.unlink()
+            return self._already(flight)
+        return Taken(flight, "" if named and target.name == self._name else f"{self.given} is kept as {target.name}.")
+
+    def _already(self, known: Flight) -> Taken:
+        same = (
+            "is here already"
+            if known.name == self._name
+            else f"holds the same bytes as {known.name}, which is here already"
+        )
+        return Taken(known, f"{self.given} {same}.")
+
+    def _no_room(self, error: OSError) -> TooLarge:
+        return TooLarge(f"{self._name}: there is no room for it on the disk ({error.strerror})")

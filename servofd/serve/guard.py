@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import os
+import re
 import socket
 import sys
 import webbrowser
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _COOKIE = "servofd_token"
-_OWN = frozenset({"127.0.0.1", "localhost", "[::1]"})
+_OWN = re.compile(r"(?:127\.0\.0\.1|localhost|\[::1\])(?::[0-9]{1,5})?", re.IGNORECASE)
+"""Names of this machine in a request, with a port or without."""
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src 'self' blob:; frame-ancestors 'self'; base-uri 'none'; form-action 'self'"
@@ -28,7 +30,7 @@ _POLICY = (
 _HEADERS = {
     "Content-Security-Policy": _POLICY,
     "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # with no-referrer a form of the page itself would come from "null"
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 
@@ -59,7 +61,7 @@ class Guard:
 
     def _refused(self, scope: Scope, headers: Headers) -> PlainTextResponse | RedirectResponse | None:
         host = headers.get("host", "")
-        if not self._token and host.rpartition(":")[0].lower() not in _OWN and host.lower() not in _OWN:
+        if not self._token and not _OWN.fullmatch(host):
             # A name of somebody else's that was led to this machine.
             return PlainTextResponse("open this page as http://127.0.0.1", 421)
         origin = headers.get("origin")

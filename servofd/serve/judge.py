@@ -16,6 +16,7 @@ from servofd.outputs.audit_report import audit_report
 from servofd.outputs.json_report import to_json, worst_outline
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import spoken, whole_sentence, worst
+from servofd.serve.preview import preview, what_it_is
 
 if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
 """What the folder of a flight holds; the summary is written last."""
 _PROGRESS = "progress.txt"
+_NAMED = 6
+"""Columns of a table that its row in the list names."""
 _MOST_RECORDED = 3_000_000
 """Positions of a recording that a browser shows: 90 bytes each, and its memory ends at 2 GB (Rerun keeps copies)."""
 
@@ -43,13 +46,17 @@ class Summary:
     """Of the `servofd.batch.key.Job` that judged it."""
     too_long: bool = False
     """For a recording that a browser can show."""
+    surfaces: tuple[str, ...] = ()
+    """Those that were judged or looked for."""
+    table: bool = False
+    """Whether it is a table, whose columns may be chosen."""
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
         """Summary in the folder of a flight; None if there is none that can be read."""
         try:
             known = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-            return cls(**known | {"outline": tuple(known["outline"])})
+            return cls(**known | {name: tuple(known[name]) for name in ("outline", "surfaces")})
         except (OSError, ValueError, TypeError, KeyError):
             return None
 
@@ -63,15 +70,21 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     results = list(judged(log, job, threads=1, progress=tell))  # flights are judged side by side already
     report = audit_report(results)
     document = json.loads(to_json(report.data).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1]))
-    write_whole(target / AUDIT, (json.dumps(document, indent=2) + "\n").encode())
-    write_whole(target / PAGE, html_page(report).encode())
     audits = [result for result in results if not isinstance(result, FailedLog)]
     too_long = bool(audits) and _positions(audits[0]) > _MOST_RECORDED
+    summary = replace(_summary(results, document["logs"], job), too_long=too_long)
+    if not audits:
+        summary = _unread(Path(log), results, summary)
+        if summary.table or summary.status == "not_a_log":
+            report = replace(report, sentence=summary.sentence)
+    elif document["logs"][0]["format"] == "table":
+        summary = replace(summary, table=True)
+    write_whole(target / AUDIT, (json.dumps(document, indent=2) + "\n").encode())
+    write_whole(target / PAGE, html_page(report).encode())
     if audits and not too_long and find_spec("rerun") is not None:
         from servofd.outputs.recording import save_recording
 
         save_recording(audits[0], target / RECORDING)
-    summary = replace(_summary(results, document["logs"], job), too_long=too_long)
     write_whole(target / SUMMARY, json.dumps(asdict(summary)).encode())
     (target / _PROGRESS).unlink(missing_ok=True)
     return summary
@@ -93,6 +106,19 @@ def _tell(path: Path, done: list[str], surface: str) -> None:
 
 def _positions(audit: LogAudit) -> int:
     return sum(surface.segment.measured_s.size for surface in audit.surfaces if surface.segment is not None)
+
+
+def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) -> Summary:
+    """What was not judged: a table whose columns are to be chosen, no log at all, or a log that was not read."""
+    known = preview(log)
+    if known is not None and known.is_table:
+        said = f"A table of numbers ({', '.join(known.names[:_NAMED])}): choose its columns."
+        return replace(summary, sentence=said, table=True)
+    failure, what = results[0], what_it_is(log)
+    if isinstance(failure, FailedLog) and failure.log is None and (what or not failure.is_log):
+        why = what or failure.error.partition(": ")[2]
+        return replace(summary, status="not_a_log", sentence=f"Not a log: {why}".rstrip(".?") + ".")
+    return summary
 
 
 def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], job: Job) -> Summary:
@@ -118,4 +144,5 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
         tuple(outline),
         min(faults, default=None),
         job.key,
+        surfaces=tuple(surface.surface for surface in shown.surfaces),
     )

@@ -34,6 +34,12 @@ def compile_ahead(say: Callable[[str], None]) -> None:
         return
 
 
+def is_prepared() -> bool:
+    """Whether nothing has to be compiled any more before a servo is simulated."""
+    path = path_of()
+    return path is None or is_kept(path)
+
+
 def keep() -> None:
     """Compile the stepper, and note that its machine code is kept."""
     import numpy as np

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 import shutil
@@ -18,13 +19,14 @@ from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPMessage
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, urlencode
 
 import pytest
 
 from logparsers import EmptyLog
 from servofd.batch.key import Job
 from servofd.core.files import make_folder
-from servofd.serve.flights import RESULTS, Flight, Flights, TooLarge
+from servofd.serve.flights import RESULTS, Flight, Flights, TooLarge, Upload
 from servofd.serve.judge import Summary, judge
 
 if TYPE_CHECKING:
@@ -97,6 +99,12 @@ def client_of(flights: Flights, token: str = "") -> Iterator[Client]:
             thread.join()
 
 
+def taken(upload: Upload) -> Flight:
+    flight, _ = upload.finish()
+    assert flight is not None
+    return flight
+
+
 def uploads(folder: Path) -> list[Path]:
     """What is on its way."""
     return list((folder / RESULTS).glob(".upload-*"))
@@ -150,17 +158,19 @@ def test_a_dropped_log_gets_its_verdict_page_json_and_recording(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_what_is_no_log_says_so_and_tells_no_folder(tmp_path: Path) -> None:
+def test_what_is_not_a_log_says_so_and_tells_no_folder(tmp_path: Path) -> None:
     for name, content, says in (
-        ("empty.bin", b"", "empty"),
-        ("notes.txt", b"hello\n", "Could not be read"),
-        ("<img src=x onerror=alert(1)>.csv", b"\x00\xff" * 400, "Could not be read"),
+        ("empty.bin", b"", "Not a log: the file is empty (0 bytes)"),
+        ("shopping.txt", b"milk\neggs\nbread 2 pieces\n", "Not a log: text that begins with “milk”, and not a table"),
+        ("names.csv", b"name,age\nJo,x\n", "Not a log: text that begins with “name,age”"),
+        ("picture.png", b"\x89PNG\r\n\x1a\n0000", "Not a log: is a PNG image"),
+        ("<img src=x onerror=alert(1)>.csv", b"\x00\xff" * 400, "Not a log: its first bytes"),
     ):
         log = tmp_path / name
         log.write_bytes(content)
         summary = judge(str(log), str(tmp_path / "results"), Job())
-        assert summary.status == "unknown"
-        assert says in summary.sentence
+        assert summary.status == "not_a_log"
+        assert summary.sentence.startswith(says)
         page = (tmp_path / "results" / "page.html").read_text()
         assert "<img" not in page
         assert str(tmp_path) not in page + (tmp_path / "results" / "audit.json").read_text() + summary.sentence
@@ -201,7 +211,6 @@ def test_what_is_too_large_is_refused_before_and_while_it_comes(tmp_path: Path) 
         ("/flights/" + 32 * "0" + "/page.html", 404),
         ("/viewer/../../pyproject.toml", 404),
         ("/viewer/%2e%2e%2f%2e%2e%2fpyproject.toml", 404),
-        ("/compare", 400),
         ("/compare?flight=a&flight=b", 404),
         ("/nothing", 404),
     ],
@@ -227,7 +236,13 @@ def test_an_error_of_the_page_shows_no_traceback(tmp_path: Path, monkeypatch: py
 def test_other_sites_get_nothing(tmp_path: Path) -> None:
     with client_of(Flights(tmp_path, Job(), most_bytes=LARGEST)) as client:
         assert client.get("/").status == 200
-        assert client.get("/", Host="evil.example:8787").status == 421
+        for host in (
+            "evil.example:8787",
+            "localhost:x@evil.example",
+            "localhost:1@evil.example",
+            "127.0.0.1.evil.example",
+        ):
+            assert client.get("/", Host=host).status == 421
         assert client.get("/", Origin="http://evil.example").status == 403
         assert client.put("/flights?name=a.csv", b"x", Origin="http://evil.example").status == 403
         assert client.get("/", Host="localhost:1", Origin="http://localhost:1").status == 200
@@ -254,7 +269,7 @@ def test_what_is_at_work_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST, workers=1)  # whose processes were not begun
     upload = flights.upload("long.csv", 0)
     upload.write(b"time_s\n")
-    flight = upload.finish()
+    flight = taken(upload)
     told: list[str] = []
 
     def audit(*_: object, progress: Callable[[str], None], **__: object) -> list[Any]:
@@ -287,7 +302,7 @@ def test_a_process_that_dies_takes_only_its_flight_with_it(tmp_path: Path) -> No
     with flights_of(tmp_path) as flights:
         upload = flights.upload("good.mat", 0)
         upload.write(STUCK.read_bytes())
-        first = upload.finish()
+        first = taken(upload)
         killer = threading.Thread(target=_kill_the_first_worker)
         killer.start()
         died = done(flights, first.id)
@@ -296,7 +311,7 @@ def test_a_process_that_dies_takes_only_its_flight_with_it(tmp_path: Path) -> No
         assert "its process ended" in died.summary.sentence
         upload = flights.upload("next.csv", 0)
         upload.write((SAMPLES / "table_three_faults.csv").read_bytes())
-        after = done(flights, upload.finish().id)
+        after = done(flights, taken(upload).id)
         assert after.summary is not None
         assert after.summary.status == "fault"
 
@@ -322,6 +337,203 @@ def running(folder: Path, *words: str) -> Iterator[str]:
         finally:
             process.send_signal(signal.SIGINT)
             assert process.wait(30) == 0
+
+
+def ticked(do: str, *flights: str, **fields: str) -> bytes:
+    return urlencode([("do", do), *(("flight", one) for one in flights), *fields.items()]).encode()
+
+
+FORM = {"Content-Type": "application/x-www-form-urlencoded"}
+
+
+def dropped(client: Client, log: Path, name: str = "") -> Any:
+    return client.put(f"/flights?name={quote(name or log.name)}", log.read_bytes()).json()
+
+
+@pytest.mark.slow
+def test_every_file_that_is_dropped_is_a_row_or_a_notice(tmp_path: Path) -> None:
+    """Fifty files of all kinds, twice; a server that is begun again shows the same rows."""
+    few = b"\n".join((SAMPLES / "table_three_faults.csv").read_bytes().splitlines()[:200])
+    kinds = [b"", b"milk\neggs\n", b"\x89PNG\r\n\x1a\n", few, gzip.compress(b"", mtime=0), b"a,b\n1,2\n3,4\n"]
+    files = {f"{k}.bin": kinds[k % 6] + (b"\n" * k if 0 < k % 6 < 4 else b"") for k in range(50)}
+    with flights_of(tmp_path) as flights, client_of(flights) as client:
+        notices = []
+        for name, content in [*files.items(), *files.items()]:
+            said = client.put(f"/flights?name={name}", content).json()
+            notices += [said["notice"]] if said["notice"] else []
+        rows = client.get("/flights").json()
+        assert len(rows) + len(notices) == 100
+        assert len(rows) == len(set(files.values()))
+        assert "6.bin holds the same bytes as 0.bin, which is here already." in notices
+        assert "1.bin is here already." in notices
+        until(lambda: all(row["state"] == "done" for row in client.get("/flights").json()))
+        rows = {row["name"]: row["status"] for row in client.get("/flights").json()}
+        assert {rows[name] for name in ("0.bin", "1.bin", "2.bin", "4.bin")} == {"not_a_log"}
+        assert rows["3.bin"] != "not_a_log"
+        assert rows["5.bin"] == "unknown"  # a table, whose columns may be chosen
+    with flights_of(tmp_path) as flights:
+        until(lambda: len(flights.all()) == len(rows))
+        assert {one.name: one.summary and one.summary.status for one in flights.all()} == rows
+
+
+@pytest.mark.parametrize(
+    "name", ['a"b.csv', "a'b.csv", "../../etc/x.csv", "\\\\host\\x.csv", "🛩️.csv", "x" * 300 + ".csv", ".csv", "<b>.csv"]
+)
+def test_a_name_leads_nowhere_and_breaks_no_page(name: str, tmp_path: Path) -> None:
+    flights = Flights(tmp_path / "club", Job(), most_bytes=LARGEST)
+    with client_of(flights) as client:
+        said = client.put(f"/flights?name={quote(name, safe='')}", b"time_s\n").json()
+        text = client.get("/").text + client.get(f"/flights/{said['id']}").text
+    assert (tmp_path / "club" / said["name"]).read_bytes() == b"time_s\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"club"}
+    assert "<b>.csv" not in text
+
+
+@pytest.mark.parametrize("size", [1, 7, 100_000])
+def test_a_browser_without_script_sends_a_form(size: int, tmp_path: Path) -> None:
+    files = {"one.csv": b"time_s\r\n--x", "two.csv": b"\r\n--xy" * 40, "three.csv": b"", "four.csv": b"time_s\r\n--x"}
+    parts = [
+        f'--xy--z\r\nContent-Disposition: form-data; name="files"; filename="{name}"\r\n\r\n'.encode() + file + b"\r\n"
+        for name, file in files.items()
+    ]
+    note = b'--xy--z\r\nContent-Disposition: form-data; name="note"\r\n\r\nhello\r\n'
+    whole = note + b"".join(parts) + b"--xy--z--\r\n"
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
+    with client_of(flights) as client:
+        form = {"Content-Type": "multipart/form-data; boundary=xy--z"}
+        pieces = (whole[k : k + size] for k in range(0, len(whole), size))
+        answer = client.ask("POST", "/flights", pieces, **form)
+        cut = client.ask("POST", "/flights", whole[:-60], **form)
+        empty = client.ask("POST", "/flights", note + b"--xy--z--\r\n", **form)
+    assert answer.status == 200
+    assert "4 files arrived." in answer.text
+    assert "four.csv holds the same bytes as one.csv, which is here already." in answer.text
+    assert {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")} == {k: files[k] for k in list(files)[:3]}
+    assert cut.status == 400
+    assert "No file was chosen." in empty.text
+    assert not uploads(tmp_path)
+
+
+def test_what_two_browsers_delete_is_in_the_bin_once(tmp_path: Path) -> None:
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
+    with client_of(flights) as client:
+        for name in ("a.csv", "a.csv"):  # of another content, deleted before
+            said = client.put(f"/flights?name={name}", f"{len(flights.all())}{time.monotonic_ns()}".encode()).json()
+            first = client.ask("POST", "/do", ticked("delete", said["id"]), **FORM)
+            second = client.ask("POST", "/do", ticked("delete", said["id"]), **FORM)
+            assert "a.csv is in the bin (the folder servofd/bin)." in first.text
+            assert "This flight is gone already." in second.text
+        assert client.get("/flights").json() == []
+        assert client.get(f"/flights/{said['id']}").status == 404
+        assert client.ask("POST", "/do", ticked("delete"), **FORM).status == 400
+    assert {path.name for path in (tmp_path / RESULTS / "bin").iterdir()} == {"a.csv", "a~2.csv"}
+    assert list(tmp_path.glob("*.csv")) == []
+
+
+def test_what_a_killed_server_left_is_removed(tmp_path: Path) -> None:
+    make_folder(tmp_path / RESULTS)
+    (tmp_path / RESULTS / ".upload-1a2b").write_bytes(b"half of it")
+    assert uploads(tmp_path)
+    Flights(tmp_path, Job(), most_bytes=LARGEST)
+    assert not uploads(tmp_path)
+
+
+def test_a_disk_that_fills_is_said_and_leaves_nothing(tmp_path: Path) -> None:
+    """The system lets no file grow any more."""
+    resource = pytest.importorskip("resource")
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
+    try:
+        with client_of(flights) as client:
+            answer = client.put("/flights?name=flight.bin", b"x" * 100_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert answer.status == 413
+    assert answer.json()["error"].startswith("flight.bin: there is no room for it on the disk")
+    assert not uploads(tmp_path)
+    assert flights.all() == []
+
+
+@pytest.mark.slow
+def test_columns_and_aircraft_are_chosen_on_the_page(tmp_path: Path) -> None:
+    table = (SAMPLES / "table_three_faults.csv").read_text()
+    renamed = table.replace("time_s", "clock").replace("rudder_cmd_deg", "u").replace("rudder_pos_deg", "y")
+    lines = renamed.splitlines()
+    (tmp_path / "mine.csv").write_text("\n".join([f"{lines[0]},note", *(f"{line},a" for line in lines[1:])]))
+    (tmp_path / "plane.toml").write_text('servo = "hs225bb-eq31"\n')
+    with flights_of(tmp_path / "club") as flights, client_of(flights) as client:
+        row = dropped(client, tmp_path / "mine.csv")
+        place, identity = f"/flights/{row['id']}", row["id"]
+        flight = done(flights, identity)
+        assert flight.summary is not None
+        assert flight.summary.sentence.startswith("A table of numbers (clock,")
+        assert '<select name="time">' in client.get(place).text
+        fields = {"by": "columns", "time": "clock", "time_unit": "s", "surface0": "fin", "cmd0": "u", "pos0": "y"}
+        assert client.ask("POST", f"{place}/choose", urlencode(fields).encode(), **FORM).status == 303
+        flight = done(flights, identity)
+        assert flight.summary is not None
+        assert flight.summary.surfaces == ("fin",)
+        assert "<option selected>clock</option>" in client.get(place).text
+        for change, says in (
+            ({"pos0": "u"}, "column &#39;u&#39; was chosen for two things"),
+            ({"time": ""}, "choose the column of the time"),
+            ({"pos0": "note"}, "column &#39;note&#39; holds no numbers"),
+            ({"cmd0": ""}, "has a position and no command"),
+            ({"by": "aircraft", "aircraft": "../plane.toml"}, "there is no such aircraft file"),
+        ):
+            answer = client.ask("POST", f"{place}/choose", urlencode(fields | change).encode(), **FORM)
+            assert answer.status == 400
+            assert says in answer.text
+    # A new start judges it by the same columns.
+    with flights_of(tmp_path / "club") as flights:
+        assert done(flights, identity).choice.columns["u"] == "fin_cmd_deg"
+
+
+@pytest.mark.slow
+def test_good_flights_are_calibrated_followed_and_explained_at_a_click(tmp_path: Path) -> None:
+    from servofd.cli import main
+
+    logs = [tmp_path / f"good{k}.bin" for k in range(2)]
+    for k, log in enumerate(logs):
+        assert main(["simulate", "-o", str(log), "--duration", "60", "--seed", str(k)]) == 0
+    with flights_of(tmp_path / "club") as flights, client_of(flights) as client:
+
+        def told(content: bytes) -> str:
+            place = client.ask("POST", "/do", content, **FORM).headers["location"]
+            until(lambda: (task := flights.task(place.rpartition("/")[2])) and task.state == "done")
+            return client.get(place).text
+
+        ids = [dropped(client, log)["id"] for log in logs]
+        for one in ids:
+            done(flights, one)
+        assert client.ask("POST", "/do", ticked("trend", *ids), **FORM).status == 400
+        assert "aircraft-1.toml" in told(ticked("calibrate", *ids))
+        assert "aircraft-1.toml" in client.get("/").text
+        assert "over its flights" in told(ticked("trend", *ids, aircraft="aircraft-1.toml"))
+        assert "What the model lacks" in told(ticked("explain", ids[0], surface="elevator"))
+        fields = urlencode({"by": "aircraft", "aircraft": "aircraft-1.toml"}).encode()
+        assert client.ask("POST", f"/flights/{ids[0]}/choose", fields, **FORM).status == 303
+        done(flights, ids[0])
+        document = json.loads((flights.results(ids[0]) / "audit.json").read_text())
+        assert document["logs"][0]["surfaces"]["elevator"]["model"]["origin"] == "calibrated"
+        again = flights.upload("mine.toml", 0)
+        again.write((tmp_path / "club" / "aircraft-1.toml").read_bytes())
+        assert again.finish() == (None, "mine.toml is an aircraft file: choose it on the page of a flight.")
+    with flights_of(tmp_path / "club") as flights:
+        until(lambda: len(flights.tasks()) == 3)
+
+
+def test_the_list_is_searched_and_two_flights_are_asked_for(tmp_path: Path) -> None:
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
+    with client_of(flights) as client:
+        for name in ("alpha.csv", "beta.csv"):
+            client.put(f"/flights?name={name}", name.encode())
+        found = client.get("/?q=ALPHA").text
+        assert ("alpha.csv" in found, "beta.csv" in found) == (True, False)
+        assert "1 more" in found
+        asks = client.get(f"/compare?flight={flights.all()[0].id}")
+        assert (asks.status, "Which two flights?" in asks.text) == (200, True)
 
 
 def asked(address: str, method: str = "GET", data: bytes | None = None) -> Any:
@@ -450,7 +662,7 @@ def test_two_flights_are_beside_each_other_surface_by_surface(tmp_path: Path) ->
     for k, logs in enumerate(runs):
         upload = flights.upload(f"flight{k}.csv", 0)
         upload.write(b"%d" % k)
-        ids.append(upload.finish().id)
+        ids.append(taken(upload).id)
         if k < 2:
             make_folder(flights.results(ids[k]))
             (flights.results(ids[k]) / "audit.json").write_text(json.dumps({"logs": logs}))

@@ -13,7 +13,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
       head.setAttribute("aria-sort", down ? "descending" : "ascending");
       const sign = down ? -1 : 1;
       const rows = [...body.rows].map(row => [key(row.cells[column]), row]);
-      rows.sort(([a], [b]) => sign * a.localeCompare(b, undefined, { numeric: true }));
+      rows.sort(([a], [b]) => !a - !b || sign * a.localeCompare(b, undefined, { numeric: true }));  // what is not known comes last
       body.append(...rows.map(([, row]) => row));
     });
   });
