@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from servofd.outputs.chart import Chart
     from servofd.outputs.picture import Picture
 
+_PLAIN_HEAD = 3
+"""Headings of items that have nothing beside their status."""
 _TALLEST, _AT_THRESHOLD = 24, 12
 """Of a thumbnail: units of its height, and how high the threshold stands; what is twice as large is cut."""
 
@@ -165,7 +167,9 @@ def _marked(parts: Sequence[Part]) -> list[str]:
         elif isinstance(part, Table) and not part.long:
             texts.append(_rows(part.head, part.rows))
         elif isinstance(part, Items):
-            texts.append(_rows(part.head, [(one.name, one.status, one.words) for one in part.items]))
+            beside = len(part.head) > _PLAIN_HEAD
+            cells = [(one.name, one.status, *([one.beside] if beside else []), one.words) for one in part.items]
+            texts.append(_rows(part.head, cells))
         elif isinstance(part, Section) and not part.folded:
             texts += [f"## {part.title}", *_marked(part.parts)]
     return [text for text in texts if text]

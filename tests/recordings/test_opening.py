@@ -2,36 +2,63 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import servofd
 from servofd.outputs.identify_recording import _worst
-from servofd.outputs.recording.layout import _first_alarm
+from servofd.outputs.recording import save_recording
 
 
-def recorded(end_s: float, *alarms_s: float) -> Any:
-    faults = [SimpleNamespace(start_s=alarm_s - 2.0, alarm_s=alarm_s) for alarm_s in alarms_s]
-    audit = SimpleNamespace(surfaces=[SimpleNamespace(faults=faults[:1]), SimpleNamespace(faults=faults[1:])])
-    return SimpleNamespace(audit=audit, start_s=0.0, end_s=end_s)
+def layout_of(path: Path) -> dict[str, Any]:
+    """Values of the layout inside a recording, by component; of the tabs, and of the axes that are linked."""
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(str(path))
+    (store,) = reader.blueprints()
+    values: dict[str, Any] = {}
+    names: dict[str, str] = {}
+    for chunk in reader.stream(store=store):
+        batch = chunk.to_record_batch().to_pydict()
+        place = str(chunk.entity_path)
+        if "ContainerBlueprint:display_name" in batch:
+            names[place.strip("/")] = batch["ContainerBlueprint:display_name"][0][0]
+        if place == "/time_panel" or "ContainerBlueprint:active_tab" in batch or "5c0dca6a" in place:
+            values |= {key: cells[0][0] for key, cells in batch.items() if ":" in key and cells[0]}
+    return values | {"tab": names[values["ContainerBlueprint:active_tab"]]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("end_s", "alarms_s", "shown_s"),
-    [
-        (600.0, [], None),
-        (50.0, [20.0], None),
-        (600.0, [306.0, 100.0], (83.0, 143.0)),
-        (600.0, [5.0], (0.0, 60.0)),
-        (600.0, [598.0], (581.0, 600.0)),
-    ],
+    ("fault", "shown_s"), [("rudder:stuck@100", (85.0, 145.0)), ("rudder:hardover@5", (0.0, 60.0))]
 )
-def test_an_audit_opens_at_its_first_alarm(
-    end_s: float, alarms_s: list[float], shown_s: tuple[float, float] | None
+def test_an_audit_opens_at_its_first_alarm_on_the_tab_of_its_surface(
+    fault: str, shown_s: tuple[float, float], tmp_path: Path
 ) -> None:
-    assert _first_alarm(recorded(end_s, *alarms_s)) == shown_s
+    found = servofd.audit(servofd.simulate(fault=fault, duration_s=160.0, seed=3), servo="hs225bb-eq31")
+    assert isinstance(found, servofd.Audit)
+    (first,) = found.rudder.faults
+    save_recording(found, tmp_path / "flight.rrd")
+    layout = layout_of(tmp_path / "flight.rrd")
+    assert layout["tab"] == "rudder"
+    seen = layout["TimeAxis:view_range"]
+    assert (seen["start"] / 1e9, seen["end"] / 1e9) == pytest.approx(shown_s, abs=0.5)
+    marked = layout["TimePanelBlueprint:time_selection"]
+    assert (marked["min"] / 1e9, marked["max"] / 1e9) == pytest.approx((first.start_s, first.alarm_s))
+
+
+@pytest.mark.slow
+def test_a_healthy_flight_opens_on_the_overview_of_all_of_it(tmp_path: Path) -> None:
+    found = servofd.audit("sample_logs/faser_healthy_flight.mat", surfaces=("rudder",))
+    assert isinstance(found, servofd.Audit)
+    save_recording(found, tmp_path / "flight.rrd")
+    layout = layout_of(tmp_path / "flight.rrd")
+    assert layout["tab"] == "Overview"
+    assert "TimePanelBlueprint:time_selection" not in layout
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,9 @@ from servofd.outputs.recording.surface import axis_place, deflection_range, resi
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.axes.verdict import AxisAudit
+    from servofd.axes.verdict import AxisAudit, AxisEvent
     from servofd.core.types import FloatArray
+    from servofd.detection.verdict import Fault
     from servofd.outputs.recording.content import Recording
 
 _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
@@ -26,7 +27,13 @@ _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 picture test."""
 
 
-def blueprint(tabs: Sequence[Any], last_s: float | None = None, around_s: tuple[float, float] | None = None) -> Any:  # noqa: ANN401 - rerun is untyped
+def blueprint(
+    tabs: Sequence[Any],
+    last_s: float | None = None,
+    around_s: tuple[float, float] | None = None,
+    opened: int = 0,
+    marked_s: tuple[float, float] | None = None,
+) -> Any:  # noqa: ANN401 - rerun is untyped
     """Tabs with linked time axes, side panels folded.
 
     Parameters
@@ -35,6 +42,10 @@ def blueprint(tabs: Sequence[Any], last_s: float | None = None, around_s: tuple[
         Follow what comes live, and show so much of it [s]; the whole flight if left out.
     around_s : tuple of float, optional
         Where the time axes begin and end on opening [s]; a double click shows the whole.
+    opened : int
+        Which of the tabs is open.
+    marked_s : tuple of float, optional
+        Begin and end of what is marked on the time line [s]. A layout cannot move the cursor: it stands at the start.
     """
     import rerun as rr
     import rerun.blueprint as rrb
@@ -54,11 +65,20 @@ def blueprint(tabs: Sequence[Any], last_s: float | None = None, around_s: tuple[
             stream.log(_ALL_AXES, rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end)))
 
     return _Linked(
-        rrb.Tabs(*tabs),
+        rrb.Tabs(*tabs, active_tab=opened),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIME_BOOT, play_state="paused" if last_s is None else "following"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=TIME_BOOT,
+            play_state="paused" if last_s is None else "following",
+            time_selection=None if marked_s is None else rr.encodings.AbsoluteTimeRange(*(_ns(s) for s in marked_s)),
+        ),
     )
+
+
+def _ns(time_s: float) -> int:
+    return round(1e9 * time_s)
 
 
 def curves(name: str, places: Sequence[str], *, origin: str = "/", span: tuple[float, float] | None = None) -> Any:  # noqa: ANN401
@@ -127,23 +147,30 @@ _LAST_S = 60.0
 
 def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untyped
     """Layout of an audit's recording."""
-    shown = {name: trace for name, trace in recording.traces.items() if trace.time_s.size}
-    tabs = [_overview([surface.surface for surface in recording.audit.surfaces], list(shown))]
-    tabs += [_surface(name, deflection_range(trace), residual_range(trace)) for name, trace in shown.items()]
+    drawn = {name: trace for name, trace in recording.traces.items() if trace.time_s.size}
+    tabs = [_overview([surface.surface for surface in recording.audit.surfaces], list(drawn))]
+    tabs += [_surface(name, deflection_range(trace), residual_range(trace)) for name, trace in drawn.items()]
     tabs += [axis_tab(axis) for axis in recording.audit.axes]
-    if shown:
+    if drawn:
         tabs.append(_aircraft(recording))
-    return blueprint(tabs, around_s=_first_alarm(recording))
+    alarms: list[tuple[str, Fault | AxisEvent]] = [
+        *((surface.surface, fault) for surface in recording.audit.surfaces for fault in surface.faults),
+        *((axis.axis, event) for axis in recording.audit.axes for event in axis.events if event.is_own),
+    ]
+    if not alarms:
+        return blueprint(tabs)
+    names = [*drawn, *(axis.axis for axis in recording.audit.axes)]
+    name, first = min(alarms, key=lambda alarm: alarm[1].alarm_s)
+    marked_s = (min(first.start_s, first.alarm_s), first.alarm_s)
+    return blueprint(tabs, None, _around(recording, *marked_s), 1 + names.index(name), marked_s)
 
 
-def _first_alarm(recording: Recording) -> tuple[float, float] | None:
-    """Begin and end of what is shown on opening [s]: the first fault and what led to it; None for the whole flight."""
-    faults = [fault for surface in recording.audit.surfaces for fault in surface.faults]
-    if not faults or recording.end_s - recording.start_s <= _AROUND_S:
+def _around(recording: Recording, start_s: float, alarm_s: float) -> tuple[float, float] | None:
+    """Begin and end of what is shown [s]: an alarm and what led to it; None for the whole of a short flight."""
+    if recording.end_s - recording.start_s <= _AROUND_S:
         return None
-    first = min(faults, key=lambda fault: fault.alarm_s)
-    begin_s = max(first.start_s - _BEFORE_S, recording.start_s)
-    return begin_s, min(max(first.alarm_s + _BEFORE_S, begin_s + _AROUND_S), recording.end_s)
+    begin_s = max(start_s - _BEFORE_S, recording.start_s)
+    return begin_s, min(max(alarm_s + _BEFORE_S, begin_s + _AROUND_S), recording.end_s)
 
 
 def live_layout(surfaces: Sequence[str], *, following: bool = False) -> Any:  # noqa: ANN401
@@ -176,7 +203,7 @@ def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN40
     ratios = [f"{surface_place(name)}/{what}" for name in shown for what in ("ratio", "onset")]
     views = [
         lanes("State", [f"{surface_place(name)}/state" for name in shown]),
-        curves("|residual| / threshold (1 = alarm)", [ALARM_LINE, *ratios], span=(0.0, 5.0)),
+        curves("|residual| / threshold (1 = alarm; drawn up to 5)", [ALARM_LINE, *ratios], span=(0.0, 5.0)),
         below,
     ]
     return stacked("Overview", views, [0.8 + 0.4 * len(shown), 3, 2.6])
