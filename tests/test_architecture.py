@@ -39,7 +39,7 @@ ONLY_IN = {
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/servo/transfer.py"},
-    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard")},
+    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "forms", "guard")},
     "uvicorn": {"servofd/serve/guard.py"},
     "distributed": {"servofd/batch/local.py"},
 }
