@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logparsers import Channel
+from logparsers.records import Damage
 from servofd.aircraft.marks import LAST_WITH_VALUE, Why
-from servofd.aircraft.schema import load_aircraft, plain_aircraft
-from servofd.aircraft.series import Series, bus_of, cut
+from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
+from servofd.aircraft.series import Series, bus_of, cut, lost_between
 from servofd.aircraft.watch import Bus, New, Watch
 from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement
@@ -18,18 +20,27 @@ from servofd.core.types import BoolArray, FloatArray
 from servofd.feedback.flown import one_log, surfaces_of
 from servofd.jobs.bench import bench_tests
 from servofd.jobs.workflow import audit, flights_of
+from servofd.simulation.commands import COMMANDS
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
 
-FORMATS = (".csv", ".bin", ".tlog", ".ulg")
-SPOILT_S = {"FROZEN": (20.0, 20.6), "HELD": (20.0, 20.18), "DUPLICATE": (20.0, 20.06), "ECHO": (20.0, 21.0)}
+FORMATS = (".csv", ".mat", ".bin", ".tlog", ".ulg")
+REASONS = ("FROZEN", "HELD", "DUPLICATE", "ECHO", "SPIKE", "GAP", "UNSETTLED")
+SPOILT_S = {"FROZEN": 0.6, "HELD": 0.18, "DUPLICATE": 0.06, "ECHO": 1.0, "GAP": 3.0, "UNSETTLED": 1.0}
+"""For how long each reason lasts."""
 HZ = 50.0
 
 
-def flown() -> SimulatedFlight:
-    aircraft = load_aircraft("simulated")
-    return simulate_flight(aircraft, duration_s=30.0, rate_hz=HZ, seed=5, noise_deg=0.02, outputs=outputs_of(aircraft))
+def aircraft_for(suffix: str) -> Aircraft:
+    """A .mat is of an aircraft without an autopilot."""
+    return load_aircraft("faser" if suffix == ".mat" else "simulated")
+
+
+def flown(suffix: str = ".csv") -> SimulatedFlight:
+    aircraft = aircraft_for(suffix)
+    outputs = () if suffix == ".mat" else outputs_of(aircraft)
+    return simulate_flight(aircraft, duration_s=30.0, rate_hz=HZ, seed=5, noise_deg=0.02, outputs=outputs)
 
 
 def spoilt(flight: SimulatedFlight, reason: str) -> tuple[SimulatedFlight, BoolArray]:
@@ -40,9 +51,16 @@ def spoilt(flight: SimulatedFlight, reason: str) -> tuple[SimulatedFlight, BoolA
         rows[[fastest, 1300]] = True
         deg[rows, 1] += 25.0
         return replace(flight, measured_deg=deg), rows
-    begin_s, end_s = SPOILT_S[reason]
-    first, last = fastest, fastest + round((end_s - begin_s) * HZ)
+    first, last = fastest, fastest + round(SPOILT_S[reason] * HZ)
     rows[first:last] = True
+    if reason == "UNSETTLED":  # nothing is known of what came before
+        kept = {name: getattr(flight, name)[first:] for name in ("time_s", "command_deg", "measured_deg", "pulse_us")}
+        return replace(flight, **kept), rows[first:]
+    if reason == "GAP":  # a pulse of 0 us is no command
+        asked_deg, pulse_us = flight.command_deg.copy(), flight.pulse_us.copy()
+        asked_deg[rows], pulse_us[rows[: len(pulse_us)]] = np.nan, 0
+        rows[: first + round(HZ)] = False
+        return replace(flight, command_deg=asked_deg, pulse_us=pulse_us), rows
     if reason == "ECHO":
         deg[rows, 1] = flight.command_deg[rows, 1]
     elif reason == "FROZEN":
@@ -56,17 +74,18 @@ def spoilt(flight: SimulatedFlight, reason: str) -> tuple[SimulatedFlight, BoolA
     ("reason", "suffix"),
     [
         (reason, suffix)
-        for reason in ("FROZEN", "HELD", "DUPLICATE", "ECHO", "SPIKE")
+        for reason in REASONS
         for suffix in FORMATS
-        if (reason, suffix) != ("ECHO", ".bin")  # its position comes in steps of the converter, and equals no command
+        # Positions come in steps of a converter, or in a sensor's own unit, and equal no command.
+        if (reason, suffix) not in {("ECHO", ".bin"), ("ECHO", ".mat")}
     ],
 )
 def test_each_reason_is_marked_in_each_format(reason: str, suffix: str, tmp_path: Path) -> None:
-    flight, rows = spoilt(flown(), reason)
+    flight, rows = spoilt(flown(suffix), reason)
     path = tmp_path / f"flight{suffix}"
-    write_flight(path, flight, load_aircraft("simulated"))
+    write_flight(path, flight, aircraft_for(suffix))
     log = one_log(path)
-    aircraft = surfaces_of(log, load_aircraft("simulated"))
+    aircraft = surfaces_of(log, aircraft_for(suffix))
     # The writer's voltage and current go on while the position is held, as those of a servo do that jams.
     quiet = {name: entry.model_copy(update={"alive": ()}) for name, entry in aircraft.surfaces.items()}
     series = cut(log, flight.surfaces[1], aircraft.model_copy(update={"surfaces": quiet}))
@@ -75,17 +94,29 @@ def test_each_reason_is_marked_in_each_format(reason: str, suffix: str, tmp_path
     assert marked.size == rows.size
     assert np.count_nonzero(marked & rows) >= 0.8 * np.count_nonzero(rows)
     assert np.count_nonzero(marked & ~rows) <= 0.01 * rows.size, found_s  # coarse readings repeat by chance
-    assert not np.isfinite(series.measured_deg[marked]).any()
+    assert np.isfinite(series.measured_deg[marked]).any() == (Why[reason] <= LAST_WITH_VALUE)
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_clean_flight_has_none_but_its_unknown_beginning(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"flight{suffix}"
-    write_flight(path, flown(), load_aircraft("simulated"))
+    write_flight(path, flown(suffix), aircraft_for(suffix))
     log = one_log(path)
-    aircraft = surfaces_of(log, load_aircraft("simulated"))
-    for name in aircraft.surfaces:
+    aircraft = surfaces_of(log, aircraft_for(suffix))
+    measured = [name for name, surface in aircraft.surfaces.items() if surface.measured is not None]
+    for name in measured:
         assert [each.why for each in cut(log, name, aircraft).left_out] == ["unsettled"]
+    # What the log itself says: another boot, a servo without power.
+    channel = aircraft.surfaces[measured[0]].measured
+    assert channel is not None
+    time_s = log[channel.channel].time_s
+    off = (time_s > time_s[500]) & (time_s < time_s[600])
+    power = Channel("torque_enabled", time_s, 1.0 - off, "", "torque_enabled")
+    reboot = Damage("reboot", "the clock starts again", 1, float(time_s[1399]), float(time_s[1400]))
+    spoilt_log = replace(log, channels={**log.channels, power.name: power}, damage=(reboot,))
+    why = cut(spoilt_log, measured[0], aircraft).why
+    np.testing.assert_array_equal(why == Why.TORQUE_OFF, off)
+    np.testing.assert_array_equal(why == Why.BOOT, time_s >= time_s[1400])
 
 
 def test_every_verb_sees_the_same_marks(tmp_path: Path) -> None:
@@ -275,3 +306,53 @@ def test_a_spike_in_a_flight_with_much_manoeuvring_is_marked(rows: int, tmp_path
         position_deg[first : first + rows] += rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 40.0)
     series = one(tmp_path / "a.csv", rudder_pos_deg=position_deg)
     np.testing.assert_array_equal(series.why == Why.SPIKE, thrown)
+
+
+@pytest.mark.parametrize("lost", [0.05, 0.3, 0.7])
+@pytest.mark.parametrize("style", ["lively", "calm", "hand_flown"])
+def test_a_lost_command_lies_in_the_interval_that_the_series_gives(style: str, lost: float) -> None:
+    rng = np.random.default_rng([9, round(100 * lost)])
+    sent_s = np.arange(0.0, 120.0, 0.02) + rng.uniform(-1e-3, 1e-3, 6000)
+    sent_deg = COMMANDS[style](sent_s, rng)
+    came = rng.random(sent_s.size) >= lost
+    period_s = 0.02 if lost > 0.5 else None
+    low_deg, high_deg = lost_between(sent_s[came], sent_deg[came], period_s).T
+    before = np.searchsorted(sent_s[came], sent_s[~came], side="right") - 1
+    between = (before >= 0) & (before < np.count_nonzero(came) - 1)
+    gone_deg, before = sent_deg[~came][between], before[between]
+    assert np.mean((low_deg[before] <= gone_deg) & (gone_deg <= high_deg[before])) >= 0.95
+    # Both neighbours lie in it, nothing is unknown where nothing was lost, and a longer gap knows less.
+    was_lost = np.isin(np.arange(low_deg.size), before)
+    assert np.all(low_deg[was_lost] <= np.minimum(sent_deg[came][:-1], sent_deg[came][1:])[was_lost[:-1]])
+    np.testing.assert_array_equal(low_deg[~was_lost], high_deg[~was_lost])
+    gap_s = np.diff(sent_s[came])[was_lost[:-1]]
+    width_deg = (high_deg - low_deg)[was_lost]
+    if lost == 0.7:
+        assert np.median(width_deg[gap_s > 0.1]) > np.median(width_deg[gap_s < 0.05])
+
+
+def test_what_is_unknown_of_a_lost_command_is_known_in_flight() -> None:
+    """What comes later changes nothing of a gap that is over."""
+    rng = np.random.default_rng(10)
+    came = rng.random(3000) >= 0.2
+    time_s, deg = 0.02 * np.flatnonzero(came), COMMANDS["lively"](0.02 * np.arange(3000), rng)[came]
+    whole = lost_between(time_s, deg)
+    for count in (200, 1000, 2000):
+        np.testing.assert_array_equal(lost_between(time_s[:count], deg[:count])[:-1], whole[: count - 1])
+
+
+def test_commands_that_come_as_they_please_lose_none() -> None:
+    time_s = np.cumsum(np.random.default_rng(11).exponential(0.1, 1000))
+    assert np.all(np.ptp(lost_between(time_s, 10.0 * np.sin(time_s)), axis=1) == 0.0)
+
+
+def test_a_series_knows_what_was_lost(tmp_path: Path) -> None:
+    came = np.ones(TIME_S.size, dtype=bool)
+    came[500:504] = False
+    columns = {"time_s": TIME_S, "rudder_cmd_deg": np.where(came, ASKED_DEG, np.nan)}
+    columns["rudder_pos_deg"] = followed(np.random.default_rng(12))
+    series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
+    (gap,) = np.flatnonzero(series.command_sigma_deg)
+    assert gap == 499
+    assert 0.5 < series.command_sigma_deg[gap] < 3.0  # at 20 deg/s, within 0.1 s
+    assert np.count_nonzero(series.at(slice(None), slice(400, 600)).command_sigma_deg) == 1
