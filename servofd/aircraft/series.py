@@ -355,7 +355,8 @@ def _speeds(command_s: FloatArray, speed_deg_s: FloatArray) -> FloatArray:
     result = np.empty(speed_deg_s.size)
     for first, after in zip(begins, np.append(begins[1:], speed_deg_s.size), strict=True):
         since = int(np.searchsorted(command_s, command_s[first] - _LATELY_S))
-        result[first:after] = np.quantile(speed_deg_s[since : first or after], _FAST)
+        earlier_deg_s = speed_deg_s[since : first or after]
+        result[first:after] = np.quantile(earlier_deg_s, _FAST) if earlier_deg_s.size else 0.0
     return result
 
 

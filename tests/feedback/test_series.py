@@ -356,3 +356,9 @@ def test_a_series_knows_what_was_lost(tmp_path: Path) -> None:
     assert gap == 499
     assert 0.5 < series.command_sigma_deg[gap] < 3.0  # at 20 deg/s, within 0.1 s
     assert np.count_nonzero(series.at(slice(None), slice(400, 600)).command_sigma_deg) == 1
+
+
+def test_commands_after_a_long_silence_have_lost_none_before_it() -> None:
+    time_s = np.concatenate([np.arange(0.0, 5.0, 0.02), np.arange(20.0, 25.0, 0.02)])
+    assert np.all(np.ptp(lost_between(time_s, 10.0 * np.sin(time_s)), axis=1) == 0.0)
+    assert lost_between(np.zeros(0), np.zeros(0)).shape == (0, 2)
