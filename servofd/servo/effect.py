@@ -219,7 +219,7 @@ class Effect:
     act: ClassVar[Callable[..., Any] | None] = None
     """``act(x, now, *fields, *memory)``: what becomes of the value that passes, and then of each number of its memory.
 
-    A static method of floats, with nothing but `math` and numbers of its module: it is compiled into the stepper.
+    A static method of floats, with nothing but `math` and what its module holds of numbers and of functions of floats.
     """
 
     def __init_subclass__(cls) -> None:

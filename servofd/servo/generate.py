@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -145,30 +146,33 @@ class _Source:
     number: int
     tree: ast.FunctionDef
     """Its names are those of no other effect."""
+    called: tuple[ast.FunctionDef, ...]
+    """Functions of its module that it calls."""
 
     @classmethod
     def of(cls, act: Act, number: int) -> _Source:
-        function, name = act.effect.act, act.effect.name
-        try:
-            tree = ast.parse(textwrap.dedent(inspect.getsource(function)))  # type: ignore[arg-type]
-        except (OSError, TypeError, SyntaxError):
-            raise ConfigError(f"effect {name}: the source of its act cannot be read; define it in a file") from None
-        define = tree.body[0]
-        if not isinstance(define, ast.FunctionDef):
-            raise ConfigError(f"effect {name}: act must be a function, a static method of its class")
+        name, given = act.effect.name, getattr(act.effect.act, "__globals__", {})
+        define = _parsed(act.effect.act, name)
         if len(define.args.args) != 2 + len(act.effect.sees) + act.effect.memory:
-            given = ", ".join(["x", "now", *act.effect.sees, *["memory"] * act.effect.memory])
-            raise ConfigError(f"effect {name}: act is called with ({given})")
-        define.name, define.decorator_list, define.returns = f"act_{number}", [], None
-        if ast.get_docstring(define) is not None:
-            del define.body[0]
-        _rename(define, number, getattr(function, "__globals__", {}), name)
-        return cls(act, number, define)
+            expected = ", ".join(["x", "now", *act.effect.sees, *["memory"] * act.effect.memory])
+            raise ConfigError(f"effect {name}: act is called with ({expected})")
+        own = {n.id: given.get(n.id) for n in ast.walk(define) if isinstance(n, ast.Name)}
+        own = {each: value for each, value in own.items() if isinstance(value, FunctionType)}
+        names = {each: f"{each}_{number}" for each in own}
+        called = [_parsed(each, name) for each in own.values()]
+        for each in called:
+            each.name = names[each.name]
+            _rename(each, number, given, name, {})
+        define.name = f"act_{number}"
+        # The value that passes and the step keep their names in every slot.
+        passes = dict(zip([argument.arg for argument in define.args.args], ("x", "now"), strict=False))
+        _rename(define, number, given, name, names | passes)
+        return cls(act, number, define, tuple(called))
 
     @property
     def function(self) -> str:
         """As a function of its own."""
-        return ast.unparse(self.tree) + "\n"
+        return "\n".join(ast.unparse(each) for each in (*self.called, self.tree)) + "\n"
 
     @property
     def is_plain(self) -> bool:
@@ -197,14 +201,28 @@ class _Source:
 _BUILT_IN = ("math", "abs", "min", "max", "int", "float", "bool", "range", "round")
 
 
-def _rename(define: ast.FunctionDef, number: int, given: Mapping[str, Any], effect: str) -> None:
-    """Give the names of a function a number of its own, and put numbers of its module in place of theirs."""
+def _parsed(function: Any, effect: str) -> ast.FunctionDef:  # noqa: ANN401 - what a user wrote
+    """Syntax of a function, without what is no step of it."""
+    try:
+        define = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+    except (OSError, TypeError, SyntaxError):
+        raise ConfigError(f"effect {effect}: the source of its act cannot be read; define it in a file") from None
+    if not isinstance(define, ast.FunctionDef):
+        raise ConfigError(f"effect {effect}: act must be a function, a static method of its class")
+    define.decorator_list, define.returns = [], None
+    if ast.get_docstring(define) is not None:
+        del define.body[0]
+    return define
+
+
+def _rename(
+    define: ast.FunctionDef, number: int, given: Mapping[str, Any], effect: str, known: Mapping[str, str]
+) -> None:
+    """Give the names of a function a number of its own, but for known ones, and put in numbers of its module."""
     arguments = define.args.args
     local = {n.id for n in ast.walk(define) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
     local |= {argument.arg for argument in arguments}
-    # The value that passes and the step keep their names in every slot.
-    new = {arguments[0].arg: "x", arguments[1].arg: "now"}
-    new = {**{name: f"{name}_{number}" for name in local}, **new}
+    new = {**{name: f"{name}_{number}" for name in local}, **known}
     for argument in arguments:
         argument.annotation, argument.arg = None, new[argument.arg]
     for node in ast.walk(define):
@@ -223,7 +241,7 @@ def _constant(node: Any, new: Mapping[str, str], given: Mapping[str, Any], effec
         return ast.copy_location(ast.Name(new[node.id], node.ctx), node)
     value = given.get(node.id)
     if not isinstance(value, int | float):
-        raise ConfigError(f"effect {effect}: act may use math and numbers of its module, not {node.id}")
+        raise ConfigError(f"effect {effect}: act may use math, numbers and functions of its module, not {node.id}")
     return ast.copy_location(ast.Constant(value), node)
 
 
@@ -247,7 +265,8 @@ def text_of(acts: Sequence[Act], off: Mapping[str, float], *, any_order: bool = 
         "from servofd.core.types", "from logparsers.compiled import compile_steps\nfrom servofd.core.types"
     )
     sources = [_Source.of(act, number) for number, act in enumerate(acts)]
-    functions = [each.function for each in sources if not each.is_plain]
+    functions = [ast.unparse(called) + "\n" for each in sources for called in each.called]
+    functions += [ast.unparse(each.tree) + "\n" for each in sources if not each.is_plain]
     functions += [_slot(slot, sources, off) for slot in STEPPED]
     functions.append(_rest(sources, off))
     slots = "\n\n".join(f"@compile_steps(kind='inlined')\n{each}" for each in functions)

@@ -275,7 +275,7 @@ def own(body: str = "return x + a_deg", parameters: str = "(A,)", name: str = "e
         ("\nx = undefined\n", "line 2: NameError: name 'undefined'"),
         (own("return 'far'"), "act must return a finite number"),
         (own("return x / 0.0"), "act: ZeroDivisionError"),
-        (own("return np.sin(x)"), "act may use math and numbers of its module, not np"),
+        (own("return np.sin(x)"), "act may use math, numbers and functions of its module, not np"),
         (own(more="memory = 1"), "act is called with (x, now, e_a_deg, memory)"),
         (own(name="backlash"), "the catalogue has one of this name"),
         (own(parameters="()"), "it needs a parameter"),

@@ -39,7 +39,7 @@ class RateLimit(Effect):
         return {**super().sizes, "follow_down_deg_s": self.down_deg_s}
 
     @staticmethod
-    def act(  # noqa: PLR0912 - a step in which it may fall behind and catch up
+    def act(
         x: float, now: Now, up_deg_s: float, down_deg_s: float, at: float, lag: float
     ) -> tuple[float, float, float]:
         """It follows until the servo is too fast, on a cubic from step to step, then runs until it meets it again."""
@@ -49,7 +49,7 @@ class RateLimit(Effect):
         begins, mean = now.speed_deg_s * step_s, x - was
         ends = begins + 8.0 * (0.5 * (was + x) - now.position_deg)
         between = 3.0 * mean - begins - ends
-        if lag == 0.0 and least <= begins <= most and least <= between <= most and least <= ends <= most:
+        if lag == 0.0 and least <= min(begins, between, ends) and max(begins, between, ends) <= most:
             return x, x, 0.0
         if step_s <= 0.0:
             return at, at, lag
@@ -58,43 +58,59 @@ class RateLimit(Effect):
         for _ in range(_MOST_TURNS):
             speed, faster = begins + share * (linear + share * square), linear + 2.0 * share * square
             short = -1.0
-            if lag == 0.0:  # when it is too fast upwards, and when downwards
-                when = 2.0
-                for sign in (1.0, -1.0):
-                    slack = (most if sign > 0.0 else -least) - sign * speed
-                    within = faster * faster + 4.0 * sign * square * slack
-                    below = sign * faster + math.sqrt(max(within, 0.0))
-                    after = 0.0 if slack <= 0.0 else 2.0 * slack / below if within >= 0.0 and below > slack else 2.0
-                    if after < when:
-                        when, lag = after, sign
-                if share + when >= 1.0:
+            if lag == 0.0:
+                up, down = too_fast(most - speed, faster, square), too_fast(speed - least, -faster, -square)
+                if share + min(up, down) >= 1.0:
                     return x, x, 0.0
-                share += when
+                lag, share = 1.0 if up <= down else -1.0, share + min(up, down)
                 at = was + share * (begins + share * (0.5 * linear + share * square / 3.0))
             else:
-                lag = 1.0 if lag > 0.0 else -1.0
+                lag = math.copysign(1.0, lag)
                 short = lag * ((most if lag > 0.0 else least) - speed)
             limit = most if lag > 0.0 else least
             last = at + limit * (1.0 - share)
-            low, high = share, 1.0
+            high = 1.0
             if lag * (x - last) > 0.0:  # unless it was met before, where the servo turned
-                within = faster * faster + 4.0 * lag * square * short
-                below = lag * faster + math.sqrt(max(within, 0.0))
-                high = share + 2.0 * short / below if short > 0.0 and within >= 0.0 and below > short else 1.0
+                high = share + turns(short, lag * faster, lag * square)
                 there = was + high * (begins + high * (0.5 * linear + high * square / 3.0))
                 if high >= 1.0 or lag * (there - at - limit * (high - share)) > 0.0:
                     return last, last, x - last
+            low = share
             for _ in range(_HALVINGS):
                 middle = 0.5 * (low + high)
                 there = was + middle * (begins + middle * (0.5 * linear + middle * square / 3.0))
-                if lag * (there - at - limit * (middle - share)) > 0.0:
-                    low = middle
-                else:
-                    high = middle
+                is_behind = lag * (there - at - limit * (middle - share)) > 0.0
+                low, high = (middle, high) if is_behind else (low, middle)
             at += limit * (high - share)
             share, lag = high, 0.0
         at += min(max(x - at, least * (1.0 - share)), most * (1.0 - share))
         return at, at, x - at
+
+
+def too_fast(slack: float, faster: float, square: float) -> float:
+    """After which share of a step a speed that grows by `faster`, and `square`, exceeds a limit by more than `slack`.
+
+    Examples
+    --------
+    >>> too_fast(-0.1, 0.0, 0.0), too_fast(0.5, 1.0, 0.0), too_fast(0.5, 0.1, 0.0)
+    (0.0, 0.5, 2.0)
+    """
+    within = faster * faster + 4.0 * square * slack
+    below = faster + math.sqrt(max(within, 0.0))
+    return 0.0 if slack <= 0.0 else 2.0 * slack / below if within >= 0.0 and below > slack else 2.0
+
+
+def turns(short: float, faster: float, square: float) -> float:
+    """After which share of a step a speed that is `short` of a limit reaches it; a whole one if it does not.
+
+    Examples
+    --------
+    >>> turns(0.5, 1.0, 0.0), turns(-1.0, 1.0, 0.0)
+    (0.5, 1.0)
+    """
+    within = faster * faster + 4.0 * square * short
+    below = faster + math.sqrt(max(within, 0.0))
+    return 2.0 * short / below if short > 0.0 and within >= 0.0 and below > short else 1.0
 
 
 class Resonance(Effect):
