@@ -8,6 +8,7 @@ AXES = ("roll", "pitch", "side", "thrust")
 """In which order they are shown; ``thrust`` is the engine, whose loss must not be blamed on a surface."""
 
 SURFACE_AXES = AXES[:3]
+"""Those that surfaces turn."""
 
 MOST_OF_THE_FLIGHT = 0.5
 """Share of the flight in which an axis must be judged, and its lost share known, for ``healthy``."""

@@ -14,6 +14,7 @@ from servofd.core.types import FloatArray
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _LARGEST = 1e9
+"""Larger variances in a calibration are no numbers of a servo."""
 _BEYOND, _STANDING_M_S = 1.5, 6.0
 """Calibrated on the ground alone, 37 of 128 good flights of eight aircraft of even seed were at fault; beyond 1.5 times
 the calibrated airspeed the air pushes more than twice as hard. A pitot reads so much where nothing moves."""

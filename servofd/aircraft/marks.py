@@ -96,6 +96,7 @@ TINY_DEG: Final = 1e-6
 
 
 _MEMORY: Final = 17
+"""Numbers that `standing` remembers of a servo; their places follow."""
 _NEWEST, _CHANGED, _REPEATS, _THEN, _BEFORE, _LAG, _ASKED, _STEP, _STIRRED = range(9)
 _RESTS, _RUNS, _SQUARES, _SAME, _SAME_ROWS, _SAME_LONGEST, _STOOD, _OWING = range(9, _MEMORY)
 

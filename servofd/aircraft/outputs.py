@@ -198,6 +198,7 @@ _POSITION_PATTERNS = (
 _ARRAY_ORIGIN = re.compile(r"DEBUG_FLOAT_ARRAY\[SRVP\]\.data\[\d+\]")
 """Of a numbered array its origin tells the name: another one's elements are no positions."""
 _MOVES = 1e-9
+"""Smaller spreads are rounding: nothing moves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,6 +358,7 @@ def pulse_channel(channels: Mapping[str, object], number: int) -> str:
 _HALF_TRAVEL_US = 500.0
 """Pulses of 1000 to 2000 us are what an autopilot that speaks of -1 to 1 sends by default."""
 _OUTPUTS_OF_A_MESSAGE = 16
+"""SERVO_OUTPUT_RAW of MAVLink 2 holds so many; a second message holds the next ones."""
 _OF_A_LOG = re.compile(r"RCOU|RCO[23]|CSRV\[|NVF\[")
 """Channels that autopilots write into their own logs and do not send."""
 _OTHER_PATH_S = 0.06

@@ -37,6 +37,7 @@ PRIORS: Final = (
     Prior("bend2_deg", "deg", 0.0, 0.5, -5.0, 5.0, 0.05, 0.1),
     Prior("bend3_deg", "deg", 0.0, 0.5, -5.0, 5.0, 0.05, 0.1),
 )
+"""What a calibration fits, with how far servos may be from the usual one: `Prior` names the columns."""
 NAMES: Final = tuple(prior.name for prior in PRIORS)
 SIGMAS: Final = MappingProxyType({prior.name: prior.sigma for prior in PRIORS})
 """How far any servo may differ from the usual one, by name."""

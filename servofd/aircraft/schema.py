@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 _Positive = Annotated[float, Field(gt=0.0, lt=1e5, strict=True)]
 _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
+"""Numbers in an aircraft file; what lies outside is a wrong unit."""
 
 
 class Limits(BaseModel):
@@ -70,6 +71,7 @@ DEFAULT_SIGMAS = 6.0
 """Gaussian noise in a residual of the default filter's colour exceeds 6 standard deviations 7e-4 times an hour."""
 
 Sigmas = Annotated[float, Field(ge=1.0, le=100.0, strict=True)]
+"""How many standard deviations of noise a threshold leaves free."""
 
 
 class _Entry(BaseModel):

@@ -68,6 +68,7 @@ _FEWEST_STEPS, _SHORTEST, _WHOLE = 20, 10.0, 1.5
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
+"""Ratio of two paces that are the same, and intervals that tell the usual one of a long log."""
 
 SLOWEST_RATE_HZ = 8.0
 """Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for

@@ -52,9 +52,11 @@ def _varied(effects: tuple[type[Effect], ...]) -> tuple[type[Effect], ...]:
 
 
 FEWEST_RUNS = 5
+"""Fewer runs show no line over a condition."""
 ALIKE = 0.98
 """Correlation beyond which two conditions cannot be told apart."""
 _SHARES = (-0.3, -0.1, 0.1, 0.3)
+"""Slopes of a line over a condition from which a search starts, as shares of the typical size."""
 
 
 def told_apart(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

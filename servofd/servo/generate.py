@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 STEPPED = (Slot.COMMAND, Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED, Slot.STOP, Slot.OUTPUT, Slot.READING)
 """Slots whose effects are compiled, in their order."""
 INSIDE_LOOP = STEPPED[:6]
+"""Slots in which an effect changes what drives the loop, so that steps must be short."""
 _BY_STATES = ("advance", "departs")
 """Functions that are there for three states, and in another form for any number."""
 _COMPILED = {

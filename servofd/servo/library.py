@@ -20,8 +20,11 @@ from servofd.servo.transfer import BANDWIDTH_DROP_DB, TransferFunction
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Bandwidth = Annotated[float, Field(ge=0.01, le=10_000.0, strict=True)]
+"""In rad/s."""
 Damping = Annotated[float, Field(ge=0.01, le=100.0, strict=True)]
+"""As a ratio; 1 is critical."""
 Delay = Annotated[float, Field(ge=0.0, le=10.0, strict=True)]
+"""In seconds. What lies outside these bounds is a wrong unit."""
 
 
 class Servo(BaseModel):

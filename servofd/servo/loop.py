@@ -30,6 +30,7 @@ BEFORE, INSIDE, AFTER = -1.0, 0.0, 1.0
 """Places of a servo's slow pole: a filter of the command, a part of the position loop, a filter of what it moves."""
 
 _TIED = 1e-9
+"""Relative imaginary part below which a computed root is real."""
 _COARSEST_S = 2.5e-4
 """Grid of the steps whose matrices are kept; what is left of a step is a series in at most half of it."""
 _FASTEST_TIMES_GRID = 0.05

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from servofd.servo.transfer import TransferFunction
 
 _MOST_POLES = 3
+"""Servos of more poles are simulated, but nothing acts inside their loop."""
 
 
 @dataclass(frozen=True, slots=True)

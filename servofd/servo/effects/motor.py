@@ -15,6 +15,7 @@ UNFOLLOWED = {"follow_up_deg_s": math.inf, "follow_down_deg_s": math.inf}
 RATES_DEG_S_PER_V = (1.4, 2.5, 4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0)
 """Largest speeds per volt from which a search starts."""
 _UP_DOWN_DEG_S = (20.0, 40.0, 90.0, 180.0, 350.0)
+"""The same where each direction has its own: fewer, because every pair is tried."""
 
 
 class DeadBand(Effect):

@@ -42,6 +42,7 @@ _POLES = (
     Parameter("pair_scale", ("pair_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
     Parameter("damping_scale", ("damping_scale",), 0.02, 50.0, 1.0, 0.06, (1.0,)),
 )
+"""Scales of the poles; of a servo of its type all are 1."""
 
 
 class Poles(Effect):

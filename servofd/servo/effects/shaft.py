@@ -12,9 +12,11 @@ from servofd.servo.loop import AFTER, BEFORE, INSIDE
 SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
 """Where in the motor a load acts is not in the servo's poles; it changes no linear motion and no steady state."""
 _FRICTION_DEG = (0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0)
+"""Sizes of friction from which a search starts."""
 _STRIBECK_DEG_S = 10.0
 """Speed at which most of what friction is larger at rest is gone: of grease and bushings."""
 _RAD_PER_DEG = math.pi / 180.0
+"""For the sine of an angle in degrees."""
 
 
 class AirLoad(Effect):
