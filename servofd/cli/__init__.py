@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.cli.options import COULD_NOT_TELL, VERBS, Options, build_parser, look_parser
-from servofd.cli.terminal import complain, plain_streams
+from servofd.cli.terminal import complain, say, say_aside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -66,11 +66,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign shows a question mark
-    with plain_streams():
-        return _main(arguments)
-
-
-def _main(arguments: Sequence[str] | None) -> int:
     options = parsed(sys.argv[1:] if arguments is None else arguments)
     # Vectors of a log are too short to share out: threads that wait for each other took two to five times the time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -117,7 +112,7 @@ def _prepare() -> None:
     from servofd.servo.prepare import compile_ahead
 
     waits = sys.stderr is not None and sys.stderr.isatty()
-    compile_ahead(lambda sentence: print(sentence, file=sys.stderr, flush=True) if waits else None)
+    compile_ahead(lambda sentence: say_aside(sentence) if waits else None)
 
 
 def parsed(words: Sequence[str]) -> Options:
@@ -191,7 +186,7 @@ def _show_help(options: Options) -> int:
     if sys.stdout.isatty():
         pydoc.pager(page)
     else:
-        print(page, end="")
+        say(page, end="")
     return 0
 
 

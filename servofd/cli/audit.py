@@ -17,6 +17,7 @@ from servofd.cli.terminal import (
     one_line,
     print_document,
     progress,
+    say,
     worst,
     write_page,
 )
@@ -78,9 +79,9 @@ def _plot(result: LogAudit) -> None:
     lines += [(axis.axis, axis.outline) for axis in result.axes]
     width = max((len(one_line(name)) for name, _ in lines), default=0)
     for name, shares in lines:
-        print(f"{one_line(name):{width}}  {sparkline(shares)}")
+        say(f"{one_line(name):{width}}  {sparkline(shares)}")
     if lines:
-        print("residual over threshold: ▁▂▃▄ below, ▅▆▇█ above it; a dot where nothing was judged")
+        say("residual over threshold: ▁▂▃▄ below, ▅▆▇█ above it; a dot where nothing was judged")
 
 
 def check(options: Options) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
-from servofd.cli.terminal import check_targets, print_document, progress
+from servofd.cli.terminal import check_targets, print_document, progress, say
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import write_whole
 from servofd.feedback.flown import logs_of, surfaces_of
@@ -45,7 +45,7 @@ def run(options: Options) -> int:
     text = calibration_to_toml(calibration)
     write_whole(options.output, text.encode())
     print_document(calibrate_report(calibration, options.false_alarms_per_hour))
-    print(f"wrote {options.output}")
+    say(f"wrote {options.output}")
     return _run_axes(options, text) if options.motion else 0
 
 
@@ -74,5 +74,5 @@ def _run_axes(options: Options, text: str = "") -> int:
     head = text or f'name = "{Path(options.output).stem}"\n'
     write_whole(options.output, f"{head.rstrip()}\n\n{motion_to_toml(model)}".encode())
     print_document(motion_report(model))
-    print(f"wrote {options.output}; next: servofd FLIGHT -c {options.output}")
+    say(f"wrote {options.output}; next: servofd FLIGHT -c {options.output}")
     return 0

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.cli.terminal import say
 from servofd.core.errors import ConfigError, DesignError
 from servofd.core.files import write_whole
 from servofd.detection.nullspace import design_nullspace_filter
@@ -31,16 +32,16 @@ def run(options: Options) -> int:
     row = design_nullspace_filter(plant, pole).rows[0]
     sampled = design_pulse_filter(plant, servo.transport_delay_s, sample_time_s, pole)
     leakage = sampled.leakage(np.linspace(0.1, np.pi * options.rate_hz, 400))
-    print(f"{servo.title}, filter pole {pole:g} rad/s, {options.rate_hz:g} Hz")
-    print("\nQ(s) = [Qy Qu], residual = Qy measured + Qu command (thesis Eq. 4.7), without the delay:")
-    print(f"  Qy numerator   {_polynomial(row.qy)}")
-    print(f"  Qu numerator   {_polynomial(row.qu[0])}")
-    print(f"  denominator    {_polynomial(row.denominator)}")
-    print(f"  poles          {', '.join(f'{p.real:g}' for p in row.poles_rad_s)} rad/s")
-    print(f"  dc gain        Qy {row.dc_qy:.6f}, Qu {row.dc_qu[0]:.6f}, fault to residual {row.faults[0].dc_gain:.6f}")
-    print(f"\nOn samples (plant first: hold and a delay of {1e3 * servo.transport_delay_s:g} ms exact):")
-    print(f"  noise gain     {sampled.noise_gain:.4f} (residual noise per white noise on the measurement)")
-    print(f"  leakage        {leakage:.1e} (largest gain from command to residual: the proof)")
+    say(f"{servo.title}, filter pole {pole:g} rad/s, {options.rate_hz:g} Hz")
+    say("\nQ(s) = [Qy Qu], residual = Qy measured + Qu command (thesis Eq. 4.7), without the delay:")
+    say(f"  Qy numerator   {_polynomial(row.qy)}")
+    say(f"  Qu numerator   {_polynomial(row.qu[0])}")
+    say(f"  denominator    {_polynomial(row.denominator)}")
+    say(f"  poles          {', '.join(f'{p.real:g}' for p in row.poles_rad_s)} rad/s")
+    say(f"  dc gain        Qy {row.dc_qy:.6f}, Qu {row.dc_qu[0]:.6f}, fault to residual {row.faults[0].dc_gain:.6f}")
+    say(f"\nOn samples (plant first: hold and a delay of {1e3 * servo.transport_delay_s:g} ms exact):")
+    say(f"  noise gain     {sampled.noise_gain:.4f} (residual noise per white noise on the measurement)")
+    say(f"  leakage        {leakage:.1e} (largest gain from command to residual: the proof)")
     _print_step(sampled)
     if options.plot:
         _plot(servo, sampled, Path(options.plot))
@@ -59,11 +60,11 @@ def _print_step(sampled: PulseFilter) -> None:
     """A few points of the response, the threshold of the thesis among them."""
     count = max(2, round(0.3 / sampled.sample_time_s))
     step = sampled.fault_step(count + 1)
-    print("  residual after a fault of 1 deg on the command:")
+    say("  residual after a fault of 1 deg on the command:")
     for share in (0.1, 0.25, 0.5, 0.9):
         reached = next((k for k, value in enumerate(step) if value >= share), None)
         when = f"{1e3 * reached * sampled.sample_time_s:.0f} ms" if reached is not None else "later than 300 ms"
-        print(f"    {share:.0%} after {when}")
+        say(f"    {share:.0%} after {when}")
 
 
 def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:

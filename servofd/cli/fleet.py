@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from servofd.batch.find import find_logs
 from servofd.batch.key import page_name
 from servofd.cli.options import FLEET_PAGE
-from servofd.cli.terminal import complain, give_json, one_line, print_document, progress, worst, write_page
+from servofd.cli.terminal import complain, give_json, one_line, print_document, progress, say, worst, write_page
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import layout_of
@@ -37,10 +37,10 @@ def run(options: Options) -> int:
         return seen.exit_code
     print_document(fleet_report(seen.document()))
     for fault in seen.faults:
-        print(f"{fault['path']}: {fault['surface']}: {fault['kind']} from {fault['start_s']:.1f} s")
+        say(f"{fault['path']}: {fault['surface']}: {fault['kind']} from {fault['start_s']:.1f} s")
     for one in seen.not_judged:
-        print(f"{one['path']}: {one['reason'].removeprefix(one['path'] + ': ')}")
-    print(f"wrote {target}")
+        say(f"{one['path']}: {one['reason'].removeprefix(one['path'] + ': ')}")
+    say(f"wrote {target}")
     return seen.exit_code
 
 
@@ -61,9 +61,9 @@ def run_fleet(options: Options, job: Job) -> int:
         _write_page(seen, page)
     printed = give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]})
     if options.pages and not printed:
-        print(f"{fleet_report(seen.document()).sentence} → {Path(options.pages, FLEET_PAGE)}")
+        say(f"{fleet_report(seen.document()).sentence} → {Path(options.pages, FLEET_PAGE)}")
         for flight in [flight for flight in seen.flights if flight["status"] in ("fault", "suspect")][:_SHOWN]:
-            print(f"{one_line(flight_name(flight))}: {one_line(flight['sentence'])}")
+            say(f"{one_line(flight_name(flight))}: {one_line(flight['sentence'])}")
     elif not printed:
         print_document(fleet_report(seen.document()))
     for problem in (*found.problems, *(one["reason"] for one in seen.not_judged)):
@@ -91,7 +91,7 @@ def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) 
                 complain("the same bytes as another log; counted once", judged.source.path)
             if options.json != "-" and not options.pages:
                 for run in judged.runs:
-                    print(_line(run.row), flush=True)
+                    say(_line(run.row))
             step()
     return kept
 

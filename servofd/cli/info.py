@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from servofd.cli.terminal import print_document
+from servofd.cli.terminal import print_document, say
 from servofd.jobs.survey import survey
 from servofd.outputs.document import Bullets, Document, Table
 
@@ -24,7 +24,7 @@ def run(options: Options) -> int:
     """Survey the log and print."""
     surveys = survey(options.log, options.config, every_channel=options.channels)
     if options.json:
-        print(json.dumps({"schema": "servofd.info/1", "logs": [s.as_dict() for s in surveys]}, indent=2))
+        say(json.dumps({"schema": "servofd.info/1", "logs": [s.as_dict() for s in surveys]}, indent=2))
     else:
         for found in surveys:
             print_document(_report(found))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from servofd.cli import audit
 from servofd.cli.options import FLEET_PAGE
-from servofd.cli.terminal import one_line, write_page
+from servofd.cli.terminal import one_line, say, write_page
 from servofd.core.files import beginning, distinct_file_names
 from servofd.detection.verdict import next_step
 from servofd.jobs.workflow import FailedLog
@@ -41,7 +41,7 @@ def run(options: Options) -> int:
     page = Path(options.html) if options.html else _written(options, report)
     if options.json != "-":
         for line in _closing_lines(results, report.sentence, page):
-            print(one_line(line))
+            say(one_line(line))
     _open(page, options)
     return audit.exit_code(results)
 

@@ -85,7 +85,7 @@ def _watch(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
         # However it ends, what was found is printed.
         with contextlib.suppress(KeyboardInterrupt):
             watch_link(session, receiver, outputs, options.duration)
-        outputs.events(session.finish(receiver.now_s()), receiver.now_s())
+        outputs.events(session.finish(receiver.now_s()))
     return session
 
 
@@ -114,7 +114,7 @@ def _replay(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
                 now_s = replay_telemetry(session, path, outputs, pace, options.duration)
             else:
                 now_s = replay_log(session, log, outputs, pace, options.duration)
-        outputs.events(session.finish(now_s), now_s)
+        outputs.events(session.finish(now_s))
     return session
 
 

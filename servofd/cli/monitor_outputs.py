@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import sys
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from servofd.cli.terminal import complain, console
+from servofd.cli.terminal import complain, has_screen, say, screen, tell
 from servofd.core.errors import ConfigError
 from servofd.live.threads import Worker
 from servofd.live.view import View, event_line
@@ -19,16 +19,21 @@ from servofd.outputs.live_recording import LiveRecording, Samples
 from servofd.outputs.recording.verdicts import live_verdicts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
-    from servofd.detection.monitor import Event, Inputs
+    from servofd.detection.monitor import Inputs
     from servofd.detection.stream import Piece
+    from servofd.live.alarms import Published
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
+    from servofd.live.view import Picture
 
-_DRAW_S, _LINES_S = 0.1, 5.0
+_DRAW_S: Final = 0.2
+"""Between two pictures on a screen, by the clock on the wall however fast a replay runs."""
+_LINES_S: Final = 5.0
+"""Between the lines of surfaces where there is no screen, by the clock of the stream."""
 
 
 class Outputs:
@@ -36,7 +41,8 @@ class Outputs:
 
     def __init__(self, session: Session, title: str) -> None:
         self._session, self._view = session, View(session, title)
-        self._screen: Any = None
+        self._draw: Callable[[Picture], None] | None = None
+        """Draws on the screen, while there is one."""
         self._prints = True
         self._lines: Worker | None = None
         self._stored: Worker | None = None
@@ -44,7 +50,9 @@ class Outputs:
         self.receiver: Receiver | None = None
         self._drawn_s = self._printed_s = float("-inf")
         self._waited = ""
-        self._failed: set[str] = set()
+        self._failed: dict[str, str] = {}
+        self._told: set[str] = set()
+        """Of these failures, those that stderr has been told."""
 
     @classmethod
     @contextlib.contextmanager
@@ -52,7 +60,7 @@ class Outputs:
         """Open what the options ask for, and close it however the monitor ends."""
         made = cls(session, title)
         with contextlib.ExitStack() as open_:
-            open_.callback(made._complain)  # what fails when it is closed
+            open_.callback(made._complain)  # also of what fails when it is closed
             if options.json_lines == "-":
                 made._prints = False
             elif options.json_lines:
@@ -62,28 +70,22 @@ class Outputs:
                 session.store = made._stored.put
             if options.rrd or options.serve:
                 made._record(options, aircraft, open_)
-            if made._prints and not options.plain and sys.stdout.isatty():
-                from rich.live import Live
-
-                made._screen = open_.enter_context(Live(made._view.drawn(0.0), console=console(), auto_refresh=False))
+            if made._prints:
+                open_.callback(made._sum_up)
+            if made._prints and not options.plain and has_screen():
+                made._draw = open_.enter_context(screen())
             yield made
-            if made._screen is not None:
-                made._screen.update(made._view.drawn(made._drawn_s), refresh=True)
+            made._draw = None
 
-    def events(self, events: list[Event], now_s: float) -> None:
+    def events(self, events: list[Published]) -> None:
         """Tell each event everywhere."""
         for event in events:
-            vehicle = self._owner(event)
-            if self._lines is not None:
-                self._lines.put(json.dumps(event_document(event, vehicle), allow_nan=False).encode() + b"\n")
-            if not self._prints:
-                print(json.dumps(event_document(event, vehicle), allow_nan=False), flush=True)
+            if self._lines is not None or not self._prints:
+                line = json.dumps(event_document(event), allow_nan=False)
+                say(line) if self._lines is None else self._lines.put(f"{line}\n".encode())
             self._note(event_line(event))
             if self._recording is not None:
                 self._recording.add(event)
-        if any(event.event == "alarm" for event in events):
-            self._drawn_s = float("-inf")
-            self.tick(now_s)
 
     def tick(self, now_s: float) -> None:
         """Draw, print and complain, each not too often."""
@@ -92,15 +94,16 @@ class Outputs:
         self._session.notes.clear()
         self._complain()
         self._view.dropped = self._dropped()
-        if self._screen is not None and now_s - self._drawn_s >= _DRAW_S:
-            self._drawn_s = now_s
-            self._screen.update(self._view.drawn(now_s), refresh=True)
-        elif self._screen is None and self._prints:
+        clock_s = time.monotonic()
+        if self._draw is not None and clock_s - self._drawn_s >= _DRAW_S:
+            self._drawn_s = clock_s
+            self._draw(self._view.drawn(now_s))
+        elif self._draw is None and self._prints:
             waiting = self._session.waiting()
             if now_s - self._printed_s >= _LINES_S or waiting != self._waited:
                 self._printed_s, self._waited = now_s, waiting
                 for line in self._view.plain(now_s):
-                    print(line, flush=True)
+                    say(line)
 
     def _dropped(self) -> int:
         """What found a queue full: of what came in, and of what was to be written."""
@@ -108,26 +111,29 @@ class Outputs:
         received = self.receiver.chunks.dropped if self.receiver is not None else 0
         return received + written + (self._recording.dropped if self._recording is not None else 0)
 
-    def _owner(self, event: Event) -> int | None:
-        """Whose event this is; known if there is one vehicle, or the surface has one name."""
-        owners = [v.system for v, m in self._session.watched if m.name == event.surface]
-        return owners[0] if len(owners) == 1 and owners[0] else next(iter(self._session.vehicles), None) or None
-
     def _note(self, line: str) -> None:
         self._view.note(line)
-        if self._screen is None and self._prints:
-            print(line, flush=True)
+        if self._draw is None and self._prints:
+            say(line)
+
+    def _sum_up(self) -> None:
+        """Print what was found."""
+        for line in self._view.summary():
+            tell(line)
 
     def _complain(self) -> None:
-        """Say once what could not be written."""
+        """Say once what could not be written: on the screen while there is one, and on stderr."""
         failed = {"telemetry log": self._stored, "JSON lines": self._lines}
         errors = {what: worker.error for what, worker in failed.items() if worker is not None and worker.error}
         if self._recording is not None:
             errors |= self._recording.errors
         for what, error in errors.items():
             if what not in self._failed:
-                self._failed.add(what)
-                complain(f"{what}: no more is written: {error}")
+                self._failed[what] = f"{what}: no more is written: {error}"
+                self._view.note(self._failed[what])
+        for what in self._failed.keys() - self._told if self._draw is None else ():
+            self._told.add(what)
+            complain(self._failed[what])
 
     def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
         first = next(iter(aircraft.values()))
@@ -165,7 +171,7 @@ def _writer(name: str, mode: str, open_: contextlib.ExitStack) -> Worker:
     return worker
 
 
-def event_document(event: Event, vehicle: int | None = None) -> dict[str, Any]:
+def event_document(event: Published) -> dict[str, Any]:
     """The event as other tools read it; what is not known is null."""
     document: dict[str, Any] = {
         "schema": "servofd.event/1",
@@ -175,8 +181,10 @@ def event_document(event: Event, vehicle: int | None = None) -> dict[str, Any]:
         "kind": event.kind or None,
         "residual_deg": _number(event.residual_deg),
         "threshold_deg": _number(event.threshold_deg),
-        "vehicle": vehicle,
+        "vehicle": event.vehicle or None,
     }
+    if event.id:
+        document |= {"id": event.id, "severity": event.severity.name.lower()}
     if event.text:
         document["text"] = event.text
     if event.fault is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import load_aircraft
-from servofd.cli.terminal import check_targets, complain
+from servofd.cli.terminal import check_targets, complain, say
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
 from servofd.onboard.plan import outputs_of, plan_onboard
@@ -21,7 +21,7 @@ def run(options: Options) -> int:
     check_targets([options.output], {"the aircraft file": [options.aircraft]})
     text, done = _streaming(options) if options.stream_only else _watching(options)
     write_whole(options.output, text.encode("ascii"))
-    print(f"{options.output}: {done}. Copy it to APM/scripts on the SD card, set SCR_ENABLE = 1, and reboot.")
+    say(f"{options.output}: {done}. Copy it to APM/scripts on the SD card, set SCR_ENABLE = 1, and reboot.")
     return 0
 
 

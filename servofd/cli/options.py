@@ -7,10 +7,14 @@ import math
 import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from servofd.cli.terminal import say
+from servofd.outputs.plain import plain
 from servofd.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+
+    from _typeshed import SupportsWrite
 
 Options = argparse.Namespace
 """Of one call; a verb's function takes them."""
@@ -41,6 +45,9 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End with one line on stderr."""
         self.exit(COULD_NOT_TELL, f"{self.prog}: {message} (see '{self.prog} --help')\n")
+
+    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
+        super()._print_message(plain(message), file)
 
     def config(self, metavar: str = "AIRCRAFT.toml", **more: Any) -> None:  # noqa: ANN401 - of argparse
         """Declare the aircraft file."""
@@ -616,7 +623,7 @@ class _PrintCompletion(argparse.Action):
                 action.complete = shtab.DIRECTORY  # type: ignore[attr-defined] # where shtab looks for it
             elif isinstance(action.metavar, str) and _FILE.search(action.metavar):
                 action.complete = shtab.FILE  # type: ignore[attr-defined]
-        print(shtab.complete(parser, str(values)))
+        say(shtab.complete(parser, str(values)))
         parser.exit()
 
 

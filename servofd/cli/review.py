@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.cli.terminal import check_targets, complain, give_json, print_table, worst
+from servofd.cli.terminal import check_targets, complain, give_json, print_table, say, worst
 from servofd.core.errors import ConfigError, RecordingError
 from servofd.detection.verdict import describe
 from servofd.jobs.workflow import FailedLog
@@ -128,9 +128,9 @@ def _print_one(path: Path, recording: Recording) -> None:
     print_table(headings, rows, f"{path}   {audit.log.source.name}, {audit.log.duration_s:.1f} s")
     lines = [e for s in audit.surfaces for e in events(recording.traces.get(s.surface), s, recording.start_s)]
     for time_s, level, text in sorted(lines):
-        print(f"  {time_s:10.2f} s  {level:5}  {text}")
+        say(f"  {time_s:10.2f} s  {level:5}  {text}")
     for note in recording.notes:
-        print(f"  note: {note}")
+        say(f"  note: {note}")
 
 
 def _print_fleet(found: list[tuple[Path, Recording]]) -> None:
@@ -169,7 +169,7 @@ def _compare(options: Options, path: Path) -> int:
         rows = [[c.surface, c.what, c.before, c.after, _where(c)] for c in changes]
         print_table(["surface", "what", str(path), options.compare, "where"], rows)
     elif not printed:
-        print("no difference: the same verdicts, and every curve the same to the last bit")
+        say("no difference: the same verdicts, and every curve the same to the last bit")
     return 1 if before.audit.has_fault or after.audit.has_fault else 0
 
 

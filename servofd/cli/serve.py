@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import secrets
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo, load_aircraft
 from servofd.batch.key import Job
 from servofd.cli.options import LOOPBACK
+from servofd.cli.terminal import say, say_aside
 from servofd.core.errors import ConfigError
 from servofd.serve.app import application
 from servofd.serve.flights import Flights
@@ -36,8 +36,8 @@ def run(options: Options) -> int:
     link = f"http://{host}:{sockets.getsockname()[1]}/{f'?token={token}' if token else ''}"
     folder = Path(options.folder)
     with Flights(folder, job, most_bytes=options.most_mb * 1_000_000, workers=options.workers) as flights:
-        print(f"{link}   flights in {folder.resolve()}; Ctrl-C ends it", flush=True)
+        say(f"{link}   flights in {folder.resolve()}; Ctrl-C ends it")
         if token:
-            print("Whoever has this link sees all flights of the folder.", file=sys.stderr)
+            say_aside("Whoever has this link sees all flights of the folder.")
         serve(application(flights, token), sockets, "" if options.no_open else link)
     return 0

@@ -6,7 +6,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
-from servofd.cli.terminal import print_table
+from servofd.cli.terminal import print_table, say
 from servofd.servo.library import library
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def run(options: Options) -> int:
     """Print the table."""
     servos = library()
     if options.json:
-        print(json.dumps({name: _record(servo) for name, servo in servos.items()}, indent=2))
+        say(json.dumps({name: _record(servo) for name, servo in servos.items()}, indent=2))
         return 0
     rows = [[name, *_row(servo)] for name, servo in servos.items()]
     print_table(
@@ -34,15 +34,15 @@ def run(options: Options) -> int:
         ],
         rows,
     )
-    print(
+    say(
         "Bandwidth: 3.00 dB below dc. Delay: transport delay used in simulation, without the hold of the sampled\n"
         "command; in brackets the printed one where it contains that hold. dc gain: as printed; servofd scales it to 1."
     )
     if options.notes:
         for name, servo in servos.items():
-            print(f"\n{name}: {servo.title}")
+            say(f"\n{name}: {servo.title}")
             for note in servo.notes:
-                print(f"  - {note}")
+                say(f"  - {note}")
     return 0
 
 

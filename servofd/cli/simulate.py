@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from logparsers.codec import Codec
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
-from servofd.cli.terminal import complain
+from servofd.cli.terminal import complain, say
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.files import write_whole
 from servofd.jobs.simulating import simulated
@@ -74,7 +74,7 @@ def run(options: Options) -> int:
                 "--stream: an effect depends on the air or the supply, which a stream does not tell: use -o"
             )
         return _stream(options, made.flight, made.aircraft)
-    print(f"{options.output}: {duration_s:g} s at {made.rate_hz:g} Hz, {', '.join(made.flight.surfaces)}")
+    say(f"{options.output}: {duration_s:g} s at {made.rate_hz:g} Hz, {', '.join(made.flight.surfaces)}")
     return 0
 
 
@@ -109,7 +109,7 @@ def _run_airframe(options: Options) -> int:
         engine_cut_s=math.inf if options.engine_cut is None else options.engine_cut,
     )
     write_whole(options.output, airframe_log(flight))
-    print(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.mixer.names)}, no feedback")
+    say(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.mixer.names)}, no feedback")
     return 0
 
 
@@ -126,7 +126,7 @@ def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> in
     link = open_link(endpoint)
     try:
         length_s = flight.time_s.size / rate_of(flight)
-        print(f"{endpoint}: system {settings.system}, {', '.join(flight.surfaces)}, {length_s:g} s; Ctrl-C ends it")
+        say(f"{endpoint}: system {settings.system}, {', '.join(flight.surfaces)}, {length_s:g} s; Ctrl-C ends it")
         sys.stdout.flush()
         flown = fly(flown_legs, link, codec, wait=bool(options.wait), air=Air(settings.troubles))
     finally:
@@ -134,7 +134,7 @@ def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> in
     dropped = sum(leg.vehicle.dropped_rows for leg in flown_legs)
     if dropped:
         complain(f"{dropped} rows of the streamed log found its buffer full")
-    print(f"{endpoint}: flew {flown.turns} turns of the main loop, sent {flown.sent} messages, heard {flown.heard}")
+    say(f"{endpoint}: flew {flown.turns} turns of the main loop, sent {flown.sent} messages, heard {flown.heard}")
     return 0
 
 

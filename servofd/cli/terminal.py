@@ -6,7 +6,7 @@ import os
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
@@ -16,7 +16,7 @@ from servofd.outputs.plain import plain
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from rich.console import Console
+    from rich.console import Console, RenderableType
 
     from servofd.outputs.document import Document, Part
 
@@ -26,37 +26,25 @@ _NARROWEST = 64
 """Below this a table of sentences becomes a list."""
 
 
-class _Plain:
-    """A text stream to which everything is written plainly."""
-
-    def __init__(self, stream: IO[str]) -> None:
-        self.rich_proxied_file = stream
-        """Where rich writes its own colours; `console` makes its text plain."""
-
-    def write(self, text: str) -> int:
-        return self.rich_proxied_file.write(plain(text))
-
-    def writelines(self, lines: list[str]) -> None:
-        for line in lines:
-            self.write(line)
-
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the stream has
-        return getattr(self.rich_proxied_file, name)
+def say(text: str = "", *, end: str = "\n") -> None:
+    """Print text to stdout at once, in which nothing acts."""
+    print(plain(text), end=end, flush=True)
 
 
-@contextmanager
-def plain_streams() -> Iterator[None]:
-    """Write plainly to stdout and stderr within the block."""
-    before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (stream and _Plain(stream) for stream in before)
-    try:
-        yield
-    finally:
-        sys.stdout, sys.stderr = before
+def tell(sentence: str) -> None:
+    """Print a sentence to stdout, folded between its words where that is a terminal."""
+    from rich.text import Text
+
+    _console().print(Text(one_line(sentence)))
+
+
+def say_aside(text: str) -> None:
+    """Print a line to stderr, in which nothing acts."""
+    print(plain(text), file=sys.stderr, flush=True)
 
 
 def console(**options: Any) -> Console:  # noqa: ANN401 - those of rich
-    """Console that shows text as it is: no markup, no emoji, nothing that acts."""
+    """Console that writes to the terminal itself, and shows text as it is: no markup, no emoji, nothing that acts."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -66,6 +54,24 @@ def console(**options: Any) -> Console:  # noqa: ANN401 - those of rich
                 yield segment if segment.control else Segment(plain(segment.text), segment.style)
 
     return Plain(highlight=False, markup=False, emoji=False, **options)
+
+
+def has_screen() -> bool:
+    """Whether stdout is a terminal on which a picture can change."""
+    return sys.stdout is not None and sys.stdout.isatty() and not console().is_dumb_terminal
+
+
+@contextmanager
+def screen() -> Iterator[Callable[[RenderableType], None]]:
+    """The whole screen of the terminal, and what draws on it; it is as it was afterwards."""
+    from rich.live import Live
+
+    # COLUMNS and LINES are those of a window before it changed its size.
+    now = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    with Live(
+        console=console(_environ=now), screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+    ) as live:
+        yield lambda picture: live.update(picture, refresh=True)
 
 
 def one_line(message: object) -> str:
@@ -81,7 +87,7 @@ def one_line(message: object) -> str:
 
 def complain(message: object, about: object = "") -> None:
     """Say on stderr, in one line, what could not be done, and of what."""
-    print(f"servofd: {f'{about}: ' if about else ''}{one_line(message)}", file=sys.stderr)
+    say_aside(f"servofd: {f'{about}: ' if about else ''}{one_line(message)}")
 
 
 def worst(codes: Iterable[int]) -> int:
@@ -228,7 +234,7 @@ def give_json(target: str | None, document: Mapping[str, Any]) -> bool:
     if target and target != "-":
         write_whole(target, to_json(document).encode())
     elif target:
-        print(to_json(document), end="")
+        say(to_json(document), end="")
     return target == "-"
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from logparsers import FlightLog
-    from servofd.detection.monitor import Event
+    from servofd.live.alarms import Published
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
 
@@ -30,8 +30,8 @@ _AT_EASE_S = 0.04
 class Watcher(Protocol):
     """Whoever wants to know."""
 
-    def events(self, events: list[Event], now_s: float) -> None:
-        """Something happened, by the receiver's clock at `now_s` [s]."""
+    def events(self, events: list[Published]) -> None:
+        """Something happened."""
 
     def tick(self, now_s: float) -> None:
         """Time goes by."""
@@ -60,7 +60,7 @@ def watch_link(session: Session, receiver: Receiver, watcher: Watcher, duration_
     """Watch a live link for so long [s]."""
     end_s = time.monotonic() + duration_s
     while time.monotonic() < end_s:
-        events: list[Event] = []
+        events: list[Published] = []
         chunks, at_ease = receiver.chunks.take(min(0.05, max(end_s - time.monotonic(), 0.0))), session.at_ease
         if chunks:
             time.sleep(_AT_EASE_S if at_ease else _TOGETHER_S)
@@ -69,7 +69,7 @@ def watch_link(session: Session, receiver: Receiver, watcher: Watcher, duration_
             events += session.take(arrival_s, data)
         now_s = receiver.now_s()
         events += session.step(now_s, final=at_ease)
-        watcher.events(events, now_s)
+        watcher.events(events)
         watcher.tick(now_s)
 
 
@@ -89,7 +89,7 @@ def replay_telemetry(session: Session, path: Path, watcher: Watcher, pace: Pace,
             stepped_s = now_s
             events += session.step(now_s)
             watcher.tick(now_s)
-        watcher.events(events, now_s)
+        watcher.events(events)
     return now_s
 
 
@@ -105,7 +105,7 @@ def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, d
         pace.wait(now_s)
         vehicle.heard_s = now_s
         vehicle.give(samples)
-        watcher.events(session.step(now_s), now_s)
+        watcher.events(session.step(now_s))
         watcher.tick(now_s)
     return now_s
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.detection.monitor import Event, Inputs, Look
     from servofd.detection.stream import Piece
+    from servofd.live.alarms import Published
 
 _GROUND_SYSTEM = 255
 _SYNC_S = 5.0
@@ -106,9 +107,9 @@ class Session:
             self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="servofd bank")
             self._pool.submit(_load_bank)
 
-    def take(self, arrival_s: float, data: bytes) -> list[Event]:
+    def take(self, arrival_s: float, data: bytes) -> list[Published]:
         """Take bytes that arrived [s, the receiver's clock]."""
-        events: list[Event] = []
+        events: list[Published] = []
         for frame, heard in self.codec.frames(data):
             self.store(stamped(arrival_s, frame))
             if heard is None:
@@ -129,7 +130,7 @@ class Session:
                 told = vehicle.hear(heard, arrival_s)
                 if any(event.event == "link_restored" or "restarted" in event.text for event in told):
                     vehicle.requests.again()  # it may have started anew, with its usual rates
-                events += told
+                events += vehicle.alarms.publish(told)
                 if heard.name == "TIMESYNC" and heard.component == Component.AUTOPILOT1 and heard.fields["tc1"] > 0:
                     vehicle.clock.answered(heard.fields["ts1"], heard.fields["tc1"] * 1e-9, arrival_s)
                 self._note(vehicle.requests.hear(heard))
@@ -139,15 +140,14 @@ class Session:
         if said:
             self.notes.append(said)
 
-    def step(self, arrival_now_s: float, *, final: bool = False) -> list[Event]:
+    def step(self, arrival_now_s: float, *, final: bool = False) -> list[Published]:
         """Evaluate what was taken, or of it what cannot wait for the next step, and do what is due."""
-        events: list[Event] = []
+        events: list[Published] = []
         for vehicle in tuple(self.vehicles.values()):
             for monitor in vehicle.monitors.values():
                 monitor.listener = self.listener
-            mine = vehicle.evaluate(final=final)
-            mine += vehicle.silence(arrival_now_s)
-            mine += self._look(vehicle)
+            seen = [*vehicle.evaluate(final=final), *vehicle.silence(arrival_now_s), *self._look(vehicle)]
+            mine = vehicle.alarms.publish(seen)
             self._speak(vehicle, mine, arrival_now_s)
             self._inquire(vehicle, arrival_now_s)
             self._compare(vehicle)
@@ -159,13 +159,13 @@ class Session:
         """Whether no surface of any vehicle is anywhere near an alarm."""
         return all(monitor.at_ease for vehicle in self.vehicles.values() for monitor in vehicle.monitors.values())
 
-    def finish(self, arrival_now_s: float) -> list[Event]:
+    def finish(self, arrival_now_s: float) -> list[Published]:
         """End of the stream."""
         if self._pool is not None:
             self._pool.shutdown(wait=True)
-        events: list[Event] = []
+        events: list[Published] = []
         for vehicle in self.vehicles.values():
-            mine = self._finished_looks(vehicle) + vehicle.finish()
+            mine = vehicle.alarms.publish(self._finished_looks(vehicle) + vehicle.finish())
             self._speak(vehicle, mine, arrival_now_s)
             events += mine
         return events
@@ -236,7 +236,7 @@ class Session:
         self._looks = still
         return events
 
-    def _speak(self, vehicle: Vehicle, events: list[Event], now_s: float) -> None:
+    def _speak(self, vehicle: Vehicle, events: list[Published], now_s: float) -> None:
         """Say what there is to say about a vehicle."""
         alerts, late = vehicle.alerts, vehicle.clock.latency.news(now_s)
         for news in (*vehicle.news, *([late] if late else [])):

@@ -15,6 +15,7 @@ from servofd.aircraft.outputs import output_of
 from servofd.aircraft.watch import Bus
 from servofd.core.errors import ConfigError
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
+from servofd.live.alarms import Alarms, travel_deg
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable, Surroundings
 from servofd.live.clock import VehicleClock
@@ -149,6 +150,8 @@ class Vehicle:
     """Its axes, if the aircraft file knows its motion."""
     requests: Requests = field(init=False)
     alerts: Alerts = field(init=False)
+    alarms: Alarms = field(init=False)
+    """What is published of its faults."""
     synced_s: float = float("-inf")
     """When it was last asked for the time [s, receiver's clock]."""
     settings: Settings = field(init=False)
@@ -199,6 +202,8 @@ class Vehicle:
         self._table = ChannelTable([*self._routes, *(n for n in self._around.channels if n not in beside.unknown)])
         self.requests = Requests(self.system, self.messages, self.seldom)
         self.alerts = Alerts([*self.monitors, *(self.axes.model.axes if self.axes is not None else ())])
+        travels = {name: travel_deg(self.aircraft.surfaces[name]) for name in self.monitors}
+        self.alarms = Alarms(self.system, travels)
         if self._table.unknown and self.is_stream:
             raise ConfigError(
                 f"channel {self._table.unknown[0]!r} is none of a MAVLink stream; write for example "

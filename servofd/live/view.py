@@ -1,57 +1,102 @@
-"""What a watcher sees: one line per surface, the link, and the last events."""
+"""What a watcher sees: a row for each surface, the vehicle and the link in words, and the last alarms."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
-from typing import TYPE_CHECKING
+from itertools import zip_longest
+from typing import TYPE_CHECKING, NamedTuple
+
+from logparsers.protocol import Severity
+from servofd.detection.verdict import describe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from rich.console import RenderableType
+    from rich.console import Console, ConsoleOptions, RenderResult
     from rich.text import Text
 
     from servofd.axes.verdict import AxisAudit
-    from servofd.detection.monitor import Event, SurfaceMonitor
+    from servofd.detection.monitor import Reading, SurfaceMonitor
+    from servofd.live.alarms import Alarm, Published
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle
 
-_BAR = 20
-_EVENTS = 8
+_BAR = 8
+_KEPT = 50
+"""Lines that are kept for the bottom of the screen."""
+_TABLE, _WIDE = 48, 96
+"""Columns from which rows have columns, and from which their words stand beside their numbers."""
+_WORDS, _NAME = 24, 8
+"""Columns that words and names need at least."""
+_LATE_S = 1.0
+_STATUS = {Severity.CRITICAL: "ALARM", Severity.WARNING: "WARNING", Severity.NOTICE: "notice"}
 _STYLES = {
     "watched": "green",
     "ALARM": "bold red",
+    "WARNING": "bold yellow",
+    "notice": "magenta",
     "no data": "yellow",
     "waiting": "dim",
     "settling": "cyan",
     "not judged": "dim",
 }
+_DO = {
+    "stuck": "land soon: it no longer moves",
+    "hardover": "land now: hold against it",
+    "floating": "slow down, land soon: it may flutter",
+    "oscillation": "slow down, land soon",
+    "loss_of_effectiveness": "fly gently, land soon",
+    "slow": "fly gently, land soon",
+    "bias": "trim against it, land soon",
+    "deadband": "fly on, check it on the ground",
+    "unknown": "watch it, be ready to land",
+}
+"""What to do about an alarm in flight."""
+_LATER = "fly on, check it on the ground"
+"""About one that is but a notice."""
 
 
-def event_line(event: Event) -> str:
+def event_line(event: Published) -> str:
     """An event as one line of words."""
     who = f"{event.surface}: " if event.surface else ""
+    size = f", residual {event.residual_deg:+.2f} deg, threshold {event.threshold_deg:.2f} deg"
+    size *= math.isfinite(event.residual_deg)
     what = {
-        "alarm": f"ALARM, residual {event.residual_deg:+.2f} deg, threshold {event.threshold_deg:.2f} deg",
-        "named": "within tolerance" if event.kind == "healthy" else f"it is: {event.kind}",
-        "clear": "cleared: within tolerance" if event.kind == "healthy" else f"clear ({event.kind})",
+        "alarm": f"{_STATUS.get(event.severity, 'ALARM')}{size}",
+        "named": event.kind.replace("_", " "),
+        "clear": "taken back: within tolerance" if event.kind == "healthy" else "moves as commanded again",
         "no_data": "no data",
         "link_lost": "LINK LOST",
         "link_restored": "link restored",
     }[event.event]
     more = f": {event.text}" if event.text else ""
     if event.fault is not None and event.event == "named":
-        from servofd.detection.verdict import describe
-
-        what, more = describe(event.fault), ""
+        what, more = f"{_STATUS[event.severity]}, {describe(event.fault)}", ""
     return f"{event.time_s:7.2f} s  {who}{what}{more}"
 
 
-def status_of(monitor: SurfaceMonitor) -> str:
-    """One word, or the kind of fault that stands."""
-    if monitor.standing:
-        return "ALARM"
+def said_of(alarm: Alarm) -> str:
+    """What an alarm is, in a few words.
+
+    Examples
+    --------
+    >>> from servofd.live.alarms import Alarm
+    >>> said_of(Alarm("1/rudder/1", "rudder", 3.0, residual_deg=-2.14))
+    'off by -2.1 deg'
+    """
+    if alarm.fault is not None:
+        return re.split(r",? (?:since|from) -?\d|, perhaps", describe(alarm.fault), maxsplit=1)[0]
+    if alarm.kind == "unknown" and math.isfinite(alarm.residual_deg):
+        return f"off by {alarm.residual_deg:+.1f} deg"
+    return "does not follow its command" if alarm.kind == "unknown" else alarm.kind.replace("_", " ")
+
+
+def status_of(monitor: SurfaceMonitor, alarm: Alarm | None) -> str:
+    """One word: how grave the alarm is that stands, or how it is watched."""
+    if alarm is not None:
+        return _STATUS[alarm.severity]
     if not monitor.is_watched:
         return "no data" if monitor.silenced else "waiting"
     if monitor.reading is None or not monitor.reading.settled:
@@ -59,125 +104,222 @@ def status_of(monitor: SurfaceMonitor) -> str:
     return "watched"
 
 
+class Row(NamedTuple):
+    """One surface or axis."""
+
+    at_s: float
+    """Time of the vehicle [s]."""
+    name: str
+    status: str
+    numbers: tuple[str, ...] = ()
+    """Command, measured, residual, threshold [deg]."""
+    level: float = math.nan
+    """Share of its threshold that is reached."""
+    since: str = ""
+    words: str = ""
+    """What is wrong, and what to do."""
+
+
+_HEAD = Row(
+    math.nan, "surface", "status", ("command", "measured", "residual", "of (deg)"), math.nan, "since", "what to do"
+)
+
+
 class View:
     """Keeps the last events of a session, and draws it under a title that says where it comes from."""
 
     def __init__(self, session: Session, title: str) -> None:
         self._session, self._title = session, title
-        self._events: deque[str] = deque(maxlen=_EVENTS)
+        self._events: deque[str] = deque(maxlen=_KEPT)
         self.dropped = 0
 
     def note(self, line: str) -> None:
         """Add a line to those at the bottom."""
         self._events.append(line)
 
-    def drawn(self, arrival_now_s: float) -> RenderableType:
+    def drawn(self, arrival_now_s: float) -> Picture:
         """The picture of the moment; `arrival_now_s` is the receiver's clock [s]."""
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(box=None, pad_edge=False, expand=False)
-        for heading in ("surface", "status", "command", "measured", "residual", "", "threshold", "rate", "age"):
-            table.add_column(heading, justify="left" if heading in ("surface", "status", "") else "right")
-        for vehicle, monitor in self._session.watched:
-            self._row(table, vehicle, monitor)
-        tables: list[RenderableType] = [table] if self._session.watched else []
-        if any(True for _ in self._axes()):
-            tables.append(self._axis_table())
-        lines = [Text(self._link(arrival_now_s), style="dim")]
-        waiting = self._session.waiting()
-        if waiting:
-            lines.append(Text(waiting, style="yellow"))
-        return Group(Text(f"servofd monitor  {self._title}", style="bold"), *tables, *lines, *map(Text, self._events))
+        rows = [*self._surfaces(), *self._axes()]
+        below = [*self._vehicles(arrival_now_s), *filter(None, [self._session.waiting()])]
+        return Picture(f"servofd monitor  {self._title}", rows, below, tuple(self._events))
 
     def plain(self, arrival_now_s: float) -> list[str]:
-        """The same in plain lines, one per surface."""
+        """The same in plain lines, one for each surface."""
         lines = []
-        for vehicle, monitor in self._session.watched:
-            reading = monitor.reading
-            where = "" if len(self._session.vehicles) == 1 else f"{vehicle.system}/"
-            if reading is None:
-                lines.append(f"{where}{monitor.name}: {status_of(monitor)}")
-            else:
-                lines.append(
-                    f"{reading.time_s:7.2f} s  {where}{monitor.name}: {_status(monitor)}, command "
-                    f"{reading.command_deg:+.1f} deg, measured {reading.measured_deg:+.1f} deg, residual "
-                    f"{reading.residual_deg:+.2f} of {reading.threshold_deg:.2f} deg, {monitor.rate_hz:.0f} Hz"
-                )
-        for vehicle, audit in self._axes():
-            lines.append(
-                f"{vehicle.now_s:7.2f} s  {self._axis_name(vehicle, audit)}: {_axis_status(vehicle, audit)}, "
-                f"lost share {_lost(audit)}, {_level(audit):.0%} of its threshold"
+        for row in (*self._surfaces(), *self._axes()):
+            numbers = (
+                "command {} deg, measured {} deg, residual {} of {} deg".format(*row.numbers) if row.numbers else ""
             )
-        waiting = self._session.waiting()
-        return [*lines, self._link(arrival_now_s), *([waiting] if waiting else [])]
+            since = f"since {row.since}" if row.since else ""
+            said = ", ".join(filter(None, (row.status, numbers, since, row.words)))
+            lines.append(f"{row.at_s:7.2f} s  {row.name}: {said}")
+        return [*lines, *self._vehicles(arrival_now_s), *filter(None, [self._session.waiting()])]
 
-    def _axes(self) -> Iterator[tuple[Vehicle, AxisAudit]]:
-        """Axes of all vehicles by the latest judgement of their motion."""
+    def summary(self) -> list[str]:
+        """What was found, a line for each alarm and one for each surface without any."""
+        lines = []
         for vehicle in self._session.vehicles.values():
-            for audit in vehicle.axes.audits if vehicle.axes is not None else ():
-                if audit.axis != "thrust" and audit.score.size:
-                    yield vehicle, audit
+            for alarm in vehicle.alarms.all:
+                until = "to the end" if alarm.end_s is None else f"to {alarm.end_s:.1f} s"
+                word = "taken back" if alarm.dismissed else _STATUS[alarm.severity]
+                lines.append(
+                    f"{self._of(vehicle, alarm.surface)}: {word}, {said_of(alarm)}, from {alarm.since_s:.1f} s {until}"
+                )
+            alarmed = {alarm.surface for alarm in vehicle.alarms.all}
+            lines += [
+                f"{self._of(vehicle, monitor.name)}: {'; '.join(filter(None, ('no alarm', monitor.unjudged)))}"
+                for monitor in vehicle.monitors.values()
+                if monitor.name not in alarmed
+            ]
+        return lines
 
-    def _axis_table(self) -> RenderableType:
-        from rich.table import Table
-        from rich.text import Text
+    def _of(self, vehicle: Vehicle, name: str) -> str:
+        return name if len(self._session.vehicles) == 1 else f"{vehicle.system}/{name}"
 
-        table = Table(box=None, pad_edge=False, expand=False)
-        for heading in ("axis", "status", "lost share", "of its threshold"):
-            table.add_column(heading)
-        for vehicle, audit in self._axes():
-            word, level = _axis_status(vehicle, audit), _level(audit)
-            status = Text(word, style=_STYLES[word])
-            table.add_row(self._axis_name(vehicle, audit), status, _lost(audit), _bar(level))
-        return table
+    def _surfaces(self) -> Iterator[Row]:
+        for vehicle, monitor in self._session.watched:
+            alarm, reading = vehicle.alarms.standing(monitor.name), monitor.reading
+            name, word = self._of(vehicle, monitor.name), status_of(monitor, alarm)
+            since, words = _since(alarm), monitor.silenced if word in ("no data", "waiting") else _to_do(alarm)
+            yield Row(vehicle.now_s, name, word, _numbers(reading), _share(reading), since, words)
 
-    def _axis_name(self, vehicle: Vehicle, audit: AxisAudit) -> str:
+    def _axes(self) -> Iterator[Row]:
+        """Axes of all vehicles by the latest judgement of their motion."""
         from servofd.axes.verdict import named
 
-        where = "" if len(self._session.vehicles) == 1 else f"{vehicle.system}/"
-        return f"{where}{audit.axis} ({named(audit.members, audit.axis)})"
+        for vehicle in self._session.vehicles.values():
+            for audit in vehicle.axes.audits if vehicle.axes is not None else ():
+                if audit.axis == "thrust" or not audit.score.size:
+                    continue
+                alarm = vehicle.alarms.standing(audit.axis)
+                usable = audit.inputs.usable[-1] and audit.model.own_command
+                word = _STATUS[alarm.severity] if alarm is not None else "watched" if usable else "not judged"
+                level = float(audit.score[-1]) / audit.model.suspect
+                words = f"lost share {_lost(audit)}, {level:.0%} of its threshold"
+                name = self._of(vehicle, f"{audit.axis} ({named(audit.members, audit.axis)})")
+                yield Row(
+                    vehicle.now_s, name, word, (), level, _since(alarm), "; ".join(filter(None, (_to_do(alarm), words)))
+                )
 
-    def _row(self, table: object, vehicle: Vehicle, monitor: SurfaceMonitor) -> None:
-        from rich.text import Text
-
-        name = monitor.name if len(self._session.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"
-        word, reading = status_of(monitor), monitor.reading
-        status = Text(_status(monitor), style=_STYLES[word])
-        if reading is None:
-            cells = [name, status, "", "", "", "", "", "", ""]
-        else:
-            share = abs(reading.residual_deg) / reading.threshold_deg if reading.threshold_deg > 0.0 else math.nan
-            cells = [name, status, f"{reading.command_deg:+.1f}", f"{reading.measured_deg:+.1f}"]
-            cells += [f"{reading.residual_deg:+.2f}", _bar(share), f"{reading.threshold_deg:.2f} deg"]
-            cells += [f"{monitor.rate_hz:.0f} Hz", f"{max(vehicle.now_s - reading.time_s, 0.0):.1f} s"]
-        table.add_row(*cells)  # type: ignore[attr-defined]
-
-    def _link(self, arrival_now_s: float) -> str:
-        parts = []
+    def _vehicles(self, arrival_now_s: float) -> list[str]:
+        """Each vehicle and its link, in words."""
+        lines = []
         for vehicle in self._session.vehicles.values():
             received = sum(losses.received for losses in vehicle.losses.values())
             lost = sum(losses.lost for losses in vehicle.losses.values())
-            share = lost / max(received + lost, 1)
-            age_s = arrival_now_s - vehicle.heard_s
-            state = "LOST" if vehicle.is_lost else f"heard {max(age_s, 0.0):.1f} s ago"
-            late_s = vehicle.clock.latency.late_s
-            state += f", {late_s:.0f} s late" if late_s >= 1.0 else ""
-            now = f"{vehicle.now_s:.1f} s" if math.isfinite(vehicle.now_s) else "?"
-            parts.append(f"vehicle {vehicle.system}: {state}, its time {now}, {received} frames, {share:.1%} skipped")
-            if vehicle.log is not None and vehicle.log.said:
-                parts.append(vehicle.log.said)
+            quiet_s, late_s = max(arrival_now_s - vehicle.heard_s, 0.0), vehicle.clock.latency.late_s
+            state = f"LOST, silent for {quiet_s:.0f} s" if vehicle.is_lost else f"heard {quiet_s:.1f} s ago"
+            state += f", {late_s:.0f} s late" if late_s >= _LATE_S else ""
+            now = f"{vehicle.now_s:.1f} s since it booted" if math.isfinite(vehicle.now_s) else "its time not known yet"
+            rates = [monitor.rate_hz for monitor in vehicle.monitors.values() if math.isfinite(monitor.rate_hz)]
+            pace = f"; {min(rates):.0f} positions a second" if rates else ""
+            frames = (
+                f"; {lost / max(received + lost, 1):.1%} of {received + lost} frames did not come here"
+                if received
+                else ""
+            )
+            log = f"; {vehicle.log.said}" if vehicle.log is not None and vehicle.log.said else ""
+            lines.append(f"vehicle {vehicle.system}: {now}; {state}{pace}{frames}{log}")
         damaged, dropped = self._session.damaged_bytes, self.dropped
-        more = f"{damaged} damaged bytes" if damaged else ""
-        if dropped:
-            more += f"{', ' if more else ''}{dropped} dropped here: queue full"
-        return "; ".join([*parts, *([more] if more else [])]) or "nobody heard yet"
+        counts = [f"{damaged} damaged bytes"] * bool(damaged) + [f"{dropped} dropped here: queue full"] * bool(dropped)
+        return [*lines, *(["; ".join(counts)] if counts else [])] or ["nobody heard yet"]
 
 
-def _status(monitor: SurfaceMonitor) -> str:
-    word = status_of(monitor)
-    return f"ALARM {monitor.standing}" if word == "ALARM" else word
+class Picture:
+    """A moment of the monitor, laid out for whatever width and height it is drawn in."""
+
+    def __init__(self, title: str, rows: Sequence[Row], below: Sequence[str], events: Sequence[str]) -> None:
+        self.title, self.rows, self.below, self.events = title, rows, below, events
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Lines of the picture: rows first, of the events as many as there is room for."""
+        from rich.text import Text
+
+        width, height = options.max_width, options.height or options.size.height
+        head: list[Text] = [Text(self.title, style="bold")]
+        head += _table(self.rows, console, width) if width >= _TABLE else _list(self.rows)
+        head += [Text(""), *(Text(line) for line in self.below), Text("")]
+        lines = [line for text in head for line in text.wrap(console, width) or [text]]
+        tail: list[Text] = []
+        for event in reversed(self.events):
+            more = list(Text(event).wrap(console, width))
+            if len(lines) + len(tail) + len(more) > height - 1:
+                break
+            tail[:0] = more
+        for line in (*lines, *tail):
+            line.rstrip()
+            line.no_wrap, line.end = True, "\n"
+            yield line
+
+
+def _table(rows: Sequence[Row], console: Console, width: int) -> list[Text]:
+    """Rows in columns; their words beside them where there is room, else below them."""
+    from rich.cells import cell_len, set_cell_size
+    from rich.text import Text
+
+    if not rows:
+        return []
+    everything = [_HEAD, *rows]
+    numbers = list(zip_longest(*(row.numbers for row in everything), fillvalue=""))
+    widths = [max(map(cell_len, column)) for column in numbers]
+    status, since = max(len(row.status) for row in everything), max(len(row.since) for row in everything)
+    is_wide = width >= _WIDE
+    used = status + sum(widths) + 2 * (len(widths) + 1) + (since + _BAR + 4) * is_wide
+    name = min(max(cell_len(row.name) for row in everything), max(width - used, _NAME))
+    beside = width - used - name - 2
+    lines: list[Text] = []
+    for row, cells in zip(everything, zip(*numbers, strict=True), strict=True):
+        style = "dim" if row is _HEAD else ""
+        line = Text(set_cell_size(row.name, name) + "  ", style=style)
+        line.append(row.status.ljust(status), style=_STYLES.get(row.status, ""))
+        line.append("".join(f"  {cell:>{size}}" for cell, size in zip(cells, widths, strict=True)))
+        lines.append(line)
+        if is_wide:
+            line.append("  ").append_text(Text(" " * _BAR) if row is _HEAD else _bar(row.level))
+            line.append(f"  {row.since:>{since}}")
+            first, *more = Text(row.words).wrap(console, max(beside, _WORDS)) or [Text()]
+            line.append("  ").append_text(first)
+            lines += [Text(" " * (width - beside)).append_text(words) for words in more]
+        elif row.words and row is not _HEAD:
+            words = Text(f"{f'since {row.since}: ' * bool(row.since)}{row.words}").wrap(console, width - 2)
+            lines += [Text("  ").append_text(one) for one in words]
+    return lines
+
+
+def _list(rows: Sequence[Row]) -> list[Text]:
+    """Rows one below the other, where there is room for nothing else."""
+    from rich.text import Text
+
+    lines = []
+    for row in rows:
+        lines.append(Text.assemble(f"{row.name} ", (row.status, _STYLES[row.status])))
+        numbers = [number.strip() for number in row.numbers]
+        if numbers:
+            lines.append(Text(f"is at {numbers[1]} for {numbers[0]} deg, off by {numbers[2]} of {numbers[3]} deg"))
+        lines += [Text(words) for words in (f"since {row.since}" * bool(row.since), row.words) if words]
+    return lines
+
+
+def _numbers(reading: Reading | None) -> tuple[str, ...]:
+    if reading is None:
+        return ()
+    signed = (f"{value:+.1f}" for value in (reading.command_deg, reading.measured_deg))
+    return (*signed, f"{reading.residual_deg:+.2f}", f"{reading.threshold_deg:.2f}")
+
+
+def _share(reading: Reading | None) -> float:
+    known = reading is not None and reading.threshold_deg > 0.0
+    return abs(reading.residual_deg) / reading.threshold_deg if reading is not None and known else math.nan
+
+
+def _since(alarm: Alarm | None) -> str:
+    return "" if alarm is None else f"{alarm.since_s:.1f} s"
+
+
+def _to_do(alarm: Alarm | None) -> str:
+    if alarm is None:
+        return ""
+    return f"{said_of(alarm)}: {_LATER if alarm.severity == Severity.NOTICE else _DO.get(alarm.kind, _DO['unknown'])}"
 
 
 def _bar(share: float) -> Text:
@@ -186,16 +328,6 @@ def _bar(share: float) -> Text:
 
     full = min(round(share * _BAR), _BAR) if math.isfinite(share) else 0
     return Text("█" * full + "·" * (_BAR - full), style="red" if share >= 1.0 else "green")
-
-
-def _axis_status(vehicle: Vehicle, audit: AxisAudit) -> str:
-    if vehicle.axes is not None and vehicle.axes.stands(audit.axis):
-        return "ALARM"
-    return "watched" if audit.inputs.usable[-1] and audit.model.own_command else "not judged"
-
-
-def _level(audit: AxisAudit) -> float:
-    return float(audit.score[-1]) / audit.model.suspect
 
 
 def _lost(audit: AxisAudit) -> str:

@@ -47,21 +47,18 @@ def sent(watch: AxisWatch, flight: Motion) -> list[Event]:
     return events
 
 
-def view_of(watch: AxisWatch) -> View:
+def view_of(watch: AxisWatch, events: list[Event]) -> View:
     """A screen that shows one vehicle, which has axes and no surface with feedback."""
     session = Session(Codec(0, 191), {})
     session.vehicles[1] = Vehicle(1, Aircraft(motion=watch.model))
     session.vehicles[1].axes = watch
+    session.vehicles[1].alarms.publish(events)
     return View(session, "loopback")
 
 
-def shown(watch: AxisWatch) -> list[str]:
-    return view_of(watch).plain(0.0)
-
-
-def lines_of_screen(watch: AxisWatch) -> list[str]:
+def lines_of_screen(view: View) -> list[str]:
     console = Console(width=120, record=True, file=io.StringIO())
-    console.print(view_of(watch).drawn(0.0))
+    console.print(view.drawn(0.0))
     return console.export_text().splitlines()
 
 
@@ -78,9 +75,10 @@ def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
     assert 30.0 < events[0].time_s < 45.0
     assert events[1].kind == "loss_of_effectiveness"
     assert watch.has_suspect
-    lines = shown(watch)
+    view = view_of(watch, events)
+    lines = view.plain(0.0)
     assert any("roll (" in line and "ALARM" in line and "of its threshold" in line for line in lines)
-    assert any("ALARM" in line for line in lines_of_screen(watch))
+    assert any("ALARM" in line for line in lines_of_screen(view))
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import sys
 import tomllib
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 from servofd.cli import main
-from servofd.cli.terminal import console, plain_streams
+from servofd.cli.terminal import complain, console, say
 from servofd.core.toml_text import toml_inline
 from servofd.outputs.picture import Picture, new_figure
 
@@ -105,14 +104,16 @@ def test_toml_holds_any_name(name: str) -> None:
     assert tomllib.loads(f"v = {text}")["v"] == {whole: whole, "list": [whole]}
 
 
-def test_streams_are_plain_within_and_as_they_were_after(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = io.StringIO()
-    monkeypatch.setattr(sys, "stdout", stream)
-    with plain_streams():
-        sys.stdout.writelines(["a\x1bb\udcff ", "c\td\n"])
-        console(force_terminal=True, color_system="truecolor").print("[red]x[/] :smile: \x1b]0;y\x9c", style="bold")
-    assert sys.stdout is stream
-    first, second = stream.getvalue().splitlines()
+def test_what_is_printed_acts_nowhere(capsys: pytest.CaptureFixture[str]) -> None:
+    say("a\x1bb\udcff c\td")
+    complain("x\x9by\nz")
+    with pytest.raises(SystemExit):
+        main(["audit", "--\x1b[2J"])
+    console(force_terminal=True, color_system="truecolor").print("[red]x[/] :smile: \x1b]0;y\x9c", style="bold")
+    said = capsys.readouterr()
+    first, second = said.out.splitlines()
     assert first == "a\\x1bb\\udcff c\td"
     assert "[red]x[/] :smile: \\x1b]0;y\\x9c" in second
     assert "\x1b[1m" in second  # rich's own
+    assert said.err.startswith("servofd: x\\x9by z\n")
+    assert not [sign for sign in ACTS if sign in said.err]

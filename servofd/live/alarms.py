@@ -1,0 +1,196 @@
+"""Alarms as they are published: each has one id from its beginning to its end, and a severity.
+
+The detector says what it sees of a surface at each moment. What leaves the monitor follows four rules: a fault is one
+alarm, however often it is looked at; a surface has a second alarm only for a second fault; an alarm ends once; and what
+has ended does not return.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from logparsers.protocol import Severity
+from servofd.detection.monitor import Event, EventKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from servofd.aircraft.schema import Surface
+    from servofd.detection.verdict import Fault
+
+_CRITICAL, _WARNING = 1.0 / 3.0, 0.1
+"""Shares of a surface's travel: an aircraft can be flown with the loss of less than the first, and nobody who flies it
+notices less than the second."""
+_TRAVEL_DEG: Final = 50.0
+"""Where nothing says how far a surface moves: the FASER surfaces' +-25 deg."""
+_ECHO_S: Final = 1.0
+"""What the detector sees again within so long of an alarm's time is the same fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Published(Event):
+    """An event, and what belongs to it."""
+
+    id: str = ""
+    """Of the alarm that it begins, names or ends; empty where it does none of these."""
+    severity: Severity = Severity.INFO
+    vehicle: int = 0
+    """Its system id; 0 where there is none, as in a log of another kind."""
+
+
+@dataclass(slots=True)
+class Alarm:
+    """One fault of one surface, as it was published."""
+
+    id: str
+    surface: str
+    raised_s: float
+    """When it was published, by the vehicle's clock [s]."""
+    kind: str = "unknown"
+    residual_deg: float = math.nan
+    fault: Fault | None = None
+    end_s: float | None = None
+    """None while it stands [s]."""
+    dismissed: bool = False
+    """Whether a working servo explains it."""
+    severity: Severity = Severity.NOTICE
+
+    @property
+    def since_s(self) -> float:
+        """Best estimate of the onset [s]."""
+        return self.raised_s if self.fault is None else self.fault.start_s
+
+    def covers(self, fault: Fault) -> bool:
+        """Whether this may be the same fault, seen now that more of it is known."""
+        begin_s, end_s = min(self.since_s, self.raised_s) - _ECHO_S, math.inf if self.end_s is None else self.end_s
+        return begin_s <= max(fault.start_s, fault.alarm_s) and fault.start_s <= end_s
+
+
+def travel_deg(surface: Surface) -> float:
+    """How far a surface moves from stop to stop [deg], as far as its file says."""
+    known = surface.calibrated.reach_deg if surface.calibrated is not None else None
+    limits = known or surface.position_limit_deg or surface.command_saturation_deg
+    return _TRAVEL_DEG if limits is None else limits[1] - limits[0]
+
+
+def severity_of(kind: str, fault: Fault | None, residual_deg: float, travel_deg: float) -> Severity:
+    """What a fault does to the aircraft: control lost, control worse, or something to look at on the ground.
+
+    Parameters
+    ----------
+    kind : str
+        Of the fault; `unknown` until it has a name.
+    fault : Fault or None
+        Its parameters, where it has a name.
+    residual_deg : float
+        By how much the surface is off [deg]; NaN where nothing measures that.
+    travel_deg : float
+        From stop to stop [deg].
+
+    Examples
+    --------
+    >>> severity_of("unknown", None, 0.1, 50.0).name, severity_of("unknown", None, -7.0, 50.0).name
+    ('NOTICE', 'WARNING')
+    >>> severity_of("stuck", None, 0.1, 50.0).name
+    'CRITICAL'
+    """
+    sizes = {} if fault is None else {name: abs(estimate.value) for name, estimate in fault.parameters.items()}
+    if kind in ("stuck", "hardover", "floating"):
+        return Severity.CRITICAL
+    if kind == "slow":
+        return Severity.WARNING
+    if kind == "loss_of_effectiveness":
+        share = abs(1.0 - sizes["gain"]) if "gain" in sizes else 1.0
+    else:
+        sized = [sizes[name] for name in ("bias_deg", "amplitude_deg", "width_deg") if name in sizes]
+        share = (sized[0] if sized else abs(residual_deg)) / travel_deg
+        share = min(share, _CRITICAL * 0.999) if sized else share
+    if math.isnan(share):
+        return Severity.WARNING
+    return Severity.CRITICAL if share >= _CRITICAL else Severity.WARNING if share >= _WARNING else Severity.NOTICE
+
+
+@dataclass(slots=True)
+class Alarms:
+    """Alarms of one vehicle.
+
+    Examples
+    --------
+    >>> alarms = Alarms(1)
+    >>> seen = [Event(3.0, "rudder", "alarm", "unknown", 9.0, 1.5), Event(3.1, "rudder", "alarm", "unknown", 9.0, 1.5)]
+    >>> seen += [Event(9.0, "rudder", "clear", "stuck"), Event(9.1, "rudder", "clear", "stuck")]
+    >>> [(event.event, event.id) for event in alarms.publish(seen)]
+    [('alarm', '1/rudder/1'), ('clear', '1/rudder/1')]
+    """
+
+    vehicle: int
+    """Its system id, with which the ids of its alarms begin."""
+    travels_deg: Mapping[str, float] = field(default_factory=dict)
+    all: list[Alarm] = field(default_factory=list)
+    """In the order in which they were raised."""
+    _counts: dict[str, int] = field(default_factory=dict)
+
+    def standing(self, surface: str) -> Alarm | None:
+        """The gravest alarm of a surface that stands; of several alike, the latest."""
+        alarms = [alarm for alarm in self.all if alarm.surface == surface and alarm.end_s is None]
+        return min(reversed(alarms), key=lambda alarm: alarm.severity, default=None)
+
+    def publish(self, events: Iterable[Event]) -> list[Published]:
+        """What to publish of that which the detector saw."""
+        return [told for event in events for told in self._told(event)]
+
+    def _told(self, event: Event) -> list[Published]:
+        if event.event not in ("alarm", "named", "clear"):
+            return [self._published(event, "", Severity.WARNING)]
+        of_surface = [alarm for alarm in self.all if alarm.surface == event.surface]
+        open_ = [alarm for alarm in of_surface if alarm.end_s is None]
+        same = next((a for a in reversed(open_) if event.fault is None or a.covers(event.fault)), None)
+        if event.event == "clear":
+            return self._cleared(same or next(reversed(open_), None), event)
+        if same is not None:
+            return self._named(same, event)
+        if event.event == "named" or (event.fault is not None and any(a.covers(event.fault) for a in of_surface)):
+            return []
+        number = self._counts[event.surface] = self._counts.get(event.surface, 0) + 1
+        alarm = Alarm(f"{self.vehicle}/{event.surface}/{number}", event.surface, event.time_s)
+        self.all.append(alarm)
+        self._learn(alarm, event)
+        return [self._published(event, alarm.id, alarm.severity)]
+
+    def _named(self, alarm: Alarm, event: Event) -> list[Published]:
+        """A name that is new, or graver, of an alarm that stands."""
+        if event.kind in ("unknown", alarm.kind):
+            return []
+        self._learn(alarm, event)
+        return [self._published(event, alarm.id, alarm.severity, "named")]
+
+    def _cleared(self, alarm: Alarm | None, event: Event) -> list[Published]:
+        if alarm is None:
+            return []
+        alarm.end_s, alarm.dismissed = event.time_s, event.kind == "healthy"
+        alarm.fault = event.fault or alarm.fault
+        return [self._published(event, alarm.id, Severity.NOTICE)]
+
+    def _learn(self, alarm: Alarm, event: Event) -> None:
+        alarm.kind, alarm.fault = event.kind, event.fault
+        if event.event == "alarm" and math.isnan(alarm.residual_deg):
+            alarm.residual_deg = event.residual_deg
+        travel = self.travels_deg.get(event.surface, _TRAVEL_DEG)
+        alarm.severity = severity_of(event.kind, event.fault, event.residual_deg, travel)
+
+    def _published(self, event: Event, alarm: str, severity: Severity, what: EventKind | None = None) -> Published:
+        return Published(
+            event.time_s,
+            event.surface,
+            what or event.event,
+            event.kind,
+            event.residual_deg,
+            event.threshold_deg,
+            event.text,
+            event.fault,
+            alarm,
+            severity,
+            self.vehicle,
+        )
