@@ -416,9 +416,16 @@ def _is_noise(rows: Rows, first: int, size_deg: float) -> bool:
 
 
 def _was_asked(rows: Rows, first: int, back: int, size_deg: float) -> bool:
-    """Whether a command of the last half second asked for the like of an excursion."""
+    """Whether a command of the last half second asked for the like of an excursion: to go out, and back as soon."""
     begin = int(np.searchsorted(rows.time_s, rows.time_s[first] - _ASKED_BEFORE_S))
-    return _swing_deg(rows.asked_deg[begin : back + 1], back - first + 1) >= _ASKED_FOR * size_deg
+    side = np.sign(rows.position_deg[first] - rows.position_deg[first - 1])
+    asked_deg, rest = side * rows.asked_deg[begin : back + 1], np.full(back - first + 1, np.inf)
+    # By how much the command went out and came back (or may yet), within as many rows to either side.
+    before_deg, after_deg = np.concatenate([rest, asked_deg]), np.concatenate([asked_deg, -rest])
+    windows = np.lib.stride_tricks.sliding_window_view
+    from_deg, to_deg = windows(before_deg, rest.size)[:-1].min(axis=1), windows(after_deg, rest.size)[1:].min(axis=1)
+    away_deg = asked_deg - np.maximum(from_deg, to_deg)
+    return bool(away_deg[np.isfinite(away_deg)].max(initial=0.0) >= _ASKED_FOR * size_deg)
 
 
 def _swing_deg(values_deg: FloatArray, width: int) -> float:

@@ -362,3 +362,16 @@ def test_commands_after_a_long_silence_have_lost_none_before_it() -> None:
     time_s = np.concatenate([np.arange(0.0, 5.0, 0.02), np.arange(20.0, 25.0, 0.02)])
     assert np.all(np.ptp(lost_between(time_s, 10.0 * np.sin(time_s)), axis=1) == 0.0)
     assert lost_between(np.zeros(0), np.zeros(0)).shape == (0, 2)
+
+
+def test_a_spike_in_turbulence_is_marked_and_a_doublet_that_was_asked_for_is_not(tmp_path: Path) -> None:
+    """Commands that step do not ask a surface to go out and come back."""
+    time_s = np.arange(0.0, 60.0, 0.04)
+    asked_deg = 7.0 * np.sign(np.sin(2.0 * np.pi * time_s))
+    asked_deg[(time_s > 30.2) & (time_s < 30.27)] = 20.0
+    position_deg = np.interp(time_s - 0.04, time_s, asked_deg) + 0.02 * np.random.default_rng(13).standard_normal(1500)
+    thrown = np.isin(np.arange(1500), (110, 355, 860))
+    position_deg[thrown] += 10.0
+    columns = {"time_s": time_s, "rudder_cmd_deg": asked_deg, "rudder_pos_deg": position_deg}
+    series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
+    np.testing.assert_array_equal(series.why == Why.SPIKE, thrown)
