@@ -14,8 +14,7 @@ from pathlib import Path
 from servofd.cli import main as servofd
 
 HERE = Path(__file__).parent
-SAMPLE = HERE.parent / "sample_logs" / "hidden" / "hidden_11.csv"
-PICTURES = {"before": "hidden_11", "after": "hidden_11", "missed": "ill", "found": "ill"}
+PICTURES = {"before": "first", "after": "first", "missed": "ill", "found": "ill"}
 """Folder of an audit, and the log whose picture is shown."""
 
 TEXT = """# A fault inside the play
@@ -26,10 +25,10 @@ fault smaller than what its model got wrong before. Every command and picture he
 
 ## Suspect
 
-`hidden_11.csv` is one of the [sample logs](../sample_logs/hidden/README.md): an elevator on the bench, swept at three
-amplitudes. What is hidden in it is sealed.
+A flight in which the linkage of the elevator has a degree of play. Nobody told the audit, which knows the servo by its name:
 
-@ audit hidden_11.csv --servo hs225bb-eq31 -o before
+@ simulate -o first.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 4
+@ audit first.csv -s elevator --servo hs225bb-eq31 -o before
 
 ![The residual stays below its threshold, but jumps with every reversal](explain/before.png)
 
@@ -38,7 +37,7 @@ below that is lost in it.
 
 ## What is missing
 
-@ explain hidden_11.csv --servo hs225bb-eq31 --save better.toml --rrd gap.rrd
+@ explain first.csv -s elevator --servo hs225bb-eq31 --save better.toml --rrd gap.rrd
 
 Backlash, about a degree of it, and nothing else: on samples to which nothing was fitted, the error falls to the noise floor.
 The last lines say what that is worth. With the old model a quiet threshold lies above what the play leaves; with the new
@@ -50,7 +49,7 @@ one, above noise alone.
 
 The audit simulates the play from now on, and the same log is healthy:
 
-@ audit hidden_11.csv -c better.toml --threshold-deg 0.25 -o after
+@ audit first.csv -s elevator -c better.toml --threshold-deg 0.25 -o after
 
 ![The residual is noise, and stays far below a threshold of a sixth of the usual one](explain/after.png)
 
@@ -60,7 +59,7 @@ A model that was fitted to one flight proves itself on others. Two more, simulat
 
 @ simulate -o second.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 1
 @ simulate -o third.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 2
-@ explain hidden_11.csv --servo hs225bb-eq31 --also second.csv third.csv --json why.json
+@ explain first.csv -s elevator --servo hs225bb-eq31 --also second.csv third.csv --json why.json
 
 `--also` fits nothing to them. `servofd explain one.csv two.csv` fits both together, and holds every other one out whole.
 Good flights also tell how small thresholds may be:
@@ -92,7 +91,6 @@ def main(folder: Path) -> None:
     pictures = folder / "explain"
     pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as work, contextlib.chdir(work):
-        shutil.copy(SAMPLE, SAMPLE.name)
         lines = [shown(line[2:]) if line.startswith("@ ") else line for line in TEXT.splitlines()]
         for name, log in PICTURES.items():
             shutil.copy(Path(name) / f"{log}-elevator.png", pictures / f"{name}.png")

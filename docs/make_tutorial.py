@@ -16,8 +16,7 @@ from servofd.outputs.explain_report import explain_figures
 from servofd.results import explain
 
 HERE = Path(__file__).parent
-SAMPLES = HERE.parent / "sample_logs"
-HIDDEN = "hidden_11.csv"
+LOOSE = "loose.csv"
 
 TEXT = f"""# From a first log to a verdict
 
@@ -59,15 +58,17 @@ More on this in [Calibration](calibrate.md).
 
 ## Suspect, but nothing is broken
 
-`{HIDDEN}` is the log of an elevator that is well. Its servo is not quite that of the library, and the audit sees it:
+The linkage of the next elevator has one degree of play. Nothing breaks in this flight, and yet the audit sees that the servo
+is not the one of the library:
 
-@ audit {HIDDEN} -o before
+@ simulate -o {LOOSE} --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 1
+@ audit {LOOSE} -s elevator --servo hs225bb-eq31 -o before
 
 ![Command, deflections and residual; the residual stays below the threshold but is far from noise](tutorial/before-elevator.png)
 
 What is the matter? `explain` looks for the effect that the model lacks, and tests it on samples that it was not fitted to:
 
-@ explain {HIDDEN} -s elevator --save better.toml --html gap.html
+@ explain {LOOSE} -s elevator --servo hs225bb-eq31 --save better.toml --html gap.html
 
 It is backlash: about one degree of play in the linkage. `gap.html` shows it. Where model and measurement differed most, the
 model with backlash now runs through the measurement:
@@ -81,7 +82,7 @@ Before, the error was half a degree whichever way the surface moved, of the othe
 With the better aircraft file the same log is healthy, its residual is a fraction of what it was, and a threshold of a third of
 the usual one stays quiet. That is how much smaller a fault can now be found:
 
-@ audit {HIDDEN} -c better.toml --threshold-deg 0.5
+@ audit {LOOSE} -s elevator -c better.toml --threshold-deg 0.5
 
 If play of one degree is more than you accept, you have found your fault as well. [The second tutorial](tutorial-explain.md)
 goes on from here.
@@ -92,11 +93,10 @@ def main(folder: Path) -> None:
     pictures = folder / "tutorial"
     pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as work, contextlib.chdir(work):
-        shutil.copy(SAMPLES / "hidden" / HIDDEN, HIDDEN)
         lines = [shown(line[2:]) if line.startswith("@ ") else line for line in TEXT.splitlines()]
         shutil.copy(Path("out", "flight-elevator.png"), pictures)
-        shutil.copy(Path("before", HIDDEN.replace(".csv", "-elevator.png")), pictures / "before-elevator.png")
-        for picture in explain_figures(explain(HIDDEN, surface="elevator").explanation, "elevator"):
+        shutil.copy(Path("before", LOOSE.replace(".csv", "-elevator.png")), pictures / "before-elevator.png")
+        for picture in explain_figures(explain(LOOSE, surface="elevator", servo="hs225bb-eq31").explanation, "elevator"):
             name = picture.name.removeprefix("elevator-")
             if f"{name}.png" in TEXT:
                 (pictures / f"{name}.png").write_bytes(picture.png())

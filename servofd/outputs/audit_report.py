@@ -18,7 +18,7 @@ from servofd.jobs.workflow import FailedLog
 from servofd.outputs.chart import MOST_FAULTS, Chart, Curve, Mark, Panel, Span, fault_charts, flight_chart, kind_of
 from servofd.outputs.document import Cell, Document, Figures, Item, Items, Section, Table, Words
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.sentence import clock, plain_rate, seen, whole_sentence, worst
+from servofd.outputs.sentence import clock, other_way_round, plain_rate, seen, whole_sentence, worst
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -175,7 +175,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
     return Item(
         surface.surface,
         surface.status,
-        "; ".join(filter(None, (surface.reason, sizes))),
+        "; ".join(filter(None, (surface.reason, other_way_round(surface), sizes))),
         next_step(surface),
         surface.model.origin,
         parts,

@@ -159,6 +159,50 @@ def seen(detectable: Detectable) -> str:
     return f"would have seen {', '.join(known)}" if known else ""
 
 
+_AT_ONCE_S = 1.0
+"""A fault that begins so soon after the log was there from its start."""
+
+
+def other_way_round(surface: SurfaceAudit) -> str:
+    """What an offset or a lost share means if the zero or scale that was fitted to this log is the wrong one.
+
+    A fit takes most of the log for right. Empty where nothing rests on it.
+
+    Examples
+    --------
+    >>> from servofd.core.evidence import ModelOrigin
+    >>> from servofd.core.statistics import Estimate
+    >>> from servofd.detection.verdict import Fault, SurfaceAudit
+    >>> early = Fault("bias", 0.3, 0.4, 10.2, {"bias_deg": Estimate(-2.5, -2.6, -2.4)}, 1.0, ())
+    >>> rudder = SurfaceAudit("rudder", "suspect", "", "x", "interval", 1.0, True, suspicions=(early,),
+    ...                       model=ModelOrigin(origin="fitted"))
+    >>> other_way_round(rudder)
+    'its zero was fitted to this log: it may as well have been right until 0:10, and off by +2.5 deg since'
+    """
+    if surface.model.origin != "fitted":
+        return ""
+    for fault in (*surface.faults, *surface.suspicions):
+        if fault.kind == "bias" and "bias_deg" in fault.parameters:
+            what, other = "zero", f"off by {-fault.parameters['bias_deg'].value:+.1f} deg"
+        elif fault.kind == "loss_of_effectiveness" and fault.parameters.get("gain") is not None:
+            gain = fault.parameters["gain"].value
+            if gain <= 0.0:
+                continue
+            what, other = "scale", f"moving by {1.0 / gain:.0%} of its command"
+        else:
+            continue
+        since, until = clock(fault.start_s), None if fault.end_s is None else clock(fault.end_s)
+        begun = 0.0 if surface.segment is None or not surface.segment.measured_s.size else surface.segment.measured_s[0]
+        if until is None:
+            when = f"{other} until {since}, and right since"
+        elif fault.start_s - begun < _AT_ONCE_S:
+            when = f"right until {until}, and {other} since"
+        else:
+            when = f"right from {since} to {until}, and {other} before and after"
+        return f"its {what} was fitted to this log: it may as well have been {when}"
+    return ""
+
+
 def clock(time_s: float) -> str:
     """A time of the log as its minutes and seconds.
 

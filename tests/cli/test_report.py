@@ -149,3 +149,15 @@ def test_the_verdict_never_hides_what_was_not_judged() -> None:
     assert sentence([healthy, unknown]).startswith("Rudder followed its command. No verdict on elevator")
     assert sentence([healthy, suspect]) == "AILERON SUSPECT: look at it before the next flight."
     assert next_step(unknown).startswith("no verdict")
+
+
+@pytest.mark.slow
+def test_what_rests_on_a_fitted_zero_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The rudder of this log is off from 10 s on; a servo fitted to the log takes the longer part for right."""
+    log = SAMPLES / "table_three_faults.csv"
+    told = "its zero was fitted to this log: it may as well have been right until 0:10, and off by +2.5 deg since"
+    main(["audit", str(log), "--surface", "rudder", "--html", str(tmp_path / "fitted.html")])
+    assert told in capsys.readouterr().out
+    assert told in (tmp_path / "fitted.html").read_text()
+    main(["audit", str(log), "--surface", "rudder", "--servo", "hs225bb-eq31"])
+    assert "was fitted" not in capsys.readouterr().out
