@@ -96,7 +96,9 @@ def main(folder: Path) -> None:
         lines = [shown(line[2:]) if line.startswith("@ ") else line for line in TEXT.splitlines()]
         shutil.copy(Path("out", "flight-elevator.png"), pictures)
         shutil.copy(Path("before", LOOSE.replace(".csv", "-elevator.png")), pictures / "before-elevator.png")
-        for picture in explain_figures(explain(LOOSE, surface="elevator", servo="hs225bb-eq31").explanation, "elevator"):
+        for picture in explain_figures(
+            explain(LOOSE, surface="elevator", servo="hs225bb-eq31").explanation, "elevator"
+        ):
             name = picture.name.removeprefix("elevator-")
             if f"{name}.png" in TEXT:
                 (pictures / f"{name}.png").write_bytes(picture.png())
