@@ -16,8 +16,9 @@ from servofd.axes.verdict import named, shown
 from servofd.detection.verdict import meaning, next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.chart import MOST_FAULTS, Chart, Curve, Mark, Panel, Span, fault_charts, flight_chart, kind_of
-from servofd.outputs.document import Cell, Document, Figures, Item, Items, Section, Table, Words
+from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Section, Table, Words
 from servofd.outputs.json_report import audit_document
+from servofd.outputs.lanes import lanes_of
 from servofd.outputs.sentence import clock, other_way_round, plain_rate, seen, whole_sentence, worst
 
 if TYPE_CHECKING:
@@ -122,6 +123,7 @@ def _log(audit: LogAudit) -> Document:
             ),
             Items("Axes", ("axis", "status", "what the motion tells"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
+            Lanes(lambda: lanes_of(log)),
         ],
         log=log.source.name,
     )

@@ -92,6 +92,13 @@ class Figures:
 
 
 @dataclass(frozen=True, slots=True)
+class Lanes:
+    """Other channels of a log, which the reader of a page may lay below its charts (`servofd.outputs.lanes`)."""
+
+    draw: Callable[[], Sequence[Mapping[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True)
 class Item:
     """One surface, axis or log: its status, why, what to do, and what that rests on."""
 
@@ -129,7 +136,7 @@ class Section:
     anchor: str = ""
 
 
-Part = Words | Bullets | Table | Figures | Items | Section
+Part = Words | Bullets | Table | Figures | Lanes | Items | Section
 
 
 @dataclass(frozen=True, slots=True)

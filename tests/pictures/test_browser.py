@@ -136,6 +136,48 @@ def test_a_chart_tells_values_and_shows_a_part_from_near(browser: Browser, tmp_p
     assert browser.requested == [page.as_uri()]
 
 
+def test_a_chart_is_turned_nearer_loses_a_curve_and_gets_a_lane(browser: Browser, tmp_path: Path) -> None:
+    found = servofd.audit(SAMPLES / "ardupilot_volz_stuck.bin")
+    assert isinstance(found, servofd.Audit)
+    page = found.save_html(tmp_path / "page.html")
+    assert page.stat().st_size < 200_000
+    browser.size(1280)
+    browser.goto(page.as_uri())
+
+    def viewed() -> list[float]:
+        box = browser.tell("document.querySelector('.chart svg').getAttribute('viewBox')")
+        return [float(number) for number in box.split()]
+
+    wheel = """(target => { const at = target.getBoundingClientRect(); target.dispatchEvent(new WheelEvent("wheel",
+        { deltaY: -500, clientX: at.left + at.width / 4, clientY: at.top + 5, cancelable: true })); })"""
+    browser.tell(f"{wheel}(document.querySelector('.chart .plot'))")
+    assert viewed() == [0.0, 0.0, 4000.0, 1000.0]  # a wheel over a page scrolls it
+    browser.tell("document.querySelector('.plots').focus()")
+    browser.tell(f"{wheel}(document.querySelector('.chart .plot'))")
+    x, _, width, _ = viewed()
+    assert width == pytest.approx(4000.0 / np.e, rel=0.01)
+    assert x + width / 4 == pytest.approx(1000.0, rel=0.02)  # what is under the pointer stays there
+    # The axis follows what is in view; a curve that is hidden counts no more.
+    before = viewed()[3]
+    browser.tell(
+        "[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'healthy servo').click()"
+    )
+    browser.tell("[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'asked').click()")
+    assert browser.tell("getComputedStyle(document.querySelector('path.simulated')).display") == "none"
+    assert viewed()[3] < before / 2  # the elevator rests
+    browser.tell("""(select => { select.selectedIndex = 2; select.dispatchEvent(new Event("change")); })
+        (document.querySelector(".more select"))""")
+    assert browser.tell("document.querySelector('path.other').getBoundingClientRect().width") > 600
+    assert len(plots(browser)) == 3
+    roll = found.log["ATT.Roll"]
+    shown = browser.tell("[...document.querySelectorAll('.lane1 .tick')].map(one => +one.textContent)")
+    assert min(shown) >= roll.values.min() - 5.0
+    assert max(shown) <= roll.values.max() + 5.0
+    browser.tell("document.querySelector('.legend button.other').click()")
+    assert len(plots(browser)) == 2
+    assert browser.complaints == []
+
+
 def test_without_script_everything_is_there_but_the_hint_to_point_at_it(browser: Browser, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text(re.sub(r"<script>.*?</script>", "", audit_text(), flags=re.DOTALL))

@@ -2,7 +2,7 @@
 // Charts: the value under the pointer, and a view from nearer. Without this the page says the same.
 for (const chart of document.querySelectorAll(".chart")) {
   const first = +chart.dataset.first, last = +chart.dataset.last, WIDTH = 4000, HEIGHT = 1000;
-  const plots = [...chart.querySelectorAll(".plot")], ticks = chart.querySelector(".times");
+  const plots = [...chart.querySelectorAll(".plot")], fingers = new Map(), ticks = chart.querySelector(".times");
   const readout = chart.querySelector(".readout"), whole = chart.querySelector(".whole");
   const asDrawn = ticks.innerHTML;
   let from = first, to = last, begun = null, at = null;
@@ -11,11 +11,44 @@ for (const chart of document.querySelectorAll(".chart")) {
     const rest = (r < 9.995 ? "0" : "") + r.toFixed(fine ? 2 : 0);
     return (t < 0 ? "-" : "") + (h ? h + ":" + String(m).padStart(2, "0") : m) + ":" + rest;
   };
+  // Ends of what a plot draws: a lane has its own.
+  const ends = plot => [+(plot.dataset.first ?? first), +(plot.dataset.last ?? last)];
+  const shownBy = path => getComputedStyle(path).display !== "none";
+  // From nearer, the axis of a plot reaches as far as the curves do that are in view.
+  const fit = (plot, x, w, near) => {
+    for (const one of plot.querySelectorAll(".nearer")) one.remove();
+    for (const one of plot.querySelectorAll(".tick, .grid")) one.style.display = near ? "none" : "";
+    const svg = plot.querySelector("svg");
+    near ||= "first" in plot.dataset;
+    let top = 0, bottom = HEIGHT;
+    if (near) {
+      const seen = [...plot.querySelectorAll("path[data-name]")].filter(shownBy).flatMap(path => points(path).flat())
+        .filter(([at]) => at >= x && at <= x + w).map(([, y]) => y);
+      if (seen.length) {
+        top = Math.min(...seen); bottom = Math.max(...seen);
+        const room = Math.max(.08 * (bottom - top), 8);
+        top -= room; bottom += room;
+      }
+      const low = +plot.dataset.low, high = +plot.dataset.high, at = y => high - y / HEIGHT * (high - low);
+      const span = at(top) - at(bottom), power = 10 ** Math.floor(Math.log10(span / 4));
+      const step = power * [1, 2, 5, 10, 20].find(k => span / (power * k) <= 4);
+      for (let k = Math.ceil(at(bottom) / step); k * step <= at(top); k++) {
+        const y = (high - k * step) / (high - low) * HEIGHT, tick = document.createElement("span");
+        tick.className = "tick nearer"; tick.style.top = 100 * (y - top) / (bottom - top) + "%"; tick.textContent = +(k * step).toPrecision(6);
+        const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
+        for (const [name, value] of Object.entries({ class: "grid nearer", x1: x, x2: x + w, y1: y, y2: y })) line.setAttribute(name, value);
+        plot.append(tick); svg.prepend(line);
+      }
+    }
+    svg.setAttribute("viewBox", `${x} ${top} ${w} ${bottom - top}`);
+  };
   const show = (a, b) => {
     const span = Math.min(Math.max(b - a, (last - first) / 500), last - first);
     from = Math.min(Math.max(a, first), last - span); to = from + span;
-    const x = (from - first) / (last - first) * WIDTH, w = span / (last - first) * WIDTH;
-    for (const plot of plots) plot.querySelector("svg").setAttribute("viewBox", `${x} 0 ${w} ${HEIGHT}`);
+    for (const plot of plots) {
+      const [begin, end] = ends(plot);
+      fit(plot, (from - begin) / (end - begin) * WIDTH, span / (end - begin) * WIDTH, span < last - first);
+    }
     for (const label of chart.querySelectorAll(".label")) {
       const share = (+label.dataset.s - from) / span;
       label.hidden = share < 0 || share > 1;
@@ -50,12 +83,13 @@ for (const chart of document.querySelectorAll(".chart")) {
   };
   const tell = t => {
     at = Math.min(Math.max(t, from), to);
-    const x = (at - first) / (last - first) * WIDTH, words = [clock(at, true)];
+    const words = [clock(at, true)];
     for (const plot of plots) {
+      const [begin, end] = ends(plot), x = (at - begin) / (end - begin) * WIDTH;
       const low = +plot.dataset.low, high = +plot.dataset.high;
       const line = plot.querySelector(".cursor");
       line.style.left = 100 * (at - from) / (to - from) + "%"; line.hidden = false;
-      for (const path of plot.querySelectorAll("path[data-name]")) {
+      for (const path of [...plot.querySelectorAll("path[data-name]")].filter(shownBy)) {
         const y = value(path, x);
         if (y !== null) words.push(`${path.dataset.name} ${(high - y / HEIGHT * (high - low)).toFixed(2)} ${plot.dataset.unit}`);
       }
@@ -66,10 +100,31 @@ for (const chart of document.querySelectorAll(".chart")) {
     const box = plot.getBoundingClientRect();
     return from + (to - from) * (event.clientX - box.left) / box.width;
   };
-  for (const plot of plots) {
+  const wire = plot => {
     const chosen = plot.querySelector(".chosen");
-    plot.addEventListener("pointerdown", event => { if (event.button === 0) begun = time(event, plot); });
+    plot.addEventListener("wheel", event => {
+      if (!event.ctrlKey && document.activeElement !== area) return;  // the page is scrolled
+      event.preventDefault();
+      const at = time(event, plot), by = Math.exp(event.deltaY / (event.ctrlKey ? 100 : 500));
+      show(at - (at - from) * by, at + (to - at) * by);
+    }, { passive: false });
+    plot.addEventListener("pointerdown", event => {
+      if (event.button === 0) begun = time(event, plot);
+      if (event.pointerType === "touch") fingers.set(event.pointerId, event.clientX);
+    });
+    for (const end of ["pointerup", "pointercancel", "pointerleave"]) plot.addEventListener(end, event => fingers.delete(event.pointerId));
     plot.addEventListener("pointermove", event => {
+      if (fingers.size === 2 && fingers.has(event.pointerId)) {
+        // Both instants stay under their fingers.
+        const box = plot.getBoundingClientRect(), share = x => (x - box.left) / box.width;
+        const [other] = [...fingers].filter(([id]) => id !== event.pointerId).map(([, x]) => x), was = fingers.get(event.pointerId);
+        fingers.set(event.pointerId, event.clientX);
+        const by = (was - other) / (event.clientX - other);
+        const fixed = from + (to - from) * share(other);
+        if (Number.isFinite(by) && by > 0) show(fixed - (fixed - from) * by, fixed + (to - fixed) * by);
+        begun = null; chosen.hidden = true;
+        return;
+      }
       const now = time(event, plot);
       tell(now);
       chosen.hidden = begun === null || !event.buttons;
@@ -85,8 +140,54 @@ for (const chart of document.querySelectorAll(".chart")) {
     });
     plot.addEventListener("pointerleave", () => { chosen.hidden = true; begun = null; });
     plot.addEventListener("dblclick", () => show(first, last));
-  }
+  };
   const area = chart.querySelector(".plots");
+  plots.forEach(wire);
+  // A name of the legend hides its curve.
+  const legend = chart.querySelector(".legend");
+  legend.removeAttribute("aria-hidden");
+  for (const entry of legend.querySelectorAll("span")) {
+    const button = document.createElement("button"), role = entry.className;
+    button.type = "button"; button.className = role; button.append(...entry.childNodes); button.setAttribute("aria-pressed", "true");
+    button.addEventListener("click", () => {
+      const shown = button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", shown);
+      for (const path of area.querySelectorAll(`path.${role}`)) path.style.display = shown ? "" : "none";
+      show(from, to);
+    });
+    entry.replaceWith(button);
+  }
+  // Other channels of the log, below.
+  const all = JSON.parse((chart.closest(".log") ?? document).querySelector("template.lanes")?.content.textContent ?? "[]");
+  if (all.length) {
+    const label = document.createElement("label"), choice = document.createElement("select");
+    label.className = "more"; label.append("Add a lane ", choice);
+    choice.append(new Option("–", ""), ...all.map((lane, k) => new Option(lane.name, k)));
+    choice.addEventListener("change", () => {
+      const lane = all[choice.value], id = "lane" + choice.value;
+      choice.selectedIndex = 0;
+      if (!lane || area.querySelector("." + id)) return;
+      const axis = document.createElement("p"), plot = document.createElement("div");
+      axis.className = "axis"; axis.textContent = lane.name + (lane.unit ? ` [${lane.unit}]` : "");
+      plot.className = "plot " + id;
+      for (const key of ["low", "high", "unit", "first", "last"]) plot.dataset[key] = lane[key];
+      const drawn = (name, values) => {
+        const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+        for (const [key, value] of Object.entries(values)) element.setAttribute(key, value);
+        return element;
+      };
+      const svg = drawn("svg", { preserveAspectRatio: "none", "aria-hidden": "true" });
+      svg.append(drawn("path", { class: "other", "data-name": lane.name, d: lane.path }));
+      plot.append(svg, ...["chosen", "cursor"].map(name => Object.assign(document.createElement("span"), { className: name, hidden: true })));
+      const away = document.createElement("button");
+      away.type = "button"; away.className = "other"; away.textContent = lane.name + " ✕"; away.setAttribute("aria-label", "Remove " + lane.name);
+      away.addEventListener("click", () => { away.remove(); axis.remove(); plot.remove(); plots.splice(plots.indexOf(plot), 1); });
+      label.before(away);
+      ticks.before(axis, plot);
+      plots.push(plot); wire(plot); show(from, to);
+    });
+    legend.append(label);
+  }
   area.addEventListener("keydown", event => {
     const middle = at ?? (from + to) / 2, span = to - from;
     const keys = {
