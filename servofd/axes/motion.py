@@ -196,7 +196,7 @@ def cell_means(grid_s: FloatArray, time_s: FloatArray, values: FloatArray, *, he
     return means
 
 
-_SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
+SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
     4: (("roll", 1.0),),
     19: (("pitch", 1.0),),
     21: (("yaw", 1.0),),
@@ -251,7 +251,7 @@ def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
     """Sort outputs by what they serve."""
     served: dict[str, list[tuple[LoggedOutput, float]]] = {}
     for output in outputs.values():
-        for axis, sign in _SHARES.get(output.function or 0, ()):
+        for axis, sign in SHARES.get(output.function or 0, ()):
             served.setdefault(axis, []).append((output, sign))
     surfaces = sorted({output.number for parts in served.values() for output, _ in parts})
     names = named_outputs(outputs, surfaces)

@@ -26,16 +26,18 @@ if TYPE_CHECKING:
     from servofd.calibrating.result import Calibration
     from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
     from servofd.feedback.flown import Log
+    from servofd.flight.judge import FlightAlone
 
 _SAME_RATE = 1.01
 
 
 class UnmeasuredLog(NoMeasurement):
-    """A log that could be read, but tells nowhere where a surface was."""
+    """A log that could be read, but tells nowhere where a surface was; with what its motion alone says."""
 
-    def __init__(self, reason: str, log: FlightLog | None = None) -> None:
+    def __init__(self, reason: str, log: FlightLog | None = None, flight: FlightAlone | None = None) -> None:
         super().__init__(reason)
         self.log = log
+        self.flight = flight
 
 
 def audit(
@@ -51,7 +53,7 @@ def audit(
         try:
             flown = flown_aircraft(run, job.aircraft, job.servo)
         except NoMeasurement as error:  # the other runs are judged first
-            nothing = nothing or UnmeasuredLog(str(error), run)
+            nothing = nothing or _alone(run, str(error), job)
             continue
         flown.check_names(job.surfaces, run.label)
         result = audit_log(
@@ -68,15 +70,26 @@ def audit(
         raise nothing
 
 
+def _alone(run: FlightLog, reason: str, job: Job) -> UnmeasuredLog:
+    """What one flight tells by itself, where nobody knows its aircraft."""
+    from servofd.flight.judge import judge_flight
+
+    flight = judge_flight(run) if job.aircraft is None else None
+    if flight is None:
+        return UnmeasuredLog(reason, run)
+    return UnmeasuredLog(f"{run.label}: {flight.sentence}; {reason.removeprefix(f'{run.label}: ')}", run, flight)
+
+
 @dataclass(frozen=True, slots=True)
 class FailedLog:
-    """A log that could not be judged, and why; the log itself if it could be read."""
+    """A log without a verdict, and why; the log itself if it could be read, and what one flight tells by itself."""
 
     path: str
     error: str
     log: FlightLog | None = None
     is_log: bool = True
     """False for what no reader takes for a log."""
+    flight: FlightAlone | None = None
 
 
 def judged(
@@ -87,7 +100,8 @@ def judged(
         yield from audit(path, job, threads=threads, progress=progress)
     except (LogError, ServofdError) as error:
         is_log = not isinstance(error, (UnknownFormat, EmptyLog, MissingChannel))
-        yield FailedLog(path, str(error), getattr(error, "log", None), is_log)
+        known = getattr(error, "log", None), is_log, getattr(error, "flight", None)
+        yield FailedLog(path, str(error), *known)
     except MemoryError:
         yield FailedLog(path, f"{path}: does not fit into the memory of the process that read it")
 

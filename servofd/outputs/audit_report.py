@@ -26,10 +26,13 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
+    from servofd.axes.motion import Motion
     from servofd.axes.verdict import AxisAudit
     from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.flight.change import AxisChange
+    from servofd.flight.judge import FlightAlone
     from servofd.outputs.document import Part
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
@@ -94,12 +97,63 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
 
 def _failed(result: FailedLog) -> Document:
     name = Path(result.path).name
+    if result.flight is not None:
+        return _alone(name, result.flight, result.error.replace(result.path, name))
     sentence = "Could not be read." if result.log is None else "Could not be judged."
     motors = None if result.log is None else motors_of(result.log)
     if result.log is not None and motors is not None:
         sentence = f"No control surfaces: a {result.log.vehicle}."
     parts = [motors] if motors is not None and motors.parts else ()
     return Document(name, "unknown", sentence, result.error.replace(result.path, name), parts, log=name)
+
+
+def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
+    """What one flight says by itself."""
+    rows = [
+        (
+            check.name.replace("_", " "),
+            _LOOKS[check.status],
+            check.text,
+            "" if check.since_s is None else clock(check.since_s),
+        )
+        for check in flight.checks
+    ]
+    parts: list[Part] = [Table("What this flight says by itself", ("check", "answer", "what was seen", "from"), rows)]
+    if flight.motion is not None:
+        motion, axes = flight.motion, flight.axes
+        parts.append(Figures(lambda: [_alone_chart(motion, axes)]))
+    sentence = flight.sentence[:1].upper() + flight.sentence[1:]
+    return Document(name, "unknown", f"{sentence}.", facts, parts, log=name)
+
+
+_LOOKS = {"ok": "nothing wrong", "look": "look", "unknown": "cannot tell"}
+
+
+def _alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
+    """Commands, rates, and how far roll and pitch are from their own past."""
+    panels = []
+    for place, axis in enumerate(("roll", "pitch")):
+        if axis in motion.commands_us:
+            asked, rate = motion.commands_us[axis], motion.rates_deg_s[place]
+            most_us, most = max(float(np.abs(asked).max()), 1.0), max(float(np.abs(rate).max()), 1.0)
+            panels.append(
+                Panel(f"{axis} command", "us", (Curve("command", "command", motion.time_s, asked),), -most_us, most_us)
+            )
+            panels.append(
+                Panel(f"{axis} rate", "deg/s", (Curve("rate", "measured", motion.time_s, rate),), -most, most)
+            )
+        one = axes.get(axis)
+        if one is not None and one.time_s:
+            time_s, score = np.array(one.time_s), np.sqrt(np.array(one.score))
+            curves = (
+                Curve("distance", "residual", time_s, score),
+                Curve("limit", "threshold", time_s[[0, -1]], np.ones(2)),
+            )
+            panels.append(Panel(f"{axis}: distance from its own past", "", curves, 0.0, max(1.2, float(score.max()))))
+    marks = [Mark("onset", one.since_s, f"{one.axis} changed") for one in axes.values() if one.since_s is not None]
+    text = "An axis whose distance from its own past exceeds 1 for three seconds no longer answers as it did."
+    first_s, last_s = float(motion.time_s[0]), float(motion.time_s[-1])
+    return Chart("The flight against its own past", text, first_s, last_s, tuple(panels), marks=tuple(marks))
 
 
 def _log(audit: LogAudit) -> Document:

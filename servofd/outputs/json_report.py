@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.axes.verdict import AxisAudit
     from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
+    from servofd.flight.judge import FlightAlone
 
 
 _OF_FAULT = ("kind", "level", "start_s", "alarm_s", "end_s", "probability", "named_s")
@@ -46,7 +47,8 @@ def _log(result: LogAudit | FailedLog) -> dict[str, Any]:
         known: dict[str, Any] = {"path": result.path, "format": None, "duration_s": None, "damage": []}
         if result.log is not None:
             known |= _about(result.log) | {"path": result.path}
-        return {**known, "error": result.error, "surfaces": {}}
+        alone = {} if result.flight is None else {"sentence": result.flight.sentence, "flight": _flight(result.flight)}
+        return {**known, "error": result.error, "surfaces": {}, **alone}
     return {
         **_about(result.log),
         "error": None,
@@ -65,6 +67,27 @@ def _about(log: FlightLog) -> dict[str, Any]:
         "start_utc": log.start_utc.isoformat() if log.start_utc else None,
         "duration_s": log.duration_s,
         "damage": [asdict(damage) for damage in log.damage_summary],
+    }
+
+
+def _flight(flight: FlightAlone) -> dict[str, Any]:
+    return {
+        "checks": [asdict(check) for check in flight.checks],
+        "axes": {
+            name: {
+                "status": axis.status,
+                "reason": axis.text,
+                "members": list(axis.members),
+                "since_s": axis.since_s,
+                "alarm_s": axis.alarm_s,
+                "lost_share": axis.lost_share and axis.lost_share._asdict(),
+                "offset_us": axis.offset_us and axis.offset_us._asdict(),
+                "explained_share": axis.explained_share,
+                "judged_share": axis.judged_share,
+                "judged_until_s": axis.judged_until_s,
+            }
+            for name, axis in flight.axes.items()
+        },
     }
 
 

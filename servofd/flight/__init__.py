@@ -1,0 +1,1 @@
+"""One flight alone: what its own columns tell, without feedback, other flights, or an aircraft file."""

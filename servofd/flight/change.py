@@ -1,0 +1,471 @@
+"""Whether an axis stopped answering as it did in the same flight before.
+
+The reference is the flight's own past. An axis obeys one of the forms of `servofd.axes.model`, linear in its unknowns;
+every second they are fitted to all that was flown before a trailing window, and what the window leaves,
+
+    e = lambda x1 + beta x2,     x1 = -K F(g u),  x2 = K F(g),
+
+is a lost share of the command's effect and an offset. Their covariance is that of the noise and of the fit itself (a
+short past extrapolates), and
+
+    J = theta^T (S + Sigma)^-1 theta,
+
+one-sided in lambda, compares them with what windows of healthy flights differ by: S0, of other aircraft, and, with
+every window that passes, what this flight showed. All products are sums over seconds, so that a window costs a few
+small matrices however long it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from servofd.axes.judge import Sliding, distance, smallest
+from servofd.axes.model import FORMS, Filtered
+from servofd.axes.verdict import named
+from servofd.core.statistics import Estimate
+
+if TYPE_CHECKING:
+    from servofd.axes.model import Form, Regression
+    from servofd.axes.motion import Motion
+    from servofd.core.types import BoolArray, FloatArray, IntArray
+
+Status = Literal["ok", "look", "unknown"]
+"""Of a check on one flight, which never is a fault."""
+
+WINDOWS_S = (5, 10, 20)
+LEAST_PAST_S = 35
+"""Flown before the first window that is judged: seven unknowns that were fitted to less extrapolate."""
+_COLOUR_S = 1.0
+"""Residuals less than a second apart count as one: gusts pass a small aeroplane in as much."""
+_DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
+_DELAY_FROM_S = 40
+_RIDGE = 1e-3
+_PRIOR_WINDOWS = 8.0
+"""What other aircraft's flights are worth, in windows of this one."""
+_ENOUGH = 0.8
+"""Share of a window that must be usable."""
+_SLOW_HZ = 15.0
+"""At lower rates an axis is seen in balance with its command; at higher ones its acceleration tells sooner."""
+_HELD_S = 3
+_AIRBORNE = 0.6
+"""Share of the median airspeed above which an aircraft flies."""
+_AFTER_TAKEOFF_S, _BEFORE_LANDING_S = 5.0, 3.0
+_SLOWER, _IDLER = 0.95, 0.05
+"""An aircraft that is slower, or asks for less of its engine, than it ever was before is not judged: there the fit
+extrapolates, and a failed engine would be called an elevator."""
+_REGIME_S, _REGIME_PAST_S = 5, 30
+_LEAST_LOSS, _MOST_LOSS, _LEAST_US, _LEAST_GAIN = 0.3, 1.4, 25.0, -0.4
+"""Sizes that mean something: a third of the effect, and no more than all of it; or an offset that a pilot trims."""
+
+
+class Look(NamedTuple):
+    """How an axis is looked at.
+
+    `slow`, `fast`: form and corner [Hz] of its filter. `spread`: S0 for the windows of each length, as variance of
+    lambda, covariance [us] and variance of beta [us2]. `limit`: J that healthy flights do not pass. Both were measured
+    by benchmarks/one_flight.py on the healthy time of two aircraft, no flight with a surface fault among it: ALFA
+    (10 Hz) and ArduPlane in wind (25 Hz). The limit is 1.25 times their largest J that was held and of a size that
+    counts.
+    """
+
+    slow: tuple[str, float]
+    fast: tuple[str, float]
+    spread: tuple[tuple[float, float, float], ...]
+    limit: float
+
+
+LOOKS = {
+    "roll": Look(
+        ("roll_rate", 1.0),
+        ("roll_acceleration", 2.5),
+        ((0.030**2, -0.001, 1.0), (0.035**2, -0.015, 1.0), (0.048**2, -0.023, 1.1**2)),
+        8.1,
+    ),
+    "pitch": Look(
+        ("pitch_inverse", 0.4),
+        ("pitch_inverse", 1.0),
+        ((0.096**2, 0.078, 3.3**2), (0.081**2, 0.027, 3.8**2), (0.076**2, 0.005, 3.9**2)),
+        17.5,
+    ),
+}
+"""The side axis is left out: its sizes made no sense in healthy flights (lambda from -1.3 to 5.8)."""
+_THRUST_FORM, _THRUST_HZ, _THRUST_S = "specific_thrust", 0.4, 5
+_THRUST_M_S2, _THRUST_SIGMAS, _THRUST_SPREAD_M_S2 = 1.5, 8.0, 0.1
+"""Acceleration that is missing for what the throttle asks: the same healthy flights stay above -1.3 m/s2, a stopped
+engine of ArduPlane leaves -11 m/s2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seconds:
+    """Products of a form's columns, summed up to each second.
+
+    `totals` (shape (n + 1, q, q)): of command, others, offset and answer, in this order. `samples` (shape (n + 1,)):
+    how many were usable so far.
+    """
+
+    form: Form
+    totals: FloatArray
+    samples: FloatArray
+    rate_hz: float
+
+    @classmethod
+    def of(cls, form: Form, columns: Regression, usable: BoolArray, motion: Motion) -> Seconds:
+        """Of one flight."""
+        rows = np.where(usable, np.vstack([columns.command, columns.others, columns.offset, columns.answer]), 0.0)
+        second = np.floor(motion.time_s - motion.time_s[0] + 1e-6).astype(int)
+        edges = np.searchsorted(second, np.arange(second[-1] + 1))
+        products = np.add.reduceat(np.einsum("in,jn->nij", rows, rows), edges, axis=0)
+        samples = np.add.reduceat(usable.astype(float), edges)
+        zero = np.zeros((1, *products.shape[1:]))
+        return cls(
+            form,
+            np.concatenate([zero, np.cumsum(products, axis=0)]),
+            np.concatenate([[0.0], np.cumsum(samples)]),
+            motion.rate_hz,
+        )
+
+    def fitted(self, upto: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Coefficients of the residual, variance of the residual, and covariance of the coefficients, up to seconds.
+
+        The residual is what a row of columns times the first result gives; shapes (k, q), (k,), (k, q, q).
+        """
+        grams, count = self.totals[upto], np.maximum(self.samples[upto], 1.0)
+        q = grams.shape[-1]
+        known = np.arange(1 if self.form.inverse else 0, q - 1)
+        answer = 0 if self.form.inverse else q - 1
+        normal = grams[:, known[:, None], known]
+        scale = np.sqrt(np.maximum(np.einsum("kii->ki", normal), 1e-300))
+        normal = normal / scale[:, :, None] / scale[:, None, :] + _RIDGE * np.eye(known.size)
+        inverse = np.linalg.inv(normal) / scale[:, :, None] / scale[:, None, :]
+        found = np.einsum("kij,kj->ki", inverse, grams[:, known, answer])
+        sign = -1.0 if self.form.inverse else 1.0
+        residual = np.zeros(grams.shape[:2])
+        residual[:, known], residual[:, answer] = -sign * found, sign
+        variance = np.maximum(np.einsum("ki,kij,kj->k", residual, grams, residual) / count, 1e-12)
+        covariance = np.zeros_like(grams)
+        covariance[:, known[:, None], known] = inverse
+        return residual, variance, covariance
+
+    @property
+    def explained(self) -> float:
+        """Share of the answer (of an inverse form, of the command) that the form explains over the flight."""
+        last = np.array([self.samples.size - 1])
+        _, variance, _ = self.fitted(last)
+        place = 0 if self.form.inverse else -1
+        gram, count = self.totals[-1], max(self.samples[-1], 1.0)
+        mean = gram[place, -2] / max(gram[-2, -2], 1e-300)
+        power = gram[place, place] / count - mean**2 * gram[-2, -2] / count
+        return float(1.0 - variance[0] / max(power, 1e-300))
+
+
+def windows(seconds: Seconds, length_s: int) -> Sliding:
+    """Lost share and offset [us] in the window that ends with each second, by a fit to what came before; shape (n,)."""
+    n = seconds.samples.size - 1
+    found = Sliding(*(np.full(n, np.nan) for _ in range(5)))
+    ends = np.arange(length_s, n + 1)
+    begins = ends - length_s
+    inside = seconds.samples[ends] - seconds.samples[begins]
+    good = (inside >= _ENOUGH * length_s * seconds.rate_hz) & (
+        seconds.samples[begins] >= LEAST_PAST_S * seconds.rate_hz
+    )
+    ends, begins, inside = ends[good], begins[good], inside[good]
+    if not ends.size:
+        return found
+    residual, variance, fit = seconds.fitted(begins)
+    gram = seconds.totals[ends] - seconds.totals[begins]
+    q = gram.shape[-1]
+    gain = np.ones(ends.size) if seconds.form.inverse else -residual[:, 0]
+    directions = np.zeros((ends.size, 2, q))
+    directions[:, 0, 0], directions[:, 1, q - 2] = -gain, gain
+    tells = directions @ gram
+    normal = tells @ directions.transpose(0, 2, 1)
+    determinant = np.linalg.det(normal)
+    sound = determinant > 1e-9 * normal[:, 0, 0] * normal[:, 1, 1]
+    inverse = np.linalg.inv(np.where(sound[:, None, None], normal, np.eye(2)))
+    right = np.einsum("kij,kj->ki", tells, residual)
+    theta = np.einsum("kij,kj->ki", inverse, right)
+    left = np.einsum("ki,kij,kj->k", residual, gram, residual) - np.einsum("ki,ki->k", theta, right)
+    noise = np.maximum(np.maximum(left, 0.0) / inside, variance) * _COLOUR_S * seconds.rate_hz
+    of_fit = (inverse @ tells) @ fit @ (inverse @ tells).transpose(0, 2, 1)
+    covariance = noise[:, None, None] * inverse + (variance * _COLOUR_S * seconds.rate_hz)[:, None, None] * of_fit
+    places = (ends - 1)[sound]
+    values = (theta[:, 0], theta[:, 1], covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1])
+    for into, value in zip(found, values, strict=True):
+        into[places] = value[sound]
+    return found
+
+
+def expected(found: Sliding, length_s: int, spread: FloatArray) -> Sliding:
+    """What windows of this flight may differ by: S0, and what the windows before showed, each by what it can tell."""
+    seen = found.known
+    sigma = np.array([[found.loss_var, found.cross], [found.cross, found.offset_var]]).transpose(2, 0, 1)[seen]
+    theta = np.array([found.loss, found.offset]).T[seen]
+    gain = spread @ np.linalg.inv(spread + sigma)
+    mean = np.einsum("kij,kj->ki", gain, theta)
+    each = np.zeros((found.loss.size, 2, 2))
+    each[seen] = mean[:, :, None] * mean[:, None, :] + spread - gain @ spread
+    total = np.cumsum(each, axis=0) / length_s
+    count = np.cumsum(seen) / length_s
+    total = np.concatenate([np.zeros((length_s, 2, 2)), total])[: count.size]
+    count = np.concatenate([np.zeros(length_s), count])[: count.size]
+    s = (_PRIOR_WINDOWS * spread + total) / (_PRIOR_WINDOWS + count)[:, None, None]
+    zero = np.zeros(found.loss.size)
+    return Sliding(zero, zero, s[:, 0, 0], s[:, 0, 1], s[:, 1, 1])
+
+
+def regressed(form: Form, motion: Motion, usable: BoolArray, corner_hz: float, reference_m_s: float) -> Seconds:
+    """Products of a form's columns, with the delay of the command that explains the first of the flight best."""
+    filtered = Filtered(motion, corner_hz=corner_hz, reference_m_s=reference_m_s)
+    columns = form.regression(filtered)
+    first = usable & (np.cumsum(usable) <= _DELAY_FROM_S * motion.rate_hz)
+    delays = (0.0,) if form.command == "throttle" else _DELAYS_S
+    best = max(delays, key=lambda d: Seconds.of(form, columns.delayed(d, motion.rate_hz), first, motion).explained)
+    return Seconds.of(form, columns.delayed(best, motion.rate_hz), usable, motion)
+
+
+def airborne(motion: Motion) -> tuple[BoolArray, float]:
+    """Where an aircraft surely flies, and its usual airspeed [m/s]: not soon after a take-off, nor before a landing."""
+    from scipy import ndimage
+
+    moving = motion.present & (motion.airspeed_m_s > _MEANS_FLIGHT_M_S)
+    if not moving.any():
+        return moving, 1.0
+    usual_m_s = float(np.median(motion.airspeed_m_s[moving]))
+    flies = motion.present & (motion.airspeed_m_s > _AIRBORNE * usual_m_s)
+    after, before = (round(s * motion.rate_hz) for s in (_AFTER_TAKEOFF_S, _BEFORE_LANDING_S))
+    # Erosion by a window that reaches so far back and ahead of each sample.
+    window = np.ones(after + before + 1, dtype=bool)
+    sure = ndimage.binary_erosion(flies, window, origin=(after - before) // 2, border_value=0)
+    return sure, usual_m_s
+
+
+_MEANS_FLIGHT_M_S = 5.0
+
+
+def as_flown_before(motion: Motion, flies: BoolArray) -> BoolArray:
+    """Where airspeed and throttle are what the flight had before, as far as it was known a window ago."""
+    second = np.floor(motion.time_s - motion.time_s[0] + 1e-6).astype(int)
+    edges = np.searchsorted(second, np.arange(second[-1] + 1))
+    count = np.add.reduceat(flies.astype(float), edges)
+    speed, throttle = (
+        np.add.reduceat(np.where(flies, values, 0.0), edges) / np.maximum(count, 1.0)
+        for values in (motion.airspeed_m_s, motion.throttle)
+    )
+    flown = count > 0.5 * motion.rate_hz
+    inside = np.ones(count.size, dtype=bool)
+    for begin in range(0, count.size, _REGIME_S):
+        past = np.flatnonzero(flown[: max(begin - WINDOWS_S[-1], 0)])
+        if past.size >= _REGIME_PAST_S:
+            slowest, least = _SLOWER * np.quantile(speed[past], 0.02), np.quantile(throttle[past], 0.1) - _IDLER
+            now = slice(begin, begin + _REGIME_S)
+            inside[now] = (speed[now] >= slowest) & (throttle[now] >= least)
+    usable: BoolArray = flies & inside[second]
+    return usable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisChange:
+    """What one flight says of one axis, against its own past."""
+
+    axis: str
+    status: Status
+    text: str
+    """One sentence."""
+    members: tuple[str, ...] = ()
+    since_s: float | None = None
+    """Best estimate of when it changed [s]."""
+    alarm_s: float | None = None
+    """When it could have been told in flight [s]."""
+    lost_share: Estimate | None = None
+    offset_us: Estimate | None = None
+    """Of the axis' command, once it was told [us]."""
+    explained_share: float | None = None
+    """Of its answer by the command and the rest of the motion, over the whole flight."""
+    judged_share: float = 0.0
+    """Share of the time in the air."""
+    judged_until_s: float | None = None
+    time_s: tuple[float, ...] = ()
+    score: tuple[float, ...] = ()
+    """J over its limit at each second."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """An axis, window by window, against what was flown before each.
+
+    `found`, `known`: estimates and what to expect of them, for the windows of each length. `shares` (shape (3, n)): J
+    over its limit, where its size means something, after persistence and before.
+    """
+
+    seconds: Seconds
+    found: tuple[Sliding, ...]
+    known: tuple[Sliding, ...]
+    shares: FloatArray
+    held: FloatArray
+
+    @classmethod
+    def of(cls, seconds: Seconds, look: Look) -> Compared:
+        """Of one axis."""
+        from scipy import ndimage
+
+        found = [windows(seconds, length_s) for length_s in WINDOWS_S]
+        spreads = [np.array([[v, c], [c, o]]) for v, c, o in look.spread]
+        known = [expected(*each) for each in zip(found, WINDOWS_S, spreads, strict=True)]
+        shares = np.array(
+            [
+                np.where(_means_something(one), distance(one, prior, np.zeros((2, 2))), 0.0) / look.limit
+                for one, prior in zip(found, known, strict=True)
+            ]
+        )
+        held = ndimage.minimum_filter1d(shares, _HELD_S, axis=1, origin=(_HELD_S - 1) // 2)
+        return cls(seconds, tuple(found), tuple(known), shares, held)
+
+    @property
+    def judged(self) -> BoolArray:
+        """Seconds with a window that ends there."""
+        judged: BoolArray = np.any([one.known for one in self.found], axis=0)
+        return judged
+
+    def shown_loss(self, look: Look) -> float:
+        """Loss that half of the judged seconds would have shown."""
+        least = [
+            smallest(one, prior, np.zeros((2, 2)), look.limit)[0]
+            for one, prior in zip(self.found, self.known, strict=True)
+        ]
+        return float(np.median(np.min(least, axis=0)[self.judged]))
+
+
+def _means_something(window: Sliding) -> BoolArray:
+    large = (window.loss >= _LEAST_LOSS) | ((np.abs(window.offset) >= _LEAST_US) & (window.loss > _LEAST_GAIN))
+    means: BoolArray = large & (window.loss <= _MOST_LOSS)
+    return means
+
+
+def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, reference_m_s: float) -> AxisChange:
+    """Compare an axis with itself."""
+    look = LOOKS[name]
+    form_name, corner_hz = look.slow if motion.rate_hz < _SLOW_HZ else look.fast
+    form = FORMS[form_name]
+    members = motion.members.get(name, ())
+    if form.command not in motion.commands_us or np.ptp(motion.commands_us[form.command]) == 0.0:
+        return AxisChange(name, "unknown", f"{name}: no command of it moves in this log", members)
+    compared = Compared.of(regressed(form, motion, usable, corner_hz, reference_m_s), look)
+    judged = compared.judged
+    second_s = motion.time_s[0] + np.arange(1, judged.size + 1)
+    air_s = float(flies.sum()) / motion.rate_hz
+    if not judged.any():
+        text = f"{name}: {air_s:.0f} s in the air; {LEAST_PAST_S + WINDOWS_S[0]} s are needed"
+        return AxisChange(name, "unknown", text if flies.any() else f"{name}: it never flew", members)
+    until_s = min(float(second_s[judged][-1]), float(motion.time_s[usable][-1]))
+    known = AxisChange(
+        name,
+        "unknown",
+        f"{name}: too little motion: a stuck surface would have looked the same in most of the flight",
+        members,
+        explained_share=compared.seconds.explained,
+        judged_share=min(float(judged.sum()) / air_s, 1.0),
+        judged_until_s=until_s,
+        time_s=tuple(second_s.tolist()),
+        score=tuple(np.max(compared.shares, axis=0).tolist()),
+    )
+    told = np.flatnonzero(compared.held.max(axis=0) > 1.0)
+    if told.size:
+        return _changed(known, compared, int(told[0]), float(motion.time_s[0]))
+    shown = compared.shown_loss(look)
+    if not shown <= 1.0:
+        return known
+    text = (
+        f"{name} answered as it had before until {until_s:.0f} s; the loss of {max(shown, _LEAST_LOSS):.0%} of its "
+        "effect would have shown in half of that time"
+    )
+    return replace(known, status="ok", text=text)
+
+
+def _changed(known: AxisChange, compared: Compared, at: int, begin_s: float) -> AxisChange:
+    """An axis that stopped answering as before, as it could be told at a second."""
+    window = compared.found[int(np.argmax(compared.held[:, at]))].at(np.array([at]))
+    lost = Estimate.of(float(window.loss[0]), math.sqrt(float(window.loss_var[0])))
+    offset = Estimate.of(float(window.offset[0]), math.sqrt(float(window.offset_var[0])))
+    since_s, alarm_s = begin_s + onset(compared.seconds, at + 1), begin_s + at + 1.0
+    what = (
+        f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
+        if lost.value >= _LEAST_LOSS
+        else f"acts as if {offset.value:+.0f} us [{offset.low:+.0f}, {offset.high:+.0f}] away"
+    )
+    text = (
+        f"{known.axis} {what} since about {since_s:.0f} s, as could be told at {alarm_s:.0f} s: look at the "
+        f"{named(known.members, known.axis)}{_OR_ELSE[known.axis]}"
+    )
+    return replace(known, status="look", text=text, since_s=since_s, alarm_s=alarm_s, lost_share=lost, offset_us=offset)
+
+
+_OR_ELSE = {
+    "roll": "; a rudder, a flap or damage to a wing may do the same",
+    "pitch": "; a rudder hard over, a payload that moved or lost thrust may do the same",
+}
+
+
+def onset(seconds: Seconds, told: int) -> float:
+    """Since when what follows fits worst to what came before [s after the first sample]: the likeliest of the last 20.
+
+    Of the windows that end where it was told, the one whose loss and offset explain most.
+    """
+    last = WINDOWS_S[-1]
+    base = np.array([max(told - last, 0)])
+    residual, _, _ = seconds.fitted(base)
+    best, onset_s = 0.0, float(told - _HELD_S)
+    for begin in range(int(base[0]), told - _HELD_S + 1):
+        gram = seconds.totals[told] - seconds.totals[begin]
+        gain = 1.0 if seconds.form.inverse else -residual[0, 0]
+        directions = np.zeros((2, gram.shape[0]))
+        directions[0, 0], directions[1, -2] = -gain, gain
+        right = directions @ gram @ residual[0]
+        normal = directions @ gram @ directions.T
+        explained = float(right @ np.linalg.pinv(normal) @ right)
+        if explained > best:
+            best, onset_s = explained, float(begin)
+    return onset_s
+
+
+def thrust_missing_s(motion: Motion, usable: BoolArray, reference_m_s: float) -> float | None:
+    """From when on the aircraft accelerated less than its throttle asks for, by its own past [s]; None if never."""
+    if np.ptp(motion.throttle) == 0.0:
+        return None
+    seconds = regressed(FORMS[_THRUST_FORM], motion, usable, _THRUST_HZ, reference_m_s)
+    ends = np.arange(_THRUST_S, seconds.samples.size)
+    begins = ends - _THRUST_S
+    good = (seconds.samples[ends] - seconds.samples[begins] >= _ENOUGH * _THRUST_S * motion.rate_hz) & (
+        seconds.samples[begins] >= LEAST_PAST_S * motion.rate_hz
+    )
+    ends, begins = ends[good], begins[good]
+    if not ends.size:
+        return None
+    residual, variance, fit = seconds.fitted(begins)
+    gram = seconds.totals[ends] - seconds.totals[begins]
+    tells = gram[:, -2] / gram[:, -2, -2][:, None]
+    missing = np.einsum("ki,ki->k", tells, residual)
+    noise = variance * _COLOUR_S * motion.rate_hz
+    spread = noise / gram[:, -2, -2] + noise * np.einsum("ki,kij,kj->k", tells, fit, tells) + _THRUST_SPREAD_M_S2**2
+    told = np.flatnonzero((missing < -_THRUST_M_S2) & (missing < -_THRUST_SIGMAS * np.sqrt(spread)))
+    return float(motion.time_s[0] + begins[told[0]]) if told.size else None
+
+
+def judge_motion_alone(motion: Motion) -> dict[str, AxisChange]:
+    """Roll and pitch of one flight against their own past; the engine is asked before the elevator."""
+    flies, reference_m_s = airborne(motion)
+    usable = as_flown_before(motion, flies)
+    axes = {name: judge_axis(name, motion, flies, usable, reference_m_s) for name in LOOKS}
+    pitch = axes["pitch"]
+    if pitch.status == "look" and pitch.alarm_s is not None:
+        since_s = thrust_missing_s(motion, flies, reference_m_s)
+        if since_s is not None and since_s < pitch.alarm_s:
+            text = f"pitch: engine or elevator: thrust is missing from {since_s:.0f} s on, which moves pitch as well"
+            axes["pitch"] = replace(pitch, status="unknown", text=text, since_s=None, alarm_s=None)
+    if "yaw" in motion.commands_us:
+        text = f"side: one flight alone does not tell of the {named(motion.members.get('side', ()), 'side')}"
+        axes["side"] = AxisChange("side", "unknown", text, motion.members.get("side", ()))
+    return axes

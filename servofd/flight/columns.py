@@ -1,0 +1,147 @@
+"""What one log has of outputs, sticks and supply: read once, in units that every check shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servofd.aircraft.outputs import named_outputs, outputs_of, pulse_channel
+from servofd.axes.motion import SHARES, Series, motion_of
+from servofd.core.errors import NoMeasurement
+from servofd.flight.change import airborne
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from logparsers.records import FlightLog
+    from servofd.axes.motion import Motion
+    from servofd.core.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Output:
+    """One output that turns a surface.
+
+    Parameters
+    ----------
+    name : str
+        Of the surface.
+    axes : mapping of str to float
+        Axes that it serves, with its sign in each.
+    time_s, share : ndarray, shape (n,)
+        What was asked of it: -1 at SERVOn_MIN, 1 at SERVOn_MAX, reversed outputs turned round.
+    trim_share : float
+        SERVOn_TRIM in the same unit.
+    span_us : float
+        From MIN to MAX [us].
+    """
+
+    name: str
+    axes: Mapping[str, float]
+    time_s: FloatArray
+    share: FloatArray
+    trim_share: float
+    span_us: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """One flight, as the checks need it.
+
+    Parameters
+    ----------
+    outputs : tuple of Output
+        Those of surfaces; empty if the log does not say which they are.
+    motion : Motion or None
+        On one grid; None if the log lacks something for it.
+    lacking : str
+        What it lacks.
+    flies : ndarray of bool
+        Where the aircraft surely flies, on the grid of `motion`.
+    span_s : tuple of float
+        From take-off to landing, or to the end of the log [s]; NaN if it never flew, or nobody knows.
+    sticks : mapping of str to Series
+        What the pilot asked of each axis [us].
+    supply_v : Series or None
+        Voltage of the servos' rail.
+    """
+
+    outputs: tuple[Output, ...]
+    motion: Motion | None
+    lacking: str
+    flies: BoolArray
+    span_s: tuple[float, float]
+    sticks: Mapping[str, Series]
+    supply_v: Series | None
+
+    def in_air(self, time_s: FloatArray) -> BoolArray:
+        """Which times lie in the flight."""
+        inside: BoolArray = (time_s >= self.span_s[0]) & (time_s <= self.span_s[1])
+        return inside
+
+
+_STICKS = {"roll": ("RCMAP_ROLL", 1), "pitch": ("RCMAP_PITCH", 2), "yaw": ("RCMAP_YAW", 4)}
+"""Parameter that names the channel of each stick, and ArduPilot's default."""
+
+
+def flight_of(log: FlightLog) -> Flight:
+    """Outputs, motion, sticks and supply of a log, as far as it has them."""
+    motion, lacking = None, ""
+    try:
+        motion = motion_of(log)
+    except NoMeasurement as error:
+        lacking = str(error).removeprefix(f"{log.label}: ")
+    flies, span_s = np.zeros(0, dtype=bool), (np.nan, np.nan)
+    if motion is not None:
+        flies, _ = airborne(motion)
+        if flies.any():
+            sure_s = motion.time_s[flies]
+            span_s = (float(sure_s[0]), float(sure_s[-1]))
+    return Flight(_outputs(log), motion, lacking, flies, span_s, _sticks(log), _supply(log))
+
+
+def _outputs(log: FlightLog) -> tuple[Output, ...]:
+    outputs = outputs_of(log.parameters)
+    serving = {number: dict(SHARES[each.function or 0]) for number, each in outputs.items() if each.function in SHARES}
+    names = named_outputs(outputs, sorted(serving))
+    found = []
+    for number in sorted(serving):
+        output, name = outputs[number], pulse_channel(log.channels, number)
+        if not name:
+            continue
+        series = Series.of(log[name])
+        sent = series.values > 0.0
+        span_us = output.max_us - output.min_us
+        if np.count_nonzero(sent) < 2 or span_us <= 0.0:
+            continue
+        middle_us = (output.max_us + output.min_us) / 2.0
+        share = 2.0 * output.sign * (series.values[sent] - middle_us) / span_us
+        trim = 2.0 * output.sign * (output.trim_us - middle_us) / span_us
+        found.append(Output(names[number], serving[number], series.time_s[sent], share, trim, span_us))
+    return tuple(found)
+
+
+def _sticks(log: FlightLog) -> dict[str, Series]:
+    found = {}
+    for axis, (parameter, usual) in _STICKS.items():
+        number = int(log.parameters.get(parameter, usual))
+        turned = log.parameters.get(f"RC{number}_REVERSED") == 1.0 or log.parameters.get(f"RC{number}_REV") == -1.0
+        sign = -1.0 if turned else 1.0
+        for name in (f"RCIN.C{number}", f"RC_CHANNELS.chan{number}_raw"):
+            if name in log.channels:
+                series = Series.of(log[name])
+                if series.values.size > 1:
+                    found[axis] = Series(series.time_s, sign * series.values)
+                break
+    return found
+
+
+def _supply(log: FlightLog) -> Series | None:
+    for name, scale in (("POWR.VServo", 1.0), ("POWR.Vservo", 1.0), ("POWER_STATUS.Vservo", 1e-3)):
+        if name in log.channels:
+            series = Series.of(log[name])
+            if series.values.size > 1 and float(np.median(series.values)) * scale > 1.0:
+                return Series(series.time_s, scale * series.values)
+    return None

@@ -1,0 +1,76 @@
+"""The answer that one flight gives by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from servofd.flight import checks
+from servofd.flight.change import judge_motion_alone
+from servofd.flight.columns import flight_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from logparsers.records import FlightLog
+    from servofd.axes.motion import Motion
+    from servofd.flight.change import AxisChange
+    from servofd.flight.checks import Check
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightAlone:
+    """Checks and axes of one flight, and the sentence that answers."""
+
+    checks: tuple[Check, ...]
+    axes: Mapping[str, AxisChange]
+    sentence: str
+    motion: Motion | None
+
+
+def judge_flight(log: FlightLog) -> FlightAlone | None:
+    """Judge a flight without feedback, aircraft file or other flights; None if its log holds nothing to judge.
+
+    Never a fault: one flight alone is no more than a reason to look.
+    """
+    flight = flight_of(log)
+    if flight.motion is None and not flight.outputs:
+        return None
+    axes = {} if flight.motion is None else judge_motion_alone(flight.motion)
+    change = checks.axis_change(axes)
+    if not axes:
+        change = checks.Check("axis_change", "unknown", flight.lacking)
+    found = (
+        checks.surface_check(flight),
+        checks.saturation(flight),
+        checks.trim(flight),
+        checks.travel(flight),
+        checks.limit_cycle(flight),
+        checks.asymmetry(flight),
+        checks.supply(flight),
+        change,
+    )
+    return FlightAlone(found, axes, _sentence(found, axes), flight.motion)
+
+
+_SPOKEN = {"side": "the rudder"}
+
+
+def _sentence(found: tuple[Check, ...], axes: Mapping[str, AxisChange]) -> str:
+    """What looks wrong, or that nothing does; what was judged, and until when; and what would not have shown."""
+    said = [check.text for check in found if check.status == "look"]
+    said.sort(key=lambda text: text not in {axis.text for axis in axes.values()})  # what stopped answering comes first
+    judged = [axis for axis in axes.values() if axis.status != "unknown"]
+    fine = [axis.axis for axis in judged if axis.status == "ok"]
+    untold = [_SPOKEN.get(axis.axis, axis.axis) for axis in axes.values() if axis.status == "unknown"]
+    until = max((axis.judged_until_s for axis in judged if axis.judged_until_s is not None), default=None)
+    parts = []
+    if said:
+        parts.append("; ".join(said))
+    if fine:
+        parts.append(f"nothing looks wrong in {' and '.join(fine)}")
+    if untold:
+        parts.append(f"{' and '.join(untold)} cannot be judged")
+    if until is not None:
+        parts.append(f"judged until {until:.0f} s; a servo that sticks near its trim would not show")
+    return "; ".join(parts) or next(check.text for check in found if check.name == "axis_change")

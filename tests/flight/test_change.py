@@ -1,0 +1,74 @@
+"""One flight against its own past: flights of an aeroplane of another structure than the models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servofd.axes.motion import Motion
+from servofd.flight.change import airborne, judge_motion_alone
+from tests.axes.flights import flown
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_half_of_the_ailerons_is_missed_and_measured(seed: int) -> None:
+    roll = judge_motion_alone(flown(seed, duration_s=180.0, aileron_share=0.5, from_s=100.0))["roll"]
+    assert roll.status == "look"
+    assert roll.since_s == pytest.approx(100.0, abs=5.0)
+    assert roll.alarm_s is not None
+    assert 100.0 < roll.alarm_s < 125.0
+    assert roll.lost_share is not None
+    assert roll.lost_share.low < 0.5 < roll.lost_share.high
+
+
+def test_healthy_flights_are_no_reason_to_look() -> None:
+    looks = [
+        axis.axis
+        for seed in range(12)
+        for axis in judge_motion_alone(flown(100 + seed, duration_s=180.0)).values()
+        if axis.status == "look"
+    ]
+    assert looks == []
+
+
+def test_the_verdict_uses_nothing_that_comes_later() -> None:
+    flight = flown(3, duration_s=180.0, aileron_share=0.4, from_s=100.0)
+    whole = judge_motion_alone(flight)["roll"]
+    assert whole.alarm_s is not None
+    cut = judge_motion_alone(flight.until(whole.alarm_s + 5.0))["roll"]
+    assert (cut.alarm_s, cut.lost_share) == (whole.alarm_s, pytest.approx(whole.lost_share))
+
+
+def test_a_flight_without_motion_is_unknown() -> None:
+    calm = flown(5, duration_s=180.0)
+    calm.commands_us["roll"][:] = np.random.default_rng(5).normal(0.0, 1.0, calm.time_s.size)
+    assert judge_motion_alone(calm)["roll"].status == "unknown"
+    short = judge_motion_alone(flown(5, duration_s=20.0))["roll"]
+    assert short.status == "unknown"
+    assert "40 s are needed" in short.text
+
+
+def landed(flight: Motion, from_s: float) -> Motion:
+    """The same flight, on the runway from a time on."""
+    slow = np.where(flight.time_s >= from_s, 0.5, flight.airspeed_m_s)
+    return replace(flight, airspeed_m_s=slow)
+
+
+def test_what_comes_after_the_landing_is_not_judged() -> None:
+    flight = landed(flown(7, duration_s=180.0, aileron_share=0.0, from_s=120.0), 120.0)
+    flies, _ = airborne(flight)
+    assert float(flight.time_s[flies][-1]) == pytest.approx(117.0, abs=0.2)
+    roll = judge_motion_alone(flight)["roll"]
+    assert roll.status != "look"
+    assert roll.judged_until_s == pytest.approx(117.0, abs=1.5)
+
+
+def test_two_flights_in_one_log_are_judged_without_the_ground_between() -> None:
+    flight = flown(8, duration_s=240.0)
+    ground = (flight.time_s > 110.0) & (flight.time_s < 130.0)
+    flight = replace(flight, airspeed_m_s=np.where(ground, 0.0, flight.airspeed_m_s))
+    flies, _ = airborne(flight)
+    assert not flies[(flight.time_s > 107.5) & (flight.time_s < 134.5)].any()
+    assert judge_motion_alone(flight)["roll"].status != "look"

@@ -1,0 +1,109 @@
+"""Each check says `look` where its truth is wrong, and only there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logparsers
+from servofd.axes.motion import Series
+from servofd.cli import main
+from servofd.flight import checks
+from servofd.flight.columns import Flight, Output
+from tests.axes.flights import flown
+
+NAMES = ["surface_check", "saturation", "trim", "travel", "limit_cycle", "asymmetry", "supply", "axis_change"]
+TIME_S = np.arange(0.0, 200.0, 0.04)
+FLOWN_S = (80.0, 180.0)
+
+
+def flight_with(share: np.ndarray, *, stick: np.ndarray | None = None, supply: np.ndarray | None = None) -> Flight:
+    output = Output("aileron", {"roll": 1.0}, TIME_S, share, 0.0, 800.0)
+    motion = flown(1, duration_s=200.0)
+    flies = (motion.time_s >= FLOWN_S[0]) & (motion.time_s <= FLOWN_S[1])
+    sticks = {} if stick is None else {"roll": Series(TIME_S, stick)}
+    volts = None if supply is None else Series(TIME_S, supply)
+    return Flight((output,), motion, "", flies, FLOWN_S, sticks, volts)
+
+
+def wave(size: float = 0.3) -> np.ndarray:
+    return size * np.sin(2.0 * np.pi * 0.3 * TIME_S)
+
+
+def test_a_command_that_stands_at_its_end_to_the_last_is_said() -> None:
+    assert checks.saturation(flight_with(wave())).status == "ok"
+    late = checks.saturation(flight_with(np.where(TIME_S > 176.0, 1.0, wave())))
+    assert (late.status, late.since_s) == ("look", pytest.approx(176.0, abs=0.1))
+    assert "the aircraft did not obey" in late.text
+
+
+def test_trim_and_asymmetry_are_those_of_level_flight() -> None:
+    assert checks.trim(flight_with(wave())).status == checks.asymmetry(flight_with(wave())).status == "ok"
+    held = flight_with(wave() + 0.5)
+    assert checks.trim(held).status == checks.asymmetry(held).status == "look"
+
+
+def test_a_surface_that_moves_against_its_stick_is_named_before_take_off() -> None:
+    swept = np.where(TIME_S < 60.0, np.sin(0.5 * TIME_S), wave())
+    stick = 400.0 * np.sin(0.5 * TIME_S)
+    done = checks.surface_check(flight_with(swept, stick=stick))
+    assert done.status == "ok"
+    assert done.text.startswith("done: aileron")
+    turned = checks.surface_check(flight_with(swept, stick=-stick))
+    assert (turned.status, "against the stick" in turned.text) == ("look", True)
+    assert checks.surface_check(flight_with(0.0 * swept)).text.startswith("not done")
+    assert checks.surface_check(flight_with(0.4 * swept)).text.startswith("partly done")
+
+
+def test_a_rail_that_sags_is_said() -> None:
+    volts = np.full(TIME_S.size, 5.1)
+    assert checks.supply(flight_with(wave(), supply=volts)).status == "ok"
+    sags = checks.supply(flight_with(wave(), supply=np.where(np.abs(TIME_S - 120.0) < 0.3, 3.9, volts)))
+    assert (sags.status, sags.since_s) == ("look", pytest.approx(120.0, abs=0.5))
+    assert checks.supply(flight_with(wave())).status == "unknown"
+
+
+def test_a_swing_at_one_frequency_is_a_limit_cycle_and_gusts_are_none() -> None:
+    calm = flight_with(wave())
+    assert checks.limit_cycle(calm).status == "ok"
+    assert calm.motion is not None
+    swing = np.where(calm.motion.time_s > 120.0, np.sin(2.0 * np.pi * 2.0 * calm.motion.time_s), 0.0)
+    calm.motion.rates_deg_s[0] += 120.0 * swing
+    calm.motion.commands_us["roll"][:] += 400.0 * swing
+    found = checks.limit_cycle(calm)
+    assert (found.status, "2.0 Hz" in found.text) == ("look", True)
+    assert found.since_s == pytest.approx(120.0, abs=6.0)
+
+
+def test_a_log_without_feedback_or_aircraft_file_ends_in_an_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out, page = tmp_path / "jam.bin", tmp_path / "jam.json", tmp_path / "jam.html"
+    words = ["simulate", "-o", str(log), "--airframe", "plain", "--seed", "9", "--duration", "180"]
+    assert main([*words, "--fault", "aileron_left:stuck@100:value=10"]) == 0
+    capsys.readouterr()
+    assert main(["audit", str(log), "--json", str(out), "--html", str(page)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "roll" in err
+    (found,) = json.loads(out.read_text())["logs"]
+    assert [check["name"] for check in found["flight"]["checks"]] == NAMES
+    change = found["flight"]["checks"][-1]
+    assert change["status"] == "look"
+    begin_s = logparsers.read(log)["RCOU.C1"].time_s[0]
+    assert change["since_s"] - begin_s == pytest.approx(100.0, abs=3.0)
+    assert found["flight"]["axes"]["roll"]["status"] == "look"
+    assert found["flight"]["axes"]["roll"]["explained_share"] > 0.0
+    assert "distance from its own past" in page.read_text()
+
+
+@pytest.mark.parametrize("seconds", ["12", "20"])
+def test_a_short_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: str) -> None:
+    log = tmp_path / "short.bin"
+    assert main(["simulate", "-o", str(log), "--airframe", "plain", "--seed", "3", "--duration", seconds]) == 0
+    capsys.readouterr()
+    assert main(["audit", str(log), "--json", str(tmp_path / "short.json")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
