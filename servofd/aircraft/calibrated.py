@@ -91,6 +91,8 @@ class CalibratedServo(BaseModel):
     thresholds: dict[str, _Positive] = {}
     """Of the statistics of `servofd.detection.changes`; those that are missing are the usual ones."""
     flights: Annotated[int, Field(ge=1)] = 1
+    doubt: str = ""
+    """What about it is like no sound servo, in words; then no flight of it is cleared."""
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

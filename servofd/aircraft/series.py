@@ -244,6 +244,17 @@ class Series:
             why=self.why[rows],
         )
 
+    def with_commands(self, gain: float, offset_deg: float) -> Series:
+        """The same surface with a command that was read in another scale.
+
+        Examples
+        --------
+        >>> t = np.arange(3.0)
+        >>> Series("x", t, t, t, t).with_commands(-2.0, 1.0).command_deg
+        array([ 1., -1., -3.])
+        """
+        return replace(self, command_deg=gain * self.command_deg + offset_deg)
+
     @property
     def duration_s(self) -> float:
         """From the first to the last measurement [s]."""

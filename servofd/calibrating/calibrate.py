@@ -82,7 +82,8 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     refuse_broken(name, known, records, scaled)
     known = known.model_copy(update={"thresholds": thresholds_above(known, fitted, records)})
     sizes = detectable([watched(known, record) for record in records])
-    servo = _linear(fitted.theta, flights)
+    logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
+    servo = linear_servo(fitted.theta, f"fitted to {logs}")
     estimates = {key: _estimate(fitted, first, place) for place, key in enumerate(NAMES)}
     return CalibratedSurface(
         name,
@@ -92,8 +93,8 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
         _effects(fitted, records, estimates),
         measured,
         servo,
-        _tolerance(known),
-        _constant_deg(fitted),
+        tolerance_of(known),
+        constant_deg(fitted),
         fitted.held_out_rms_deg,
         fitted.explained_share,
         tuple(flight.label for flight in flights),
@@ -154,13 +155,12 @@ def _shown(estimate: Estimate, *, least: bool) -> str:
     return f"{value:.2g} deg [{low:.2g}, {high:.2g}]"
 
 
-def _linear(theta: FloatArray, flights: Sequence[Flight]) -> Servo:
+def linear_servo(theta: FloatArray, source: str) -> Servo:
     """The servo without its effects."""
     from servofd.servo.transfer import TransferFunction
 
     natural, damping = float(np.exp(theta[3])), float(np.exp(theta[4]))
     transfer = TransferFunction((natural**2,), (1.0, 2.0 * damping * natural, natural**2))
-    logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
     return Servo.model_validate(
         {
             "title": "calibrated servo",
@@ -169,12 +169,12 @@ def _linear(theta: FloatArray, flights: Sequence[Flight]) -> Servo:
             "delay_s": round(float(theta[2]), 6),
             "hold": "zoh",
             "rate_limit_deg_s": float(f"{np.exp(theta[5]):.6g}"),
-            "source": f"fitted to {logs}",
+            "source": source,
         }
     )
 
 
-def _tolerance(known: CalibratedServo) -> Tolerance:
+def tolerance_of(known: CalibratedServo) -> Tolerance:
     """Three standard deviations between flights, and the effects that a linear servo lacks."""
     deviation = dict(zip(NAMES, 3.0 * np.sqrt(np.diag(known.covariance)), strict=True))
     lacking = sum(known.parameters[key] for key in ("deadband_deg", "friction_deg", "play_deg")) / 2.0
@@ -192,7 +192,8 @@ def _tolerance(known: CalibratedServo) -> Tolerance:
     )
 
 
-def _constant_deg(fitted: Fit) -> float:
+def constant_deg(fitted: Fit) -> float:
+    """Constant threshold that the flights stayed below where they were left out of the fit, with a margin [deg]."""
     largest = max(float(np.nanmax(np.abs(part))) for part in fitted.held_out_deg)
     return float(f"{max(1.5 * largest, 0.05):.2g}")
 

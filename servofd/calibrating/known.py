@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from servofd.calibrating.flights import Flight, asked_deg, cropped
 from servofd.core.errors import CalibrationError
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
-from servofd.detection.contradiction import ENOUGH_MOTION_DEG
 from servofd.detection.verdict import describe
+from servofd.detection.wiring import ENOUGH_MOTION_DEG
 from servofd.estimate.fit import fit, predicted, residual
 from servofd.estimate.record import Record
 
@@ -180,7 +180,8 @@ def refuse_unlike(
             f"{name}: the position moves {1e3 * ahead_s:.0f} ms before the command in {logs}: swapped columns, or "
             "clocks that disagree"
         )
-    crude = float(np.median([_crude_gain(record) for record in records]))
+    lines = [crude_line(record) for record in records]
+    crude = float(np.median([line.gain if line is not None else 0.0 for line in lines]))
     if crude > 0.0 and not _FAR_GAINS[0] <= crude <= _FAR_GAINS[1]:
         # So far from one that the fit did not get there.
         gain = crude * fit([Record.of(flight.with_scale(crude, 0.0).segment) for flight in flights]).theta[0]
@@ -248,16 +249,27 @@ def _changed(fitted: Fit, record: Record, flight: Flight, usual: tuple[float, fl
     return ""
 
 
-def _crude_gain(record: Record) -> float:
-    """Slope of the position over the command, at the lag that suits it best; 0 if they have little in common."""
-    best = (_IN_COMMON, 0.0)
-    seen = record.measured_deg - record.measured_deg.mean()
+class Line(NamedTuple):
+    """How the position goes with the command: gain times it, and an offset."""
+
+    gain: float
+    offset_deg: float
+
+
+def crude_line(record: Record) -> Line | None:
+    """Position over command at the lag that suits it best, of either sign; None if they have little in common."""
+    best: tuple[float, Line | None] = (_IN_COMMON, None)
+    middle_deg = float(record.measured_deg.mean())
+    seen = record.measured_deg - middle_deg
     for lag_s in np.arange(0.0, _LONGEST_LEAD_S, 0.02):
         asked = np.interp(record.time_s - lag_s, record.command_s, record.command_deg)
-        asked -= asked.mean()
+        usual_deg = float(asked.mean())
+        asked -= usual_deg
         common, asked2 = float(asked @ seen), float(asked @ asked)
-        share = common / max(float(np.sqrt(asked2 * (seen @ seen))), 1e-300)
-        best = max(best, (share, common / max(asked2, 1e-300)))
+        share = abs(common) / max(float(np.sqrt(asked2 * (seen @ seen))), 1e-300)
+        if share > best[0]:
+            gain = common / asked2
+            best = (share, Line(gain, middle_deg - gain * usual_deg))
     return best[1]
 
 

@@ -107,10 +107,10 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
         }
         entry.setdefault("threshold_deg", one.threshold_deg)
         lines += toml_lines(entry, comments)
-    return lines if known is None else [*lines, *_calibrated(name, known, one)]
+    return lines if known is None else [*lines, *calibrated_to_toml(name, known, one)]
 
 
-def _calibrated(name: str, known: dict[str, Any], one: CalibratedSurface | None) -> list[str]:
+def calibrated_to_toml(name: str, known: dict[str, Any], one: CalibratedSurface | None = None) -> list[str]:
     """The fitted servo and its tests."""
     heading = f"surfaces.{toml_key(name)}.calibrated"
     parameters, thresholds = known.pop("parameters"), known.pop("thresholds", {})

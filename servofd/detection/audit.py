@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.calibration import DegreeCalibration
 from servofd.aircraft.series import (
     SLOWEST_LEFT_HZ,
     SLOWEST_RATE_HZ,
@@ -26,12 +25,12 @@ from servofd.aircraft.series import (
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.calibrated import audit_calibrated
-from servofd.detection.contradiction import unanswered, wiring_problem
-from servofd.detection.evidence import coverage, detectable, reported, status_of, too_short
+from servofd.detection.evidence import detectable, reported, status_of, too_short
 from servofd.detection.judge import judge
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals, prepared
 from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, describe
+from servofd.detection.wiring import wiring_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -43,7 +42,6 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 _SECONDS_FOR_ODDS = 10.0
-_LEAST_OF_THE_LOG = 0.5
 _FASTEST_RATE_HZ = 50_000.0
 _CLEAR_SIGMAS = 4.0
 """A threshold of less is crossed by noise alone, once in some thousand samples."""
@@ -140,13 +138,12 @@ def audit_segment(
         return verdict(status="unknown", reason=problem, segment=segment)
     if surface.is_calibrated:
         return audit_calibrated(segment, surface, verdict, duration_s)
+    if surface.model.origin == "none":
+        return verdict(status="unknown", reason=_unpredicted(surface, segment), segment=segment)
     try:
         generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
     except DesignError as error:
-        reason = _unpredicted(surface, segment) if surface.model.origin == "none" else str(error)
-        return verdict(status="unknown", reason=reason, segment=segment)
-    if surface.model.origin == "none":
-        return _without_model(generator, segment, surface, verdict)
+        return verdict(status="unknown", reason=str(error), segment=segment)
     segment, residuals, notes = prepared(generator, segment)
     notes = (*notes, *_reservations(generator.model, segment, surface))
     judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
@@ -163,32 +160,26 @@ def audit_segment(
         within = f": the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
         much = within if level_deg < _CLEAR_SIGMAS * sigma_deg else ""
         notes = (f"{judgement.unnamed} smaller alarms not named{much}", *notes)
-    # Tolerances that were drafted from a log hide a reversed sign.
-    problem = _miswired(residuals, faults, surface) if faults or suspicions or surface.model.origin == "fitted" else ""
+    problem = wiring_problem(residuals) if faults or suspicions else ""
     if problem:
         faults = suspicions = ()
-    shown, own_fit = NOTHING_DETECTABLE, surface.model.origin == "fitted" and not surface.model.good_runs
+    shown = NOTHING_DETECTABLE
     if not problem:
         shown = detectable(
             generator,
             residuals,
             level,
             suspicions=surface.tells_small_faults,
-            own_fit=own_fit,
             persistence=surface.persistence,
         )
         above = np.abs(residuals.residual_deg[residuals.settled]) > level.level_deg[residuals.settled]
         passed = ", which single readings passed" if above.any() else ""
         well = f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"
         well += f" (threshold {level.typical_deg:.2g} deg{passed})"
-        status, reason = status_of(residuals, level, faults, suspicions, shown, well, own_fit=own_fit)
+        status, reason = status_of(residuals, level, faults, suspicions, shown, well)
     else:
         status, reason = "unknown", problem
     judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
-    uncovered, remarks = coverage(segment, residuals)
-    problem = uncovered or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
-    if status == "healthy" and problem:
-        status, reason = "unknown", f"{problem}; as far as it was judged, {reason}"
     return reported(
         verdict,
         segment,
@@ -196,7 +187,8 @@ def audit_segment(
         level,
         judged_share,
         status,
-        "; ".join((reason, *remarks, *notes)),
+        reason,
+        notes,
         faults=faults,
         suspicions=suspicions,
         statistics=statistics,
@@ -238,11 +230,6 @@ _LACKING = {
 def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[str]:
     """What a reader has to know of the model: effects that want data, another scale, a calibration on other times."""
     notes = [_LACKING[need] for need in sorted(model.needs - segment.context.logged)]
-    if surface.model.origin == "fitted" and isinstance(surface.command, DegreeCalibration):
-        gain = surface.command.correction[0]
-        if not USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
-            much = f"its position moves by {gain:.2f} times its command throughout"
-            notes.append(f"{much}: a scale, or travel lost before this log")
     if surface.by_other_messages:
         notes.append("calibrated on other messages than this log has: judged within wide tolerances")
     return notes
@@ -284,39 +271,6 @@ def _too_little(segment: Series, *, is_calibrated: bool) -> str:
 USUAL_GAINS = (0.8, 1.25)
 _HARDLY_ASKED_DEG, _HARDLY_MOVED = 1.0, 0.05
 """A command that moves by less tells nothing [deg]; a position that moves by such a share of it does not follow."""
-_FOLLOWED_BEFORE, _UNSEEN_S = 0.2, 2.0
-"""Share of a log before its first fault that tells whether position and command belong together, and for how long a
-fault may have been there before."""
-
-
-def _miswired(residuals: Residuals, faults: tuple[Fault, ...], surface: Surface) -> str:
-    """Why nothing that a log shows can be believed; what ran to a stop may well be on the other side of its command."""
-    problem = wiring_problem(residuals)
-    if not problem or not faults or surface.model.origin != "fitted":
-        return problem
-    before = residuals.settled & (residuals.time_s < faults[0].start_s - _UNSEEN_S)
-    if np.count_nonzero(before) < _FOLLOWED_BEFORE * np.count_nonzero(residuals.settled):
-        return problem
-    return wiring_problem(replace(residuals, settled=before))
-
-
-def _without_model(
-    generator: ResidualGenerator, segment: Series, surface: Surface, verdict: partial[SurfaceAudit]
-) -> SurfaceAudit:
-    """Verdict where no servo could be fitted: a surface that did not answer its command is at fault all the same."""
-    reason = _unpredicted(surface, segment)
-    segment, residuals, _ = prepared(generator, segment)
-    faults = unanswered(generator, residuals)
-    if not faults:
-        return verdict(status="unknown", reason=reason, segment=segment)
-    found = "; then ".join(describe(fault) for fault in faults)
-    return verdict(
-        status="fault",
-        reason=f"servo or its feedback: {found}; no servo could be fitted, so nothing smaller is judged",
-        segment=segment,
-        residuals=residuals,
-        faults=faults,
-    )
 
 
 def _unpredicted(surface: Surface, segment: Series) -> str:

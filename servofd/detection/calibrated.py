@@ -213,9 +213,9 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
 
 def _ranked(window: _Window) -> list[_Guess]:
     best: dict[str, _Guess] = {}
-    for guess in sorted(_guesses(window), key=lambda each: sum(each.cost)):
+    for guess in sorted(_guesses(window), key=lambda each: _score(window, each)):
         best.setdefault(guess.kind, guess)
-    return sorted(best.values(), key=lambda guess: _score(window, guess))
+    return list(best.values())
 
 
 def _score(window: _Window, guess: _Guess) -> float:
@@ -491,8 +491,13 @@ def audit_calibrated(
     peak = np.flatnonzero(rows)[np.argmax(np.abs(error_deg))]
     is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
     where = ", in motion faster than theirs" if is_unknown else ""
-    well = f"as in its good flights (largest residual {statistics.max_abs_deg:.2f} deg{where})"
+    own_s = surface.model.fitted_between_s
+    like = "as in its good flights" if own_s is None else f"as from {own_s[0]:.0f} to {own_s[1]:.0f} s of this log"
+    well = f"{like} (largest residual {statistics.max_abs_deg:.2f} deg{where})"
     status, reason = status_of(residuals, threshold, found.faults, found.suspicions, sizes, well)
+    if known.doubt:
+        status = "suspect" if status in ("healthy", "unknown") else status
+        reason = f"{known.doubt} from the beginning on, or its trim or scale is unusual; {reason}"
     if beyond:
         status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {beyond}"
     after = []

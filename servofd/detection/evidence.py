@@ -74,14 +74,12 @@ def is_blind(shown: Detectable) -> bool:
     return not (loss_shows or speed_shows)
 
 
-def not_judgeable(shown: Detectable, *, own_fit: bool = False) -> str:
-    """Kinds of faults that a log could not have shown, in words; `own_fit` if its servo was fitted to this very log."""
+def not_judgeable(shown: Detectable) -> str:
+    """Kinds of faults that a log could not have shown, in words."""
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
-    why = ": fitted to this log" if own_fit and set(missing) <= {"offset", "speed"} else ""
-    if not why and missing == ["speed"]:
-        why = ": no brisk motion"
+    why = ": no brisk motion" if missing == ["speed"] else ""
     *first, last = missing
     return f"{', '.join(first)} and {last} not judgeable{why}" if first else f"{last} not judgeable{why}"
 
@@ -93,6 +91,7 @@ _JUDGED = 0.4
 """Share of the usual samples from which on a second counts as judged."""
 _FEWEST_S = 3.0
 _LEAST = 0.5
+_LEAST_OF_THE_LOG = 0.5
 _STOPS_S, _STOPS_SHARE = 3.0, 0.1
 
 
@@ -148,18 +147,6 @@ _SURE = 1.645
 _OSCILLATES_HZ = 3.0
 _LEAST_SPEED = 0.1
 _BISECTIONS = 9
-_WIDENED = 2.0
-"""A threshold drafted from the log that is judged grows with the fault that it should show (aircraft of even seed in
-`benchmarks/strangers.py`)."""
-_ABSORBED = 1.6
-_FIT_TAKES_SHARE = 0.25
-"""A fault of this share of the log or earlier may become part of a servo that is fitted to it, and is not meant."""
-_BENDS = {"bias_deg": 2.5, "oscillation_deg": 0.85}
-"""How much larger these faults have to be where they bend the very servo that is fitted, and widen what is drafted, so
-that 9 in 10 are found (75 flights of even seed 1100 to 1248 of `benchmarks/detectable.py`). A loss of travel would have
-to be 1.25 times as large; what is not found of it leaves no log healthy."""
-_STILL_FITTED = 1.0
-"""An offset or oscillation of more, beside the standard deviation of the motion, may leave no servo to be fitted."""
 _WIDEST_DEG = 20.0
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
@@ -170,25 +157,17 @@ def detectable(
     threshold: Threshold,
     *,
     suspicions: bool = False,
-    own_fit: bool = False,
     persistence: int = 1,
 ) -> Detectable:
     """Smallest faults that this log would have shown, 19 times in 20.
 
-    With `suspicions` what stays below the threshold counts as well, if it lasts. `own_fit`: servo and threshold
-    come from this very log, where a fault would have widened the threshold, and a servo that was slow is what was
-    fitted, so that a loss of speed is not judgeable (of 16 brisk flights of strangers at a third of their speed,
-    one was healthy and said that 9 % would have been seen); sizes are then those of faults that set in after the
-    first quarter of the log.
+    With `suspicions` what stays below the threshold counts as well, if it lasts.
     """
     use = residuals.settled & np.isfinite(residuals.residual_deg)
     if np.count_nonzero(use) < 2:
         return NOTHING_DETECTABLE
-    level_deg = (_WIDENED if own_fit else 1.0) * threshold.level_deg
-    from_share = _FIT_TAKES_SHARE if own_fit else 0.0
-    judge = _Judge(residuals, level_deg, use, persistence, from_share)
-    # A servo that is fitted to its own oscillation or play takes part of it for its own.
-    patient = _Judge(residuals, level_deg * (_ABSORBED if own_fit else 1.0), use, persistence, from_share)
+    judge = _Judge(residuals, threshold.level_deg, use, persistence)
+    patient = _Judge(residuals, threshold.level_deg, use, persistence)
     if suspicions:
         patient.suspicious = threshold
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
@@ -202,11 +181,6 @@ def detectable(
             for wave in (np.sin, np.cos)
         ],
     }
-    largest, bends = dict(_LARGEST), _BENDS if own_fit else {}
-    if own_fit:
-        still_fitted_deg = _STILL_FITTED * float(np.std(residuals.simulated_deg[use]))
-        for name in ("bias_deg", "oscillation_deg"):
-            largest[name] = min(largest[name], still_fitted_deg)
     found: dict[str, float | None] = {}
     for name, ways in signals.items():
         signs = (1.0,) if name == "loss_share" else (1.0, -1.0)
@@ -214,8 +188,7 @@ def detectable(
         size = float(np.percentile(np.concatenate([by.needed(s * way) for way in ways for s in signs]), _POWER))
         if suspicions and name != "oscillation_deg":
             size = min(size, _drift_size(residuals, threshold, ways[0], use))
-        size *= bends.get(name, 1.0)
-        found[name] = size if size <= largest[name] else None
+        found[name] = size if size <= _LARGEST[name] else None
     lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)
     start_deg = float(residuals.simulated_deg[use][0])
 
@@ -232,7 +205,7 @@ def detectable(
         return patient.shown(generator.filtered(residuals.time_s, error_deg, residuals.restart))
 
     reach_deg = min(float(np.ptp(residuals.simulated_deg[use])), _WIDEST_DEG)
-    found["slow_share"] = None if own_fit else _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
+    found["slow_share"] = _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
     width_deg = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
     found["deadband_deg"] = width_deg
     # Two digits: nobody knows more.
@@ -245,16 +218,13 @@ class _Judge:
     suspicious: Threshold | None
     """If what stays below the threshold but lasts counts as well."""
 
-    def __init__(
-        self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int, from_share: float
-    ) -> None:
+    def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int) -> None:
         self.residual_deg, self.level_deg, self.use = residuals.residual_deg[use], level_deg[use], use
         self.persistence = persistence
         self.residuals, self.suspicious = residuals, None
         time_s = residuals.time_s[use]
         share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
-        self.onsets = (share >= from_share) & (share <= _LATEST_ONSET)
-        self.onsets[np.flatnonzero(share <= _LATEST_ONSET)[-1]] = True  # a pause may last for all of those
+        self.onsets = share <= _LATEST_ONSET
 
     def needed(self, signal: FloatArray) -> FloatArray:
         """Size that a fault of each onset needs, if it adds this much for each unit of its size."""
@@ -335,8 +305,6 @@ def status_of(
     suspicions: Sequence[Fault],
     shown: Detectable,
     well: str,
-    *,
-    own_fit: bool = False,
 ) -> tuple[Status, str]:
     """What a surface has earned, and why; `well` says in which way it is healthy, if it is."""
     if faults:
@@ -346,7 +314,7 @@ def status_of(
     problem = why_not_cleared(residuals, shown, threshold.typical_deg)
     if problem:
         return "unknown", problem
-    return "healthy", "; ".join(filter(None, (well, not_judgeable(shown, own_fit=own_fit))))
+    return "healthy", "; ".join(filter(None, (well, not_judgeable(shown))))
 
 
 def reported(
@@ -361,6 +329,11 @@ def reported(
     **found: Any,  # noqa: ANN401 - fields of the verdict
 ) -> SurfaceAudit:
     """The verdict with what was seen of the flight, and what was not."""
+    uncovered, remarks = coverage(segment, residuals)
+    problem = uncovered or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
+    if status == "healthy" and problem:
+        status, reason = "unknown", f"{problem}; as far as it was judged, {reason}"
+    reason = "; ".join((reason, *remarks))
     if judged_share < MOST_OF_THE_LOG:
         reason += f"; judged for {judged_share:.0%} of the log"
     if segment.frozen_s > 0.0:

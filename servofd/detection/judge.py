@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.detection.bank import BANK, Explanation, Flight, Onset, Window, wandering
-from servofd.detection.contradiction import contradictions
 from servofd.detection.residual import commands_at_servo, noise_deg
 from servofd.detection.threshold import Threshold, constant_threshold, find_episodes, interval_threshold, suspicion
 from servofd.detection.verdict import SURE, WORTH_TELLING, Fault
@@ -353,12 +352,6 @@ _MOST_EPISODES = 50
 """Of one surface that are named, which takes some 50 ms each: a threshold within the noise is crossed thousands of
 times, and what matters is in the largest, and in what goes on."""
 
-_SELDOM_S = 0.15
-"""Commands further apart than this, where an autopilot gives 50 a second, are a link's choice of them."""
-
-ECHO_S = 3.0
-"""Alarms so close to a contradiction are part of it."""
-
 
 class Judgement(NamedTuple):
     """What was found, and against which threshold."""
@@ -382,20 +375,7 @@ def judge(
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
     commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
-    judgement = judge_evaluated(generator, surface, residuals, threshold, None, commands, dismiss=dismiss)
-    if surface.model.origin != "fitted":
-        return judgement
-
-    def is_asked(fault: Fault) -> bool:
-        """Whether commands came often enough to know what was asked between them."""
-        command_s = segment.command_s
-        count = int(np.count_nonzero((command_s >= fault.start_s) & (command_s <= fault.alarm_s)))
-        return fault.kind in _AT_REST or fault.alarm_s - fault.start_s <= _SELDOM_S * max(count, 1)
-
-    asked = tuple(fault for fault in judgement.faults if is_asked(fault))
-    not_asked = (replace(fault, level="suspect") for fault in judgement.faults if fault not in asked)
-    suspicions = tuple(sorted((*judgement.suspicions, *not_asked), key=lambda fault: fault.start_s))
-    return judgement._replace(faults=asked, suspicions=suspicions)
+    return judge_evaluated(generator, surface, residuals, threshold, None, commands, dismiss=dismiss)
 
 
 def judge_evaluated(
@@ -412,30 +392,21 @@ def judge_evaluated(
 ) -> Judgement:
     """Name each alarm of a flight whose threshold is known, and whose suspicious samples may be.
 
-    A model that was fitted to a log accuses only of what contradicts any servo; the rest is suspicious. What only
-    reports tell may be left out. In flight an alarm that stands is over where the servo has surely moved as a healthy
-    one since it became quiet [s].
+    What only reports tell may be left out. In flight an alarm that stands is over where the servo has surely moved as
+    a healthy one since it became quiet [s].
     """
-    is_fitted = surface.model.origin == "fitted"
-    contradicted = contradictions(generator, residuals) if is_fitted else ()
     suspects = None
-    if not is_fitted and surface.tells_small_faults:
+    if surface.tells_small_faults:
         suspects = suspicion(residuals, threshold) if suspicious is None else suspicious
     episodes = find_episodes(residuals, threshold, persistence=surface.persistence, suspicion=suspects)
-    for fault in contradicted:  # which raises alarms, and so does its end
-        until_s = np.inf if fault.end_s is None else fault.end_s + ECHO_S
-        episodes = tuple(e for e in episodes if not fault.start_s - ECHO_S <= e.alarm_s <= until_s)
     if not episodes:
-        return Judgement(threshold, contradicted, ())
+        return Judgement(threshold, (), ())
     unnamed = max(len(episodes) - _MOST_EPISODES, 0)
     if unnamed:
         episodes = _largest(episodes, residuals, threshold)
     noise = noise_deg(residuals.error_deg[residuals.settled])
     sigma_deg = float(np.median(threshold.sigma_deg))
-    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands, is_report or is_fitted)
-    if is_fitted:
-        named = joined(flight, (replace(f, level="suspect") for e in episodes for f in isolate(flight, e)))
-        return Judgement(threshold, contradicted, tuple(f for f in named if f.kind != "healthy"), unnamed)
+    flight = Flight(generator, surface.tolerances, noise, sigma_deg, residuals, commands, is_report)
     found = ((isolate(flight, episode), episode) for episode in episodes)
     if threshold.kind == "interval":  # a constant one is of a user, who says what is large
         found = ((confirmed(some, episode), episode) for some, episode in found)

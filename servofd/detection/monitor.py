@@ -27,12 +27,12 @@ from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
 from servofd.detection.calibrated import judge_stretch
-from servofd.detection.contradiction import contradictions, wiring_problem
-from servofd.detection.judge import ECHO_S, SETTLING_S, WINDOWS_S, judge_evaluated
+from servofd.detection.judge import SETTLING_S, WINDOWS_S, judge_evaluated
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import CalibratedStream, Stream
 from servofd.detection.threshold import QUIET_SHARE, SUSPICION_LASTS_S
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
+from servofd.detection.wiring import wiring_problem
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -191,11 +191,6 @@ _LIKELY = 0.5
 """A name of this probability keeps until then."""
 _RECOVERED_S = 0.5
 """A surface that is quiet for so long, and farther from where it was stuck than its threshold, obeys again."""
-_WRONG_DEG, _AGAIN_S, _STANDING_S, _AFTER_S = 1.0, 1.0, 2.5, 6.0
-"""A model that was fitted accuses of what contradicts any servo, which is never nearer to the model than this [deg]:
-there the bank looks so often [s], less often while an alarm stands, and for so long after."""
-_LOOKED_AT_S, _EACH = 40.0, 20
-"""What it looks at [s], and of what was before one position in so many."""
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
@@ -483,9 +478,7 @@ class SurfaceMonitor:
             return None
         while self._looks_s and self._looks_s[0] <= latest_s:
             last_s = self._looks_s.pop(0)
-        if not self._looks_s and self._is_fitted and last_s - self._wrong_s <= _AFTER_S:
-            self._looks_s.append(last_s + (_STANDING_S if self.standing else _AGAIN_S))
-        elif not self._looks_s and self.standing:
+        if not self._looks_s and self.standing:
             self._looks_s.append(last_s + _LOOKS_AGAIN_S)
         return self._look()
 
@@ -496,7 +489,6 @@ class SurfaceMonitor:
         after the alarm, or after its end, would be taken for another fault's: it is kept for the report.
         """
         faults, self.suspicions, problem = verdict
-        faults = self._moved_alarms(faults, float(look.residuals.time_s[0]))
         now_s = look.at_s if self.reading is None else max(look.at_s, self.reading.time_s)
         events, is_over = [], False
         for fault in faults:
@@ -513,9 +505,8 @@ class SurfaceMonitor:
                 events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
         cleared, ended = self._dismissed(look, sorted((*faults, *self.suspicions), key=lambda fault: fault.alarm_s))
         events += [self._event(look, look.at_s, "clear", fault.kind, fault) for fault in ended]
-        if problem or self._is_fitted:
-            known = set() if problem else {fault.alarm_s for fault in faults}
-            cleared = [at_s for at_s in self._alarms if at_s not in known and at_s >= look.residuals.time_s[0]]
+        if problem:
+            cleared = [at_s for at_s in self._alarms if at_s >= look.residuals.time_s[0]]
         events += self._taken_back(cleared, look.at_s, problem)
         self.problem = problem
         latched = isinstance(self._stream, CalibratedStream) and self._stream.latched
@@ -533,11 +524,6 @@ class SurfaceMonitor:
         if look.at_s >= fault.alarm_s + _LOOKS_S[-2] and self._looks_s == [fault.alarm_s + _LOOKS_S[-1]]:
             self._looks_s = [fault.alarm_s + _LOOKS_AGAIN_S]
 
-    @property
-    def _is_fitted(self) -> bool:
-        """Whether its model was fitted to a log, and may accuse only of what contradicts any servo."""
-        return self.surface.model.origin == "fitted" and not self.surface.is_calibrated
-
     def _taken_back(self, cleared: list[float], now_s: float, problem: str) -> list[Event]:
         """Take back alarms, by when they were raised [s]."""
         events = []
@@ -545,29 +531,9 @@ class SurfaceMonitor:
             stood, alarm.dismissed, alarm.stands, alarm.fault = alarm.stands, True, False, None
             alarm.kind = "unknown" if problem else "healthy"
             if stood:
-                text = problem or EXPLAINED["fitted" if self._is_fitted else ""]
+                text = problem or EXPLAINED
                 events.append(Event(now_s, self.name, "clear", alarm.kind, text=text))
         return events
-
-    def _moved_alarms(self, faults: tuple[Fault, ...], since_s: float) -> tuple[Fault, ...]:
-        """Let alarms stand at the instants at which their faults are seen now that more of them is known.
-
-        What stood before the first sample of the look goes on from where it began.
-        """
-        if not self._is_fitted:
-            return faults
-        found = []
-        for fault in faults:
-            until_s = np.inf if fault.end_s is None else fault.end_s + ECHO_S
-            same = [at_s for at_s in self._alarms if fault.start_s - ECHO_S <= at_s <= until_s]
-            old = [at_s for at_s, alarm in self._alarms.items() if at_s < since_s and alarm.stands and alarm.fault]
-            if not same and old and fault.start_s <= since_s + ECHO_S:
-                known = self._alarms[old[-1]].fault or fault
-                fault = replace(known, end_s=fault.end_s)  # noqa: PLW2901 - the same one, as it began
-            elif same and fault.alarm_s not in same:
-                self._alarms[fault.alarm_s] = self._alarms.pop(same[0])
-            found.append(fault)
-        return tuple(found)
 
     def _dismissed(self, look: Look, found: list[Fault]) -> tuple[list[float], list[Fault]]:
         """Alarms that a working servo explains; and faults that are over, of which a later alarm still stood.
@@ -751,9 +717,6 @@ class SurfaceMonitor:
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
         events = []
         raised = np.flatnonzero(piece.alarm | piece.clear)
-        if self._is_fitted:
-            self._follow_fitted(piece)
-            raised = raised[:0]
         for k in raised.tolist():
             time_s = float(residuals.time_s[k])
             numbers = float(residuals.residual_deg[k]), float(level_deg[k])
@@ -795,18 +758,6 @@ class SurfaceMonitor:
         )
         return events
 
-    def _follow_fitted(self, piece: Piece) -> None:
-        """Have the bank look again and again while the fitted model is far from the position."""
-        residuals = piece.residuals
-        wrong = np.flatnonzero(residuals.settled & (np.abs(residuals.error_deg) > _WRONG_DEG))
-        if piece.alarm.any():
-            self._suspected_s = float(residuals.time_s[piece.alarm][-1])
-            if self._stream is not None:
-                self._stream.again()
-        if wrong.size:
-            self._wrong_s = float(residuals.time_s[wrong[-1]])
-            self._looks_s = self._looks_s or [float(residuals.time_s[wrong[0]]) + _AGAIN_S]
-
     def _recovered(self, piece: Piece) -> list[Event]:
         """Tell that a surface in alarm obeys again, or have the bank look whether it does.
 
@@ -832,7 +783,7 @@ class SurfaceMonitor:
 
     def _suspect(self, piece: Piece) -> None:
         """Have the bank look at a new suspicion, which is an alarm if it can be named for sure."""
-        tells = self.surface.tells_small_faults and self.surface.threshold != "constant" and not self._is_fitted
+        tells = self.surface.tells_small_faults and self.surface.threshold != "constant"
         if not tells or self.standing:
             return
         for time_s in piece.residuals.time_s[piece.suspicious & piece.residuals.settled].tolist():
@@ -845,11 +796,8 @@ class SurfaceMonitor:
         if stream is None or generator is None or stream.history.size == 0:
             return None
         known = surface.calibrated if surface.is_calibrated else None
-        in_flight = self._is_fitted and not whole
-        since_s = stream.history.last_s - _LOOKED_AT_S if in_flight else -np.inf
-        residuals, threshold, suspicious = stream.history.snapshot(surface.threshold, stream.cusum, since_s)
+        residuals, threshold, suspicious = stream.history.snapshot(surface.threshold, stream.cusum)
         residuals, commands = replace(residuals, context=self._context), stream.effective.copied()
-        earlier_deg = stream.history.before(since_s, _EACH)
         sent_s = stream.sent_period_s if isinstance(stream, CalibratedStream) else None
         quiet_s = self._quiet.quiet_s if self.standing and not whole else np.inf
 
@@ -857,8 +805,6 @@ class SurfaceMonitor:
             if known is not None:
                 calibrated = judge_stretch(known, residuals, commands, sent_s)
                 return calibrated.faults, calibrated.suspicions
-            if in_flight:  # suspicions of a model that was fitted wait for the end
-                return contradictions(generator, residuals, earlier_deg), ()
             found = judge_evaluated(
                 generator, surface, residuals, threshold, suspicious, commands, is_report=whole, quiet_s=quiet_s
             )

@@ -102,10 +102,6 @@ class History:
         rows = [getattr(residuals, name) for name in _OF_RESIDUALS] + [getattr(threshold, name) for name in _OF_LEVELS]
         return np.array([*rows, suspicious], dtype=float)
 
-    def before(self, since_s: float, each: int) -> FloatArray:
-        """One in `each` of the positions before an instant [s], of shape (n,) [deg]."""
-        return self._rows[2, : np.searchsorted(self._rows[0, : self.size], since_s) : each].copy()
-
     def snapshot(
         self, kind: ThresholdKind, cusum: CusumDesign, since_s: float = -np.inf
     ) -> tuple[Residuals, Threshold, BoolArray]:

@@ -189,11 +189,8 @@ _PERHAPS = {
     "healthy": "within tolerance",
 }
 
-EXPLAINED = {
-    "": "the tolerances of a working servo explain it",
-    "fitted": "what followed contradicts no servo",
-}
-"""Why an alarm is taken back; by the origin of its model."""
+EXPLAINED = "the tolerances of a working servo explain it"
+"""Why an alarm is taken back."""
 
 
 def describe(fault: Fault) -> str:

@@ -123,13 +123,15 @@ class Fit:
         return Estimate(*np.exp(Estimate.of(value, deviation)).tolist())
 
 
-def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
+def fit(
+    records: Sequence[Record], *, start: FloatArray | None = None, reach_deg: tuple[float, float] | None = None
+) -> Fit:
     """Fit one servo to records of it.
 
-    It begins at `start` (13,); else some delays are tried.
+    It begins at `start` (13,); else some delays are tried. `reach_deg` are the deflections that it can take, those of
+    the records if left out.
     """
-    seen = np.concatenate([r.measured_deg[r.usable] for r in records])
-    reach_deg = (float(np.quantile(seen, _SELDOM)), float(np.quantile(seen, 1.0 - _SELDOM)))
+    reach_deg = reach_of(records) if reach_deg is None else reach_deg
     if start is not None:
         begun = np.clip(start, _LOWS, _HIGHS)
     else:
@@ -144,6 +146,12 @@ def fit(records: Sequence[Record], *, start: FloatArray | None = None) -> Fit:
     return _finished(
         records, [_descended(records, each, _NONE_HELD, reach_deg, _STEPS, sigma) for each in again], reach_deg
     )
+
+
+def reach_of(records: Sequence[Record]) -> tuple[float, float]:
+    """Deflections that some records show, but for one sample in a thousand on each side [deg]."""
+    seen_deg = np.concatenate([r.measured_deg[r.usable] for r in records])
+    return float(np.quantile(seen_deg, _SELDOM)), float(np.quantile(seen_deg, 1.0 - _SELDOM))
 
 
 def worse_without(fitted: Fit, records: Sequence[Record], effects: Sequence[str]) -> float:

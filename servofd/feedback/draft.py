@@ -8,26 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.aircraft.outputs import WITHOUT_SURFACES, Pair, find_pairs, pulse_channel
-from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.series import Series, bus_of, cut
+from servofd.aircraft.schema import Aircraft, Surface
+from servofd.aircraft.series import bus_of
+from servofd.calibrating.known import Line
+from servofd.calibrating.result import calibrated_to_toml
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
-from servofd.feedback.fitted import (
-    LONGEST_PERIOD_S,
-    PERSISTENCE,
-    SHORTEST_PERIOD_S,
-    RoughFit,
-    draft_tolerance,
-    fit_roughly,
-)
+from servofd.feedback.fitted import Found, found_in, with_own_servo
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from logparsers.records import FlightLog
-    from servofd.core.evidence import ModelOrigin
     from servofd.core.types import Marks
-    from servofd.feedback.fitted import Drafted
+    from servofd.servo.library import Servo
 
 _MOTION = (
     "healthy flights of four days tell what each axis loses: `servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, "
@@ -79,19 +73,11 @@ _MOST_OUTPUTS = 32
 
 @dataclass(frozen=True, slots=True)
 class DraftedSurface:
-    """Entries of one surface in an aircraft file, and where they come from."""
+    """One surface of a drafted aircraft, and the pair of command and position that it comes from."""
 
     pair: Pair
-    fit: RoughFit
-    command: dict[str, Any]
-    measured: dict[str, Any]
-    drafted: Drafted | None = None
-    """Tolerances under which this log raises no alarm but where it contradicts itself; None where nothing fits."""
-
-    @property
-    def origin(self) -> ModelOrigin:
-        """What the model has earned."""
-        return self.fit.origin if self.drafted else self.fit.origin.model_copy(update={"origin": "none"})
+    surface: Surface
+    servos: dict[str, Servo]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,17 +89,15 @@ class Draft:
 
     def aircraft(self) -> Aircraft:
         """The aircraft, ready for an audit."""
-        return Aircraft.model_validate(
-            {
-                "name": self.log.vehicle or self.log.format,
-                "servos": {f"{s.pair.surface}-draft": servo_entry(s) for s in self.surfaces},
-                "surfaces": {s.pair.surface: surface_entry(s) for s in self.surfaces},
-            }
+        return Aircraft(
+            name=self.log.vehicle or self.log.format,
+            surfaces={one.pair.surface: one.surface for one in self.surfaces},
+            servos={name: servo for one in self.surfaces for name, servo in one.servos.items()},
         )
 
 
 def draft_aircraft(log: FlightLog) -> Draft:
-    """Find the servos with feedback in an autopilot's log and fit each one roughly.
+    """Find the servos with feedback in an autopilot's log and fit each one to it.
 
     Outputs are paired with positions through the autopilot's parameters; pulses become degrees by the firmware's
     formula, or by a straight line fitted to the position where the servo itself does not repeat its command.
@@ -121,49 +105,18 @@ def draft_aircraft(log: FlightLog) -> Draft:
     pairs = find_pairs(log)
     if not pairs:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
-    entries = {pair.surface: _entries(log, pair) for pair in pairs}
-    bus = bus_of(log, Aircraft.model_validate({"surfaces": entries}))
-    surfaces = [_draft(log, pair, entries[pair.surface], bus) for pair in pairs]
-    return Draft(log, tuple(surfaces))
+    plain = Aircraft.model_validate({"surfaces": {pair.surface: _entries(log, pair) for pair in pairs}})
+    bus = bus_of(log, plain)
+    return Draft(log, tuple(_draft(log, pair, plain, bus) for pair in pairs))
 
 
-def surface_entry(surface: DraftedSurface) -> dict[str, Any]:
-    """Entry of a surface in an aircraft file."""
-    entry: dict[str, Any] = {"servo": f"{surface.pair.surface}-draft"}
-    if 1 <= surface.pair.output.number <= _MOST_OUTPUTS:
-        entry["output"] = surface.pair.output.number
-    if surface.drafted is not None:
-        entry |= {
-            "threshold": "interval",
-            "threshold_deg": surface.drafted.level_deg,
-            "tolerance": surface.drafted.tolerance.model_dump(),
-            "persistence": PERSISTENCE,
-            "suspicions": False,
-        }
-    entry["model"] = {key: _short(value) for key, value in surface.origin.model_dump(exclude_none=True).items()}
-    if surface.pair.position.alive:
-        entry["alive"] = surface.pair.position.alive
-    return entry | {"command": surface.command, "measured": surface.measured}
-
-
-def _short(value: object) -> object:
-    return round(value, 4) if isinstance(value, float) else value
-
-
-def servo_entry(surface: DraftedSurface) -> dict[str, Any]:
-    """Entry of the fitted servo in an aircraft file."""
-    fit = surface.fit
-    entry: dict[str, Any] = {
-        "title": f"servo on output {surface.pair.output.number}, fitted roughly to the log",
-        "bandwidth_hz": round(fit.bandwidth_hz, 3),
-        "damping": round(fit.damping, 3),
-        "delay_s": round(fit.delay_s, 4),
-        "hold": "zoh",
-        "source": "rough fit to one log",
-    }
-    if np.isfinite(fit.rate_limit_deg_s):
-        entry["rate_limit_deg_s"] = round(fit.rate_limit_deg_s, 1)
-    return entry
+def _draft(log: FlightLog, pair: Pair, plain: Aircraft, bus: Mapping[str, Marks]) -> DraftedSurface:
+    found = found_in(log, pair.surface, plain, bus, free_scale=pair.command != pair.position.command)
+    surface = plain.surfaces[pair.surface]
+    if found.line.gain != 1.0:
+        command = _rescaled(surface.command.model_dump(exclude_none=True), found.line)
+        surface = Surface.model_validate({**surface.model_dump(exclude_defaults=True), "command": command})
+    return DraftedSurface(pair, *with_own_servo(surface, pair.surface, Found(Line(1.0, 0.0), found.servo)))
 
 
 def _entries(log: FlightLog, pair: Pair) -> dict[str, Any]:
@@ -180,31 +133,8 @@ def _entries(log: FlightLog, pair: Pair) -> dict[str, Any]:
             "tell in an aircraft file (-c) how to read it"
         )
     measured = {"channel": pair.position.channel, "unit": measured_unit}
-    return {"command": command, "measured": measured, "alive": pair.position.alive}
-
-
-def _draft(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, Marks]) -> DraftedSurface:
-    """Draft of one surface; with an ordinary servo if its position is no measurement."""
-    command, measured = entry["command"], entry["measured"]
-    angle_command = pair.command == pair.position.command
-    try:
-        segment = _cut(log, pair, entry, bus)
-    except NoMeasurement:
-        return DraftedSurface(pair, RoughFit(), command, measured)
-    if not SHORTEST_PERIOD_S < segment.period_s < LONGEST_PERIOD_S:
-        return DraftedSurface(pair, RoughFit(), command, measured)
-    fit = fit_roughly(segment, free_scale=not angle_command)
-    if fit.origin.origin != "fitted":
-        return DraftedSurface(pair, fit, command, measured)
-    if not angle_command:
-        command = _rescaled(command, fit)
-        fit = fit.of_position
-        segment = _cut(log, pair, entry | {"command": command}, bus)
-    return DraftedSurface(pair, fit, command, measured, draft_tolerance(fit.model, segment, until_s=fit.until_s))
-
-
-def _cut(log: FlightLog, pair: Pair, entry: dict[str, Any], bus: Mapping[str, Marks]) -> Series:
-    return cut(log, pair.surface, Aircraft.model_validate({"surfaces": {pair.surface: entry}}), bus)
+    entry = {"command": command, "measured": measured, "alive": pair.position.alive}
+    return entry | ({"output": pair.output.number} if 1 <= pair.output.number <= _MOST_OUTPUTS else {})
 
 
 def _command_entry(pair: Pair, unit: str, *, is_angle: bool) -> dict[str, Any]:
@@ -255,35 +185,23 @@ def _as_pulse(log: FlightLog, pair: Pair) -> dict[str, Any]:
     return {"pulse": [round(float(-offset_deg / slope), 2), round(float(slope), 6)]}
 
 
-def _rescaled(command: dict[str, Any], fit: RoughFit) -> dict[str, Any]:
-    """Command entry with the fitted straight line: gain (value - trim) + bias."""
+def _rescaled(command: dict[str, Any], line: Line) -> dict[str, Any]:
+    """Command entry with the fitted straight line: gain (value - trim) + offset."""
     slope_key, trim_key = ("slope_deg_per_us", "trim_us") if command["unit"] == "us" else ("slope_deg", "trim")
     slope = command[slope_key]
-    sign = int(np.sign(fit.gain)) * command.get("sign", 1)
-    trim = command[trim_key] - fit.bias_deg / (fit.gain * command.get("sign", 1) * slope)
-    return {**command, "sign": sign, trim_key: round(float(trim), 4), slope_key: round(abs(fit.gain) * slope, 6)}
+    sign = int(np.sign(line.gain)) * command.get("sign", 1)
+    trim = command[trim_key] - line.offset_deg / (line.gain * command.get("sign", 1) * slope)
+    return {**command, "sign": sign, trim_key: round(float(trim), 4), slope_key: round(abs(line.gain) * slope, 6)}
 
 
-_ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model")
+_ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "model")
 
 
 def draft_to_toml(draft: Draft) -> str:
     """Text of an aircraft file that `servofd audit -c` accepts as it is."""
     log = draft.log
-    lines = [
-        f"# Drafted from {log.source.name} ({', '.join(filter(None, (log.firmware, log.vehicle)))}).",
-        "# The servos below were fitted roughly to this one log: a starting point, no calibration. Check the names and",
-        "# signs, replace the servos by identified ones (`servofd servos` lists known types), and set thresholds from",
-        "# flights that you know to be good. If this flight had a faulty servo, its numbers are wrong.",
-        "#",
-        *_on_board(log.format),
-        "# Tolerances are so wide that this log raises no alarm, but where it contradicts any servo.",
-        "",
-        f"name = {toml_value(log.vehicle or log.format)}",
-    ]
-    for surface in draft.surfaces:
-        lines += ["", *_surface_lines(surface)]
-    return "\n".join(lines) + "\n"
+    heads = {one.pair.surface: _paired(one) for one in draft.surfaces}
+    return _to_toml(log, draft.aircraft(), _on_board(log.format), heads)
 
 
 def fitted_to_toml(log: FlightLog, aircraft: Aircraft) -> str:
@@ -296,21 +214,38 @@ def fitted_to_toml(log: FlightLog, aircraft: Aircraft) -> str:
     >>> fitted_to_toml(log, flown_aircraft(log)).splitlines()[6]
     '[surfaces.aileron]'
     """
+    return _to_toml(log, aircraft.model_copy(update={"name": aircraft.name or log.source.stem}), [], {})
+
+
+def _to_toml(log: FlightLog, aircraft: Aircraft, remarks: list[str], heads: Mapping[str, str]) -> str:
     lines = [
-        f"# Drafted from {log.source.name}: each servo is fitted to this one log, a starting point and no calibration.",
-        "# If a servo was faulty in it, its numbers are wrong: calibrate on flights that you know to be good.",
-        "# Tolerances are so wide that this log raises no alarm, but where it contradicts any servo.",
+        f"# Drafted from {log.source.name}: each servo is fitted to a part of this one log, a starting point and no",
+        "# calibration. Check names and signs, and calibrate on flights that you know to be good: if a servo was",
+        "# faulty throughout this log, its numbers are wrong.",
+        *remarks,
         "",
-        f"name = {toml_value(aircraft.name or log.source.stem)}",
+        f"name = {toml_value(aircraft.name or log.format)}",
     ]
     for name, surface in aircraft.surfaces.items():
-        servo = aircraft.servos[surface.servo].model_copy(update={"source": f"fitted to {log.source.name}"})
         entry = _rounded(surface.model_dump(exclude_defaults=True, exclude_none=True, mode="json"))
+        known = entry.pop("calibrated", None)
         order = {key: entry[key] for key in _ENTRIES if key in entry} | entry
-        lines += ["", f"[surfaces.{toml_key(name)}]", *toml_lines(order)]
-        servo_table = servo.model_dump(exclude_defaults=True, exclude_none=True, mode="json")
-        lines += ["", f"[servos.{toml_key(surface.servo)}]", *toml_lines(servo_table)]
+        lines += ["", f"[surfaces.{toml_key(name)}]{heads.get(name, '')}", *toml_lines(order)]
+        if known is not None:
+            lines += calibrated_to_toml(name, known)
+    for key, servo in aircraft.servos.items():
+        told = servo.model_copy(update={"source": f"fitted to {log.source.name}"})
+        table = told.model_dump(exclude_defaults=True, exclude_none=True, mode="json")
+        lines += ["", f"[servos.{toml_key(key)}]", *toml_lines(table)]
     return "\n".join(lines) + "\n"
+
+
+def _paired(one: DraftedSurface) -> str:
+    """Which output turns a surface, behind its heading."""
+    pair, output = one.pair, one.pair.output
+    function = "function unknown" if output.function is None else f"SERVO{output.number}_FUNCTION = {output.function}"
+    scale = f", pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
+    return f"  # output {output.number}, {function}{'' if pair.command == pair.position.command else scale}"
 
 
 def _rounded(value: Any) -> Any:  # noqa: ANN401 - whatever a TOML file holds
@@ -330,32 +265,4 @@ def _on_board(format_name: str) -> list[str]:
         "# Once calibrated, `servofd onboard THIS_FILE.toml -o servofd.lua` makes the autopilot watch these servos",
         "# itself: copy the script to APM/scripts on its SD card and set SCR_ENABLE = 1.",
         "#",
-    ]
-
-
-def _surface_lines(surface: DraftedSurface) -> list[str]:
-    pair, output, key = surface.pair, surface.pair.output, toml_key(surface.pair.surface)
-    function = "function unknown" if output.function is None else f"SERVO{output.number}_FUNCTION = {output.function}"
-    scale = (
-        ""
-        if pair.command == pair.position.command
-        else f"output {output.number}: pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
-    )
-    entry, drafted = surface_entry(surface), surface.drafted
-    table = {name: entry[name] for name in _ENTRIES if name in entry}
-    if pair.position.alive:
-        table["alive"] = list(pair.position.alive)
-    table |= {"command": surface.command, "measured": surface.measured}
-    notes = {
-        "threshold_deg": f"largest residual in this log: {drafted.peak_deg:.1f} deg" if drafted else "",
-        "model": "" if drafted else "no servo predicts what this surface did",
-        "alive": "all still, and the position too: dead telemetry",
-        "command": scale,
-    }
-    return [
-        f"[surfaces.{key}]  # output {output.number}, {function}",
-        *toml_lines(table, notes),
-        "",
-        f"[servos.{toml_key(f'{pair.surface}-draft')}]",
-        *toml_lines(servo_entry(surface)),
     ]

@@ -11,10 +11,10 @@ from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import Estimate
 from servofd.detection.bank import Ridge, Window
-from servofd.detection.contradiction import wiring_problem
 from servofd.detection.judge import judge
 from servofd.detection.residual import ResidualGenerator, commands_at_servo, noise_deg
 from servofd.detection.verdict import describe
+from servofd.detection.wiring import wiring_problem
 from servofd.servo.loops import play
 
 if TYPE_CHECKING:

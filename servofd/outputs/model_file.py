@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from servofd.core.errors import CalibrationError
+from servofd.calibrating.levels import good_levels, levels_of
 from servofd.core.toml_text import toml_key, toml_lines
-from servofd.feedback.fitted import good_levels, levels_of
 from servofd.servo.catalogue import OWN, is_law, plain, table_of
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import Gain
@@ -53,14 +52,11 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
         entry = dict(document["surfaces"][one.surface])
         if one.surface not in kept:
             entry["effects"] = _merged(entry.get("effects", {}), _table(one))
+            entry.pop("calibrated", None)  # of the servo without them
         elif one.selection.final.effects or not _is_own_fit(one):
             continue
         changed = {**document, "surfaces": {**document["surfaces"], one.surface: entry}}
-        try:
-            entry |= good_levels(type(aircraft).model_validate(changed), one.surface, logs)
-        except CalibrationError as error:
-            kept[one.surface] = str(error)
-            continue
+        entry |= good_levels(type(aircraft).model_validate(changed), one.surface, logs)
         document["surfaces"][one.surface] = entry
         is_better = True
         if one.surface not in kept:

@@ -26,7 +26,6 @@ from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.statistics import MAD_TO_SIGMA, Estimate, line, memory
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.feedback.fitted import POLE_RAD_S
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import PositionLimit, RateLimit
 from servofd.servo.library import Servo, second_order
@@ -46,6 +45,8 @@ if TYPE_CHECKING:
 NUMBERS = ("bandwidth_hz", "damping", "delay_s", "rate_limit_deg_s")
 """What is fitted beside scale and offset of the position, in this order."""
 
+_POLE_RAD_S = 30.0
+"""Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
 _MILLISECOND_S = 1e-3
 _LONGEST_DELAY_S = 0.5
 _BANDWIDTHS_HZ, _DAMPINGS, _RATES_DEG_S = (0.1, 200.0), (0.2, 10.0), (5.0, 1e4)
@@ -159,7 +160,7 @@ class Motion:
     @classmethod
     def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
         """Find the rows; they do not depend on the numbers of the servo."""
-        generator = ResidualGenerator(servo.model, POLE_RAD_S)
+        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
         simulators = tuple(Simulator.of(generator, flight.segment) for flight in flights)
         return cls(simulators, tuple(_usable(each) for each in simulators))
 

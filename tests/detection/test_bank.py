@@ -11,10 +11,10 @@ import pytest
 
 from servofd.core.types import FloatArray
 from servofd.detection.bank import BANK, Explanation, Flight, Ridge, Window
-from servofd.detection.contradiction import wiring_problem
 from servofd.detection.judge import confirmed, joined, name_fault, narendra, refine_onset_s, scores
 from servofd.detection.threshold import Episode
 from servofd.detection.verdict import Fault as Found
+from servofd.detection.wiring import wiring_problem
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.faults import (
     Bias,

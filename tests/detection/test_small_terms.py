@@ -14,7 +14,6 @@ from servofd.aircraft.series import WARM_UP_STEPS
 from servofd.core.statistics import Estimate
 from servofd.detection.audit import _odds
 from servofd.detection.bank import BANK, COLOUR, Explanation, _cycle, _with_interval
-from servofd.detection.contradiction import wiring_problem
 from servofd.detection.judge import _held
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.probability import (
@@ -27,6 +26,7 @@ from servofd.detection.probability import (
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.threshold import Level
 from servofd.detection.verdict import Fault
+from servofd.detection.wiring import wiring_problem
 from servofd.servo.faults import Oscillation
 from servofd.servo.library import servo_named
 from servofd.servo.transfer import TransferFunction

@@ -11,9 +11,12 @@ import pytest
 from logparsers.records import Channel, FlightLog
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
+from servofd.calibrating.own import OwnServo, own_servo
 from servofd.detection.audit import audit_log
-from servofd.feedback.fitted import RoughFit, fit_roughly, fitted_aircraft
-from servofd.servo.library import library
+from servofd.feedback.fitted import fitted_aircraft
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
+from servofd.servo.library import library, second_order
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import doublets
 
@@ -22,16 +25,29 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit
 
 TIME_S = np.arange(0.0, 120.0, 0.02)
-AT_FIRST = RoughFit(bandwidth_hz=6.0, damping=0.8, delay_s=0.03)
+
+
+def servo(bandwidth_hz: float, damping: float = 0.8, delay_s: float = 0.03) -> ServoModel:
+    return ServoModel(second_order(2.0 * np.pi * bandwidth_hz, damping)) + Delay(delay_s)
+
+
+AT_FIRST = servo(6.0)
 
 
 def commands(seed: int) -> FloatArray:
     return doublets(TIME_S, np.random.default_rng(seed))
 
 
-def lag_s(fit: RoughFit) -> float:
+def own(command_deg: FloatArray, position_deg: FloatArray) -> OwnServo:
+    found = own_servo(Series("x", TIME_S, command_deg, TIME_S, position_deg))
+    assert isinstance(found, OwnServo)
+    return found
+
+
+def lag_s(found: OwnServo) -> float:
     """What a slow command suffers: bandwidth, damping and delay are each known less well."""
-    return fit.delay_s + float(np.sum(-1.0 / fit.model.transfer.poles_rad_s).real)
+    known = found.known.parameters
+    return known["delay_s"] + 2.0 * float(np.exp(known["ln_damping"] - known["ln_bandwidth"]))
 
 
 def read(position_deg: FloatArray, seed: int) -> FloatArray:
@@ -52,16 +68,16 @@ def fitted_verdict(command_deg: FloatArray, position_deg: FloatArray) -> Surface
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_servo_that_becomes_slow_is_fitted_as_it_was_and_named_from_when_it_changed(seed: int) -> None:
     command_deg, from_s = commands(seed), 40.0
-    later = RoughFit(bandwidth_hz=2.0, damping=0.8, delay_s=0.03)
-    before, after = (fit.model.simulate(TIME_S, command_deg, TIME_S) for fit in (AT_FIRST, later))
+    before, after = (model.simulate(TIME_S, command_deg, TIME_S) for model in (AT_FIRST, servo(2.0)))
     position_deg = read(np.where(from_s <= TIME_S, after, before), seed)
-    fit = fit_roughly(Series("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
-    assert fit.until_s <= from_s
-    assert lag_s(fit) == pytest.approx(lag_s(AT_FIRST), abs=0.003)
+    found = own(command_deg, position_deg)
+    assert found.origin.fitted_between_s is not None
+    assert found.origin.fitted_between_s[1] <= from_s + 1.0
+    assert lag_s(found) == pytest.approx(0.03 - float(np.sum(1.0 / AT_FIRST.transfer.poles_rad_s).real), abs=0.004)
     verdict = fitted_verdict(command_deg, position_deg)
-    found = verdict.faults + verdict.suspicions
-    assert "slow" in {fault.kind for fault in found}
-    assert min(fault.start_s for fault in found) == pytest.approx(from_s, abs=5.0)
+    seen = verdict.faults + verdict.suspicions
+    assert "slow" in {fault.kind for fault in seen}
+    assert min(fault.start_s for fault in seen) == pytest.approx(from_s, abs=5.0)
 
 
 @pytest.mark.slow
@@ -72,7 +88,7 @@ def test_an_oscillation_that_the_autopilot_answers_does_not_become_the_servos_re
     broken = from_s <= TIME_S
     turn = 2.0 * np.pi * frequency_hz * (TIME_S - from_s)
     command_deg = 0.3 * commands(seed) + np.where(broken, 2.0 * np.cos(turn), 0.0)
-    answered = AT_FIRST.model.simulate(TIME_S, command_deg, TIME_S)
+    answered = AT_FIRST.simulate(TIME_S, command_deg, TIME_S)
     verdict = fitted_verdict(command_deg, read(answered + np.where(broken, 3.5 * np.sin(turn), 0.0), seed))
     assert verdict.status == "fault"
     assert verdict.faults[0].kind == "oscillation"
@@ -81,20 +97,20 @@ def test_an_oscillation_that_the_autopilot_answers_does_not_become_the_servos_re
 
 
 @pytest.mark.slow
-def test_a_servo_that_stays_as_it_is_is_fitted_to_the_whole_log() -> None:
-    slow = RoughFit(bandwidth_hz=3.0, damping=1.5, delay_s=0.05, rate_limit_deg_s=150.0)
-    for seed, fit in enumerate((AT_FIRST, slow)):
+def test_a_servo_that_stays_as_it_is_is_healthy() -> None:
+    slow = servo(3.0, 1.5, 0.05) + RateLimit(150.0)
+    for seed, model in enumerate((AT_FIRST, slow)):
         command_deg = commands(seed)
-        position_deg = read(fit.model.simulate(TIME_S, command_deg, TIME_S), seed)
-        found = fit_roughly(Series("x", TIME_S, command_deg, TIME_S, position_deg), free_scale=True)
-        assert found.until_s == np.inf
+        verdict = fitted_verdict(command_deg, read(model.simulate(TIME_S, command_deg, TIME_S), seed))
+        assert verdict.status == "healthy"
+        assert verdict.model.origin == "fitted"
 
 
 @pytest.mark.slow
 def test_a_bus_that_is_late_for_a_fifth_of_a_second_makes_nothing_suspicious() -> None:
     seed = 4
     command_deg = commands(seed)
-    position_deg = read(AT_FIRST.model.simulate(TIME_S, command_deg, TIME_S), seed)
+    position_deg = read(AT_FIRST.simulate(TIME_S, command_deg, TIME_S), seed)
     usual = fitted_verdict(command_deg, position_deg)
     held = position_deg.copy()
     for first in np.random.default_rng(seed).integers(100, TIME_S.size - 100, 12).tolist():
@@ -107,7 +123,7 @@ def test_a_bus_that_is_late_for_a_fifth_of_a_second_makes_nothing_suspicious() -
 def test_a_surface_that_rests_within_a_small_travel_is_no_surface_at_its_stop() -> None:
     seed = 6
     command_deg = 0.25 * commands(seed)
-    position_deg = AT_FIRST.model.simulate(TIME_S, command_deg, TIME_S)
+    position_deg = AT_FIRST.simulate(TIME_S, command_deg, TIME_S)
     rests = TIME_S > 50.0
     at_deg = float(position_deg[~rests].max())
     asked_deg = np.where(rests, command_deg + 6.0 * np.sin(0.5 * TIME_S), command_deg)

@@ -1,0 +1,211 @@
+"""The servo that a log shows by itself: fitted to the part of it that predicts the whole best.
+
+Nobody has said which servo it is, and nobody knows which part of the log is good. Each third of the log is fitted by
+itself, then each sixth and each twelfth where no third is one servo. A part counts if its servo explains what the
+surface does there and stays below its own limits; of those that count, the one is taken that leaves least unknown in
+the whole log and that is most like a sound servo. A servo that was faulty throughout is what was fitted, and only what
+sound servos are like can tell.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import ndtr, stdtrit
+
+from servofd.aircraft.calibrated import CalibratedServo, lower_triangle
+from servofd.aircraft.priors import NAMES
+from servofd.calibrating.calibrate import constant_deg, linear_servo, tolerance_of
+from servofd.calibrating.flights import Flight, busiest, cropped
+from servofd.calibrating.known import hardly_moved, known_servo
+from servofd.core.evidence import ModelOrigin
+from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
+from servofd.estimate.fit import fit, reach_of
+from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servofd.aircraft.series import Series
+    from servofd.core.tolerance import Tolerance
+    from servofd.core.types import FloatArray
+    from servofd.estimate.fit import Fit
+    from servofd.servo.library import Servo
+
+_PARTS: Final = (3, 6, 12)
+_MOST_SAMPLES: Final = 3_000
+"""Of a part that are fitted: a minute at 50 Hz."""
+_EXPLAINS: Final = 0.3
+"""Share of the motion, held out, that the servo of a part explains there, or it is none."""
+_OWN_LIMITS: Final = 2.5
+"""Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
+_OWN_MARGIN: Final = 1.3 * MARGIN
+"""Times what the part itself reaches where it was left out of the fit."""
+_ALIKE_S, _LEAST_FREEDOM, _RARE_SIGMAS = 0.6, 2.0, 4.0
+"""Time within which samples are alike, least degrees of freedom, and how rare a good servo passes a limit."""
+_PUSHED: Final = 1.0
+"""The part may be of the ground, and the rest in the air."""
+_SOUND: Final = 0.25
+"""Weight of the distance from a sound servo against the logarithm of what is unknown [1]."""
+_GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
+"""What sound servos are like whose command and position are in one unit: standard deviations of their gain and offset,
+width of dead band, friction and play together, and the speed below which they are slow, with its logarithm's."""
+_UNUSUAL: Final = 3.0
+"""Deviations from a sound servo beyond which a log is not cleared."""
+_DEADBAND, _FRICTION, _PLAY, _RATE = (
+    NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "ln_rate")
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnServo:
+    """The servo of one surface, as its log shows it."""
+
+    known: CalibratedServo
+    linear: Servo
+    """Its linear part."""
+    tolerance: Tolerance
+    """How far a good one strays from the linear part."""
+    threshold_deg: float
+    """Constant threshold that the part stayed below, with a margin."""
+    origin: ModelOrigin
+
+    def with_own_scale(self) -> OwnServo:
+        """The same servo for a command that is scaled and shifted until it has neither a gain nor an offset."""
+        scales = np.where(np.array(NAMES) == "gain", self.known.parameters["gain"], 1.0)
+        between = self.known.covariance / np.outer(scales, scales)
+        known = self.known.model_copy(
+            update={
+                "parameters": {**self.known.parameters, "gain": 1.0, "bias_deg": 0.0},
+                "between": lower_triangle(between),
+            }
+        )
+        return replace(self, known=known.model_copy(update={"doubt": unusual(known.theta)}))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A part of the log and the servo fitted to it."""
+
+    between_s: tuple[float, float]
+    fitted: Fit
+    known: CalibratedServo
+    score: float
+    """The lower the better."""
+
+
+def own_servo(segment: Series) -> OwnServo | ModelOrigin:
+    """Return the servo that a log shows by itself; where it shows none, how well the best one explains it.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> from servofd.aircraft.series import Series
+    >>> from servofd.simulation.flight import simulate_flight
+    >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=60.0, seed=1, noise_deg=0.05)
+    >>> own = own_servo(Series("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0]))
+    >>> own.origin.origin, round(own.known.parameters["gain"], 2)
+    ('fitted', 1.0)
+    """
+    usual = usual_supply_v(segment.context), usual_airspeed_m_s([segment.context])
+    whole = Record.of(segment, *usual)
+    if not whole.usable.any():
+        return ModelOrigin(origin="none")
+    reach_deg = reach_of([whole])
+    share: float | None = None
+    for count in _PARTS:
+        sound: list[_Part] = []
+        for between_s, part in _parts(segment, count):
+            records = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
+            fitted = fit(records, reach_deg=reach_deg)
+            share = fitted.explained_share if share is None else max(share, fitted.explained_share)
+            if fitted.explained_share >= _EXPLAINS:
+                found = _judged(between_s, fitted, records, whole, usual)
+                sound += [found] if found is not None else []
+        if sound:
+            return _own(min(sound, key=lambda each: each.score))
+    return ModelOrigin(origin="none", explained_share=share)
+
+
+def _parts(segment: Series, count: int) -> Iterator[tuple[tuple[float, float], Series]]:
+    """So many parts of equal length, those in which enough moves."""
+    edges_s = np.linspace(segment.measured_s[0], segment.measured_s[-1], count + 1).tolist()
+    for from_s, to_s in itertools.pairwise(edges_s):
+        part = cropped(segment, ((from_s, to_s),))
+        if not hardly_moved([Flight("", part)]):
+            yield (from_s, to_s), part
+
+
+def _judged(
+    between_s: tuple[float, float], fitted: Fit, records: list[Record], whole: Record, usual: tuple[float, float]
+) -> _Part | None:
+    """The part, if its servo stays below its own limits there."""
+    known = known_servo(fitted, records, *usual, pushed=_PUSHED)
+    usually = MARGIN * np.array([FLOORS[name] for name in STATISTICS])
+    largest = np.zeros(len(STATISTICS))
+    for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
+        largest = np.maximum(largest, statistics_of(watched(known, record), left_deg))
+    if (largest > _OWN_LIMITS * usually).any():
+        return None
+    seconds = sum(float(np.count_nonzero(record.usable)) * record.period_s for record in records)
+    limits = np.maximum(usually, _OWN_MARGIN * largest) * _wider(seconds)
+    thresholds = {name: float(f"{limit:.3g}") for name, limit in zip(STATISTICS, limits.tolist(), strict=True)}
+    known = known.model_copy(update={"thresholds": thresholds})
+    flight = watched(known, whole)
+    unknown_deg = float(np.mean(flight.sigma_deg[flight.judged])) if flight.judged.any() else np.inf
+    apart = _SOUND * sum(each**2 for each in _deviations(fitted.theta).values())
+    return _Part(between_s, fitted, known, float(np.log(unknown_deg)) + apart)
+
+
+def _wider(seconds: float) -> FloatArray:
+    """How many times as wide the limit of each statistic is for a fit to so little: Student's law in Gauss' place."""
+    freedom = max(seconds / _ALIKE_S, _LEAST_FREEDOM)
+    times = float(stdtrit(freedom, ndtr(_RARE_SIGMAS))) / _RARE_SIGMAS
+    squares = np.array([name.startswith(("energy", "left")) for name in STATISTICS])
+    wider: FloatArray = np.where(squares, times**2, times)
+    return wider
+
+
+def _deviations(theta: FloatArray) -> dict[str, float]:
+    """By how many deviations it differs from a sound servo, and how, in words."""
+    rest_deg = theta[_DEADBAND] + 2.0 * theta[_FRICTION] + theta[_PLAY]
+    slow = max(float(np.log(_SLOWEST_DEG_S)) - theta[_RATE], 0.0)
+    return {
+        f"its position moves by {theta[0]:.2f} times its command": abs(theta[0] - 1.0) / _GAIN,
+        f"it stands off by {theta[1]:+.1f} deg": abs(theta[1]) / _BIAS_DEG,
+        f"it rests within {rest_deg:.1f} deg of where it is asked to be": rest_deg / _REST_DEG,
+        f"it is no faster than {float(np.exp(theta[_RATE])):.0f} deg/s": slow / _SPEED,
+    }
+
+
+def _own(part: _Part) -> OwnServo:
+    fitted, (from_s, to_s) = part.fitted, part.between_s
+    known = part.known.model_copy(update={"doubt": unusual(fitted.theta)})
+    return OwnServo(
+        known,
+        linear_servo(fitted.theta, f"fitted to {from_s:.0f} to {to_s:.0f} s of the log that is judged"),
+        tolerance_of(known),
+        constant_deg(fitted),
+        ModelOrigin(
+            origin="fitted",
+            held_out_rms_deg=float(f"{fitted.held_out_rms_deg:.4g}"),
+            explained_share=round(fitted.explained_share, 4),
+            fitted_between_s=(round(from_s, 3), round(to_s, 3)),
+        ),
+    )
+
+
+def unusual(theta: FloatArray) -> str:
+    """What about a servo no sound one is like, in words; nothing if there is nothing.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.priors import PRIORS
+    >>> theta = np.array([prior.value for prior in PRIORS])
+    >>> unusual(theta), unusual(theta - 0.6 * (np.arange(theta.size) == 0))
+    ('', 'its position moves by 0.40 times its command')
+    """
+    return ", ".join(text for text, deviations in _deviations(theta).items() if deviations > _UNUSUAL)
