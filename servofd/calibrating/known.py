@@ -57,13 +57,14 @@ def known_servo(
     *,
     fastest_m_s: float = 0.0,
     pushed: float = _NEVER_LOGGED,
+    apart: float = 1.0,
 ) -> CalibratedServo:
     """What goes into the file, with the usual thresholds.
 
     Usual supply and airspeed, and the largest one, are 0 where nobody logged them; `pushed` is the share of what the
-    usual air does that differs between flights then.
+    usual air does that differs between flights then, and `apart` the share of what else differs.
     """
-    spread = np.array([prior.between for prior in PRIORS]) ** 2
+    spread = (apart * np.array([prior.between for prior in PRIORS])) ** 2
     if not airspeed_m_s:
         for key, amount in _PUSHED.items():
             spread[NAMES.index(key)] += (pushed * amount) ** 2

@@ -1,10 +1,10 @@
-"""The servo that a log shows by itself: fitted to the part of it that predicts the whole best.
+"""The servo that a log shows by itself: fitted to the part of it that explains the whole best.
 
-Nobody has said which servo it is, and nobody knows which part of the log is good. Each third of the log is fitted by
-itself, then each sixth and each twelfth where no third is one servo. A part counts if its servo explains what the
-surface does there and stays below its own limits; of those that count, the one is taken that leaves least unknown in
-the whole log and that is most like a sound servo. A servo that was faulty throughout is what was fitted, and only what
-sound servos are like can tell.
+Nobody has said which servo it is, and nobody knows which part of the log is good. The whole log and its thirds are
+fitted, each by itself, then its sixths and twelfths if none of them is like a sound servo. A part counts if its servo
+explains what the surface does there and stays below its own limits; of those that count, the one is taken that explains
+the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that was faulty
+throughout is what was fitted, and only what sound servos are like can tell.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from servofd.calibrating.calibrate import constant_deg, linear_servo, tolerance_
 from servofd.calibrating.flights import Flight, busiest, cropped
 from servofd.calibrating.known import hardly_moved, known_servo
 from servofd.core.evidence import ModelOrigin
+from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
 from servofd.estimate.fit import fit, reach_of
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
@@ -35,21 +36,28 @@ if TYPE_CHECKING:
     from servofd.estimate.fit import Fit
     from servofd.servo.library import Servo
 
-_PARTS: Final = (3, 6, 12)
+_PARTS: Final = (1, 3, 6, 12)
 _MOST_SAMPLES: Final = 3_000
 """Of a part that are fitted: a minute at 50 Hz."""
 _EXPLAINS: Final = 0.3
 """Share of the motion, held out, that the servo of a part explains there, or it is none."""
 _OWN_LIMITS: Final = 2.5
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
-_OWN_MARGIN: Final = 1.3 * MARGIN
+_OWN_MARGIN: Final = 1.6
 """Times what the part itself reaches where it was left out of the fit."""
+_WIDER: Final = 1.15 * MARGIN
+"""Times the floors of the statistics."""
 _ALIKE_S, _LEAST_FREEDOM, _RARE_SIGMAS = 0.6, 2.0, 4.0
 """Time within which samples are alike, least degrees of freedom, and how rare a good servo passes a limit."""
 _PUSHED: Final = 1.0
 """The part may be of the ground, and the rest in the air."""
-_SOUND: Final = 0.25
-"""Weight of the distance from a sound servo against the logarithm of what is unknown [1]."""
+_APART: Final = 0.5
+"""Parts of one flight differ by so much of what flights differ by: one supply, one day, one zero of the sensor."""
+_SOUND_ENOUGH: Final = 2.5
+"""Nats below which no shorter part is tried: one fault of a servo that is one deviation from a sound one."""
+_EACH_FAULT: Final = 2.0
+"""Nats: one surface in some has a fault."""
+_MOST_MISFIT: Final = 25.0
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
 """What sound servos are like whose command and position are in one unit: standard deviations of their gain and offset,
 width of dead band, friction and play together, and the speed below which they are slow, with its logarithm's."""
@@ -93,8 +101,13 @@ class _Part:
     between_s: tuple[float, float]
     fitted: Fit
     known: CalibratedServo
-    score: float
-    """The lower the better."""
+    sigma_deg: FloatArray
+    """Of the whole log, as far as this servo knows, shape (m,)."""
+    left_deg: FloatArray
+    """What it and its faults leave of the whole log, shape (m,)."""
+    apart: float
+    """Half of the squared deviations from a sound servo, and what its faults cost [nats]."""
+    period_s: float
 
 
 def own_servo(segment: Series) -> OwnServo | ModelOrigin:
@@ -115,19 +128,32 @@ def own_servo(segment: Series) -> OwnServo | ModelOrigin:
     if not whole.usable.any():
         return ModelOrigin(origin="none")
     reach_deg = reach_of([whole])
+    found: list[_Part] = []
     share: float | None = None
     for count in _PARTS:
-        sound: list[_Part] = []
         for between_s, part in _parts(segment, count):
             records = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
             fitted = fit(records, reach_deg=reach_deg)
             share = fitted.explained_share if share is None else max(share, fitted.explained_share)
             if fitted.explained_share >= _EXPLAINS:
-                found = _judged(between_s, fitted, records, whole, usual)
-                sound += [found] if found is not None else []
-        if sound:
-            return _own(min(sound, key=lambda each: each.score))
-    return ModelOrigin(origin="none", explained_share=share)
+                one = _judged(between_s, fitted, records, whole, usual, own_limits=1.0 if count == 1 else _OWN_LIMITS)
+                found += [one] if one is not None else []
+        if count > 1 and found and _best(found).apart < _SOUND_ENOUGH:
+            break
+    return _own(_best(found)) if found else ModelOrigin(origin="none", explained_share=share)
+
+
+def _best(found: list[_Part]) -> _Part:
+    """The part whose servo, and faults, tell most of the whole log and are most likely to begin with."""
+    sharpest = min(found, key=lambda each: float(np.nanmean(each.sigma_deg**2)))
+
+    def cost(part: _Part) -> float:
+        misfit = np.minimum((part.left_deg / sharpest.sigma_deg) ** 2, _MOST_MISFIT)
+        seconds = sharpest.period_s * float(np.count_nonzero(np.isfinite(misfit)))
+        unknown = 0.5 * float(np.log(np.nanmean(part.sigma_deg**2) / np.nanmean(sharpest.sigma_deg**2)))
+        return 0.5 * seconds / _ALIKE_S * max(float(np.nanmean(misfit)), 1.0) + part.apart + unknown
+
+    return min(found, key=cost)
 
 
 def _parts(segment: Series, count: int) -> Iterator[tuple[tuple[float, float], Series]]:
@@ -140,24 +166,31 @@ def _parts(segment: Series, count: int) -> Iterator[tuple[tuple[float, float], S
 
 
 def _judged(
-    between_s: tuple[float, float], fitted: Fit, records: list[Record], whole: Record, usual: tuple[float, float]
+    between_s: tuple[float, float],
+    fitted: Fit,
+    records: list[Record],
+    whole: Record,
+    usual: tuple[float, float],
+    own_limits: float,
 ) -> _Part | None:
-    """The part, if its servo stays below its own limits there."""
-    known = known_servo(fitted, records, *usual, pushed=_PUSHED)
-    usually = MARGIN * np.array([FLOORS[name] for name in STATISTICS])
+    """The part, if its servo stays below so many times the usual limits there."""
+    known = known_servo(fitted, records, *usual, pushed=_PUSHED, apart=_APART)
+    usually = _WIDER * np.array([FLOORS[name] for name in STATISTICS])
+    seconds = sum(float(np.count_nonzero(record.usable)) * record.period_s for record in records)
+    usually *= _wider(seconds)
     largest = np.zeros(len(STATISTICS))
     for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
         largest = np.maximum(largest, statistics_of(watched(known, record), left_deg))
-    if (largest > _OWN_LIMITS * usually).any():
+    if (largest > own_limits * usually).any():
         return None
-    seconds = sum(float(np.count_nonzero(record.usable)) * record.period_s for record in records)
-    limits = np.maximum(usually, _OWN_MARGIN * largest) * _wider(seconds)
+    limits = np.maximum(usually, _OWN_MARGIN * largest)
     thresholds = {name: float(f"{limit:.3g}") for name, limit in zip(STATISTICS, limits.tolist(), strict=True)}
     known = known.model_copy(update={"thresholds": thresholds})
     flight = watched(known, whole)
-    unknown_deg = float(np.mean(flight.sigma_deg[flight.judged])) if flight.judged.any() else np.inf
-    apart = _SOUND * sum(each**2 for each in _deviations(fitted.theta).values())
-    return _Part(between_s, fitted, known, float(np.log(unknown_deg)) + apart)
+    story = judged(flight)
+    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * len(story.faults)
+    sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
+    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.period_s)
 
 
 def _wider(seconds: float) -> FloatArray:

@@ -94,6 +94,8 @@ _AFTER_END_S = 3.0
 _SURELY_ENDED, _SOON_S = 5.0, 0.5
 """So much better it need do for no longer than this."""
 _LOG_CLIP = 25.0
+_SWINGS = 1.5
+"""Standard deviations that an oscillation is taken to leave."""
 _NO_NEWS = 0.01
 """By so little a fault may explain a sample better, and yet not have begun."""
 
@@ -175,8 +177,8 @@ class _Window:
         return (float(left @ left), float(apart @ self.precision @ apart)), best, covariance
 
 
-def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> Fault:
-    """Name what an alarm stands for; `healthy` if a working servo explains it after all.
+def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> tuple[Fault, _Guess | None]:
+    """Name what an alarm stands for, `healthy` if a working servo explains it after all; and the hypothesis behind it.
 
     `ratio` is the largest statistic over its threshold at or after the alarm.
     """
@@ -191,7 +193,7 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
             since = _Window(watched, float(watched.record.time_s[lately][right[-1]]) + 1e-9, alarm_s + _WINDOW_S)
             window = since if since.count >= _FEWEST else window
     if window.count < _FEWEST:
-        return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ())
+        return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
     guesses = _ranked(window)
     end_s = _end_s(watched, guesses[0], alarm_s)
     if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + _WINDOW_S - 2.0:
@@ -205,10 +207,11 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
     better = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
     began = time_s.size > 0 and better.max() > 0.0
     start_s = float(min(time_s[int(np.argmax(better))], alarm_s)) if began else alarm_s
-    return Fault(
+    fault = Fault(
         kind, start_s, alarm_s, end_s, parameters, probability, alternatives,
         named_s=float(min(window.time_s[-1], alarm_s + _WINDOW_S)),
     )  # fmt: skip
+    return fault, guesses[0]
 
 
 def _ranked(window: _Window) -> list[_Guess]:
@@ -405,18 +408,20 @@ def _may_be_play(window: _Window, guess: _Guess) -> bool:
     return pushed and 2.0 * away_deg < _WIDEST_PLAY_DEG
 
 
+def _error_deg(stretch: _Window, guess: _Guess) -> FloatArray:
+    """What a hypothesis leaves of the positions of a stretch, shape (m,) [deg]."""
+    if guess.added is not None:
+        return stretch.measured_deg - guess.added[1][0]
+    if guess.theta is not None and guess.kind != "oscillation":
+        return stretch.measured_deg - stretch.reading(guess.theta, guess.power)[0]
+    return np.full(stretch.time_s.size, _SWINGS) * stretch.total_deg
+
+
 def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
     """Sample times, and by how much the guess explains each better than the healthy servo (twice the log odds)."""
     stretch = _Window(watched, from_s, to_s)
     used = stretch.used
-    healthy = watched.error_deg[stretch.rows]
-    if guess.added is not None:
-        other = stretch.measured_deg - guess.added[1][0]
-    elif guess.theta is not None and guess.kind != "oscillation":
-        other = stretch.measured_deg - stretch.reading(guess.theta, guess.power)[0]
-    else:
-        other = np.full(healthy.size, 1.5) * stretch.total_deg
-    total = stretch.total_deg
+    healthy, other, total = watched.error_deg[stretch.rows], _error_deg(stretch, guess), stretch.total_deg
     gain = np.minimum((healthy / total) ** 2, _LOG_CLIP) - np.minimum((other / total) ** 2, _LOG_CLIP)
     return stretch.time_s[used], gain[used]
 
@@ -527,6 +532,8 @@ class Found(NamedTuple):
 
     faults: tuple[Fault, ...]
     suspicions: tuple[Fault, ...]
+    left_deg: FloatArray
+    """What the healthy servo, or a fault, leaves of each position [deg], (m,); NaN where none is judged."""
 
 
 def judged(flight: Watched) -> Found:
@@ -535,6 +542,7 @@ def judged(flight: Watched) -> Found:
     time_s, error_deg = flight.record.time_s, flight.error_deg
     faults: list[Fault] = []
     suspicions: list[Fault] = []
+    left_deg = error_deg.copy()
     begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
     for _ in range(_MOST_FAULTS):
         rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
@@ -542,7 +550,11 @@ def judged(flight: Watched) -> Found:
         raised_s, ratio, is_far = _alarm(limits, rows[0], triple, grid_s, statistics[:, : len(STATISTICS)])
         if not np.isfinite(raised_s):
             break
-        fault = _weighed(named(flight, raised_s, ratio, earliest_s=earliest_s), ratio, is_far=is_far)
+        fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s)
+        fault = _weighed(fault, ratio, is_far=is_far)
+        if guess is not None and fault.kind != "healthy":
+            there = _Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
+            left_deg[there.rows][there.used] = _error_deg(there, guess)[there.used]
         if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < _SAME_S:
             fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
@@ -555,7 +567,7 @@ def judged(flight: Watched) -> Found:
         begin = int(np.searchsorted(time_s, earliest_s + _AGAIN_S))
         if begin >= time_s.size - 2:
             break
-    return Found(tuple(faults), tuple(suspicions))
+    return Found(tuple(faults), tuple(suspicions), left_deg)
 
 
 def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servofd.core.types import Marks
 
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
-_FAR_GAINS: Final = (0.5, 2.0)
+_FAR_GAINS: Final = (1.0 / 3.0, 3.0)
 """A scale that is further from one is no servo's: the command is another unit, or reversed."""
 _SCALES: Final = (0.02, 50.0)
 _ORDINARY: Final = Servo(
