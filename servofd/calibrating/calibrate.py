@@ -194,7 +194,7 @@ def tolerance_of(known: CalibratedServo) -> Tolerance:
 
 def constant_deg(fitted: Fit) -> float:
     """Constant threshold that the flights stayed below where they were left out of the fit, with a margin [deg]."""
-    largest = max(float(np.nanmax(np.abs(part))) for part in fitted.held_out_deg)
+    largest = max(float(np.nanmax(np.abs(part), initial=0.0)) for part in fitted.held_out_deg)
     return float(f"{max(1.5 * largest, 0.05):.2g}")
 
 

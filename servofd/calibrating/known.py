@@ -253,13 +253,14 @@ def _changed(fitted: Fit, record: Record, flight: Flight, usual: tuple[float, fl
 class Line(NamedTuple):
     """How the position goes with the command: gain times it, and an offset."""
 
-    gain: float
-    offset_deg: float
+    gain: float = 1.0
+    offset_deg: float = 0.0
+    correlation: float = 0.0
 
 
 def crude_line(record: Record) -> Line | None:
     """Position over command at the lag that suits it best, of either sign; None if they have little in common."""
-    best: tuple[float, Line | None] = (_IN_COMMON, None)
+    best: Line | None = None
     middle_deg = float(record.measured_deg.mean())
     seen = record.measured_deg - middle_deg
     for lag_s in np.arange(0.0, _LONGEST_LEAD_S, 0.02):
@@ -268,10 +269,10 @@ def crude_line(record: Record) -> Line | None:
         asked -= usual_deg
         common, asked2 = float(asked @ seen), float(asked @ asked)
         share = abs(common) / max(float(np.sqrt(asked2 * (seen @ seen))), 1e-300)
-        if share > best[0]:
+        if share > (_IN_COMMON if best is None else best.correlation):
             gain = common / asked2
-            best = (share, Line(gain, middle_deg - gain * usual_deg))
-    return best[1]
+            best = Line(gain, middle_deg - gain * usual_deg, share)
+    return best
 
 
 def refuse_mixed(name: str, fitted: Fit, records: Sequence[Record], flights: Sequence[Flight]) -> None:

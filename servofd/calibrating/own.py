@@ -49,8 +49,8 @@ _WIDER: Final = 1.15 * MARGIN
 """Times the floors of the statistics."""
 _ALIKE_S, _LEAST_FREEDOM, _RARE_SIGMAS = 0.6, 2.0, 4.0
 """Time within which samples are alike, least degrees of freedom, and how rare a good servo passes a limit."""
-_PUSHED: Final = 1.0
-"""The part may be of the ground, and the rest in the air."""
+_PUSHED: Final = 0.5
+"""Share of what the usual air does to a servo by which its parts may differ, where nobody logged the airspeed."""
 _APART: Final = 0.5
 """Parts of one flight differ by so much of what flights differ by: one supply, one day, one zero of the sensor."""
 _SOUND_ENOUGH: Final = 2.5
@@ -58,6 +58,10 @@ _SOUND_ENOUGH: Final = 2.5
 _EACH_FAULT: Final = 2.0
 """Nats: one surface in some has a fault."""
 _MOST_MISFIT: Final = 25.0
+_WINDOW_S: Final = 5.0
+"""What one stretch leaves unexplained is no better for the others that are at rest."""
+_CONTRADICT: Final = 4.0
+"""Standard deviations between two parts of which one servo is no account."""
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
 """What sound servos are like whose command and position are in one unit: standard deviations of their gain and offset,
 width of dead band, friction and play together, and the speed below which they are slow, with its logarithm's."""
@@ -107,11 +111,13 @@ class _Part:
     """What it and its faults leave of the whole log, shape (m,)."""
     apart: float
     """Half of the squared deviations from a sound servo, and what its faults cost [nats]."""
-    period_s: float
+    time_s: FloatArray
 
 
-def own_servo(segment: Series) -> OwnServo | ModelOrigin:
+def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigin:
     """Return the servo that a log shows by itself; where it shows none, how well the best one explains it.
+
+    `source` names the log.
 
     Examples
     --------
@@ -131,7 +137,7 @@ def own_servo(segment: Series) -> OwnServo | ModelOrigin:
     found: list[_Part] = []
     share: float | None = None
     for count in _PARTS:
-        for between_s, part in _parts(segment, count):
+        for between_s, part in parts_of(segment, count):
             records = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
             fitted = fit(records, reach_deg=reach_deg)
             share = fitted.explained_share if share is None else max(share, fitted.explained_share)
@@ -140,7 +146,7 @@ def own_servo(segment: Series) -> OwnServo | ModelOrigin:
                 found += [one] if one is not None else []
         if count > 1 and found and _best(found).apart < _SOUND_ENOUGH:
             break
-    return _own(_best(found)) if found else ModelOrigin(origin="none", explained_share=share)
+    return _own(_best(found), found, source) if found else ModelOrigin(origin="none", explained_share=share)
 
 
 def _best(found: list[_Part]) -> _Part:
@@ -148,16 +154,20 @@ def _best(found: list[_Part]) -> _Part:
     sharpest = min(found, key=lambda each: float(np.nanmean(each.sigma_deg**2)))
 
     def cost(part: _Part) -> float:
-        misfit = np.minimum((part.left_deg / sharpest.sigma_deg) ** 2, _MOST_MISFIT)
-        seconds = sharpest.period_s * float(np.count_nonzero(np.isfinite(misfit)))
+        squares = np.minimum((part.left_deg / sharpest.sigma_deg) ** 2, _MOST_MISFIT)
+        known = np.isfinite(squares)
+        window = np.floor(part.time_s[known] / _WINDOW_S).astype(int)
+        first = np.flatnonzero(np.diff(window, prepend=window[:1] - 1))
+        count = np.diff(first, append=window.size)
+        misfit = np.maximum(np.add.reduceat(squares[known], first) / count, 1.0) if first.size else np.zeros(0)
         unknown = 0.5 * float(np.log(np.nanmean(part.sigma_deg**2) / np.nanmean(sharpest.sigma_deg**2)))
-        return 0.5 * seconds / _ALIKE_S * max(float(np.nanmean(misfit)), 1.0) + part.apart + unknown
+        return 0.5 * _WINDOW_S / _ALIKE_S * float(misfit.sum()) + part.apart + unknown
 
     return min(found, key=cost)
 
 
-def _parts(segment: Series, count: int) -> Iterator[tuple[tuple[float, float], Series]]:
-    """So many parts of equal length, those in which enough moves."""
+def parts_of(segment: Series, count: int) -> Iterator[tuple[tuple[float, float], Series]]:
+    """Yield from when to when each of so many parts of a log lasts [s], and it, where enough moves."""
     edges_s = np.linspace(segment.measured_s[0], segment.measured_s[-1], count + 1).tolist()
     for from_s, to_s in itertools.pairwise(edges_s):
         part = cropped(segment, ((from_s, to_s),))
@@ -176,7 +186,7 @@ def _judged(
     """The part, if its servo stays below so many times the usual limits there."""
     known = known_servo(fitted, records, *usual, pushed=_PUSHED, apart=_APART)
     usually = _WIDER * np.array([FLOORS[name] for name in STATISTICS])
-    seconds = sum(float(np.count_nonzero(record.usable)) * record.period_s for record in records)
+    seconds = whole.period_s * sum(float(np.count_nonzero(record.usable)) for record in records)
     usually *= _wider(seconds)
     largest = np.zeros(len(STATISTICS))
     for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
@@ -188,9 +198,11 @@ def _judged(
     known = known.model_copy(update={"thresholds": thresholds})
     flight = watched(known, whole)
     story = judged(flight)
-    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * len(story.faults)
+    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * len(
+        story.faults + story.suspicions
+    )
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
-    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.period_s)
+    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s)
 
 
 def _wider(seconds: float) -> FloatArray:
@@ -214,12 +226,12 @@ def _deviations(theta: FloatArray) -> dict[str, float]:
     }
 
 
-def _own(part: _Part) -> OwnServo:
+def _own(part: _Part, others: list[_Part], source: str) -> OwnServo:
     fitted, (from_s, to_s) = part.fitted, part.between_s
-    known = part.known.model_copy(update={"doubt": unusual(fitted.theta)})
+    known = part.known.model_copy(update={"doubt": unusual(fitted.theta) or _contradicted(part, others)})
     return OwnServo(
         known,
-        linear_servo(fitted.theta, f"fitted to {from_s:.0f} to {to_s:.0f} s of the log that is judged"),
+        linear_servo(fitted.theta, f"fitted to {from_s:.0f} to {to_s:.0f} s of {source}"),
         tolerance_of(known),
         constant_deg(fitted),
         ModelOrigin(
@@ -231,6 +243,22 @@ def _own(part: _Part) -> OwnServo:
     )
 
 
+def _contradicted(part: _Part, others: list[_Part]) -> str:
+    """Which other part moves otherwise, in words; nothing if none does for sure."""
+    for other in others:
+        spread = np.sqrt(np.diag(part.known.covariance + other.known.covariance))
+        change = other.fitted.theta - part.fitted.theta
+        told = {
+            f"moves by {other.fitted.theta[0] / part.fitted.theta[0]:.2f} times as much": abs(change[0]) / spread[0],
+            f"stands off by {change[1]:+.2g} deg": abs(change[1]) / spread[1],
+        }
+        worst = max(told, key=lambda text: told[text])
+        if told[worst] > _CONTRADICT:
+            (own_from_s, own_to_s), (from_s, to_s) = part.between_s, other.between_s
+            return f"from {from_s:.0f} to {to_s:.0f} s it {worst}, beside {own_from_s:.0f} to {own_to_s:.0f} s"
+    return ""
+
+
 def unusual(theta: FloatArray) -> str:
     """What about a servo no sound one is like, in words; nothing if there is nothing.
 
@@ -239,6 +267,7 @@ def unusual(theta: FloatArray) -> str:
     >>> from servofd.aircraft.priors import PRIORS
     >>> theta = np.array([prior.value for prior in PRIORS])
     >>> unusual(theta), unusual(theta - 0.6 * (np.arange(theta.size) == 0))
-    ('', 'its position moves by 0.40 times its command')
+    ('', 'its position moves by 0.40 times its command from the beginning on, or its trim or scale is unusual')
     """
-    return ", ".join(text for text, deviations in _deviations(theta).items() if deviations > _UNUSUAL)
+    found = ", ".join(text for text, deviations in _deviations(theta).items() if deviations > _UNUSUAL)
+    return f"{found} from the beginning on, or its trim or scale is unusual" if found else ""

@@ -502,7 +502,7 @@ def audit_calibrated(
     status, reason = status_of(residuals, threshold, found.faults, found.suspicions, sizes, well)
     if known.doubt:
         status = "suspect" if status in ("healthy", "unknown") else status
-        reason = f"{known.doubt} from the beginning on, or its trim or scale is unusual; {reason}"
+        reason = f"{known.doubt}; {reason}"
     if beyond:
         status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {beyond}"
     after = []
@@ -591,7 +591,8 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     untold = fault.kind in _TOLD_BEFORE and fault.start_s >= fault.alarm_s
     if (
         still_fast
-        or (not is_far and (tiny or untold))
+        or tiny
+        or (not is_far and untold)
         or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown"))
     ):
         own = () if fault.kind == "unknown" else (fault.kind,)

@@ -116,7 +116,7 @@ def _draft(log: FlightLog, pair: Pair, plain: Aircraft, bus: Mapping[str, Marks]
     if found.line.gain != 1.0:
         command = _rescaled(surface.command.model_dump(exclude_none=True), found.line)
         surface = Surface.model_validate({**surface.model_dump(exclude_defaults=True), "command": command})
-    return DraftedSurface(pair, *with_own_servo(surface, pair.surface, Found(Line(1.0, 0.0), found.servo)))
+    return DraftedSurface(pair, *with_own_servo(surface, pair.surface, Found(Line(), found.servo)))
 
 
 def _entries(log: FlightLog, pair: Pair) -> dict[str, Any]:
@@ -234,8 +234,7 @@ def _to_toml(log: FlightLog, aircraft: Aircraft, remarks: list[str], heads: Mapp
         if known is not None:
             lines += calibrated_to_toml(name, known)
     for key, servo in aircraft.servos.items():
-        told = servo.model_copy(update={"source": f"fitted to {log.source.name}"})
-        table = told.model_dump(exclude_defaults=True, exclude_none=True, mode="json")
+        table = servo.model_dump(exclude_defaults=True, exclude_none=True, mode="json")
         lines += ["", f"[servos.{toml_key(key)}]", *toml_lines(table)]
     return "\n".join(lines) + "\n"
 

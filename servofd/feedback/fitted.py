@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from servofd.aircraft.series import bus_of, cut
 from servofd.calibrating.known import Line, crude_line
-from servofd.calibrating.own import OwnServo, own_servo
+from servofd.calibrating.own import OwnServo, own_servo, parts_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.evidence import ModelOrigin
 from servofd.estimate.record import Record
@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.aircraft.series import Series
     from servofd.core.types import Marks
 
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _FAR_GAINS: Final = (1.0 / 3.0, 3.0)
 """A scale that is further from one is no servo's: the command is another unit, or reversed."""
 _SCALES: Final = (0.02, 50.0)
+_PARTS: Final = 3
 _ORDINARY: Final = Servo(
     title="an ordinary servo, for want of a better one",
     bandwidth_hz=6.0,
@@ -56,28 +58,38 @@ def found_in(
     log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks], *, free_scale: bool = False
 ) -> Found:
     """Return what a log tells of the servo of a surface; where nobody knows the scale of its command, that as well."""
-    nothing = Found(Line(1.0, 0.0), ModelOrigin(origin="none"))
+    nothing = Found(Line(), ModelOrigin(origin="none"))
     try:
         segment = cut(log, name, aircraft, bus)
     except NoMeasurement:
         return nothing
     if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S or segment.command_s.size < 2:
         return nothing
-    line = crude_line(Record.of(segment))
-    if line is None or not (free_scale or not _FAR_GAINS[0] <= line.gain <= _FAR_GAINS[1]):
-        line = nothing.line
-    if not _SCALES[0] <= abs(line.gain) <= _SCALES[1]:
-        return nothing
-    own = own_servo(segment.with_commands(*line))
-    if free_scale and isinstance(own, OwnServo):
+    line = _line_of(segment)
+    if line is None or not free_scale:
+        own = own_servo(segment, log.source.name)
+        if line is None or isinstance(own, OwnServo) or _is_usual(line):
+            return Found(Line(), own)
+    own = own_servo(segment.with_commands(line.gain, line.offset_deg), log.source.name)
+    if not isinstance(own, OwnServo):
+        return Found(Line(), own)
+    if free_scale:
         gain, offset_deg = own.known.theta[:2].tolist()
-        line = Line(gain * line.gain, gain * line.offset_deg + offset_deg)
-        own = own.with_own_scale()
-    if line.gain != 1.0 and not free_scale and isinstance(own, OwnServo):
-        what = "sign" if line.gain < 0.0 else "scale"
-        doubt = f"its position is {line.gain:.2f}x the command throughout: check the {what} of the calibration"
-        own = replace(own, known=own.known.model_copy(update={"doubt": doubt}))
-    return Found(line, own)
+        return Found(Line(gain * line.gain, gain * line.offset_deg + offset_deg), own.with_own_scale())
+    what = "sign" if line.gain < 0.0 else "scale"
+    doubt = f"its position is {line.gain:.2f}x the command throughout: check the {what} of the calibration"
+    return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt})))
+
+
+def _line_of(segment: Series) -> Line | None:
+    """Return how the position goes with the command, in the part of a log in which it does so most."""
+    lines = [crude_line(Record.of(part)) for _, part in parts_of(segment, _PARTS)]
+    known = [line for line in lines if line is not None and _SCALES[0] <= abs(line.gain) <= _SCALES[1]]
+    return max(known, key=lambda line: line.correlation, default=None)
+
+
+def _is_usual(line: Line) -> bool:
+    return _FAR_GAINS[0] <= line.gain <= _FAR_GAINS[1]
 
 
 def with_own_servo(surface: Surface, name: str, found: Found) -> tuple[Surface, dict[str, Servo]]:
@@ -94,7 +106,7 @@ def with_own_servo(surface: Surface, name: str, found: Found) -> tuple[Surface, 
         "tolerance": own.tolerance,
         "model": own.origin,
         "calibrated": own.known,
-        "command": surface.command.corrected(*line),
+        "command": surface.command.corrected(line.gain, line.offset_deg),
     }
     if surface.command_saturation_deg is not None:
         ends = (line.gain * end + line.offset_deg for end in surface.command_saturation_deg)

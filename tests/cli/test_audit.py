@@ -67,10 +67,13 @@ def test_what_simulate_writes_audit_reads(
     assert main(["simulate", "-o", str(path), "--command", command, "--duration", "60"]) == 0
     capsys.readouterr()
     code, document = audited([str(path)], capsys)
-    # A chirp ends in motion so small that a jam in its second half would not show.
-    cleared = "unknown" if command == "chirp" else "healthy"
-    assert code == (2 if command == "chirp" else 0)
-    assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {cleared, "no_data"}
+    # Of a chirp as the file of FASER's servo judges it: it ends in motion too small to show a jam in its second half.
+    is_dark = command == "chirp" and suffix == "mat"
+    assert code == (2 if is_dark else 0)
+    assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {
+        "unknown" if is_dark else "healthy",
+        "no_data",
+    }
 
 
 def test_a_noise_free_table_comes_back_to_the_nanodegree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -161,7 +164,7 @@ def test_json_never_holds_nan(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 @pytest.mark.slow
 def test_a_folder_gets_everything_and_names_never_collide(tmp_path: Path) -> None:
     for name in ("f.csv", "f.mat"):
-        main(["simulate", "-o", str(tmp_path / name), "--duration", "10"])
+        main(["simulate", "-o", str(tmp_path / name), "--duration", "30"])
     assert main(["audit", str(tmp_path / "f.csv"), str(tmp_path / "f.mat"), "-o", str(tmp_path / "out")]) == 0
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"audit.json", "f.rrd", "f~2.rrd", "f-elevator.png", "f~2-elevator.png"} <= written
