@@ -432,6 +432,32 @@ class Audits(tuple[Audit, ...]):
         return Path(path)
 
 
+@overload
+def audit(
+    log: str | Path,
+    aircraft: Aircraft | str | Path | None = None,
+    *,
+    servo: str | None = None,
+    threshold_deg: float | None = None,
+    threshold: ThresholdKind | None = None,
+    surfaces: tuple[str, ...] = (),
+    columns: Mapping[str, str] | None = None,
+) -> Any: ...  # noqa: ANN401 - only the disk knows whether it is a log or a folder
+
+
+@overload
+def audit(
+    log: Log,
+    aircraft: Aircraft | str | Path | None = None,
+    *,
+    servo: str | None = None,
+    threshold_deg: float | None = None,
+    threshold: ThresholdKind | None = None,
+    surfaces: tuple[str, ...] = (),
+    columns: Mapping[str, str] | None = None,
+) -> Audit | Audits: ...
+
+
 @_in_words_of_python
 def audit(
     log: Log,

@@ -208,7 +208,7 @@ def _judged(
 def _wider(seconds: float) -> FloatArray:
     """How many times as wide the limit of each statistic is for a fit to so little: Student's law in Gauss' place."""
     freedom = max(seconds / _ALIKE_S, _LEAST_FREEDOM)
-    times = float(stdtrit(freedom, ndtr(_RARE_SIGMAS))) / _RARE_SIGMAS
+    times = float(stdtrit(freedom, float(ndtr(_RARE_SIGMAS)))) / _RARE_SIGMAS
     squares = np.array([name.startswith(("energy", "left")) for name in STATISTICS])
     wider: FloatArray = np.where(squares, times**2, times)
     return wider

@@ -411,7 +411,8 @@ def _may_be_play(window: _Window, guess: _Guess) -> bool:
 def _error_deg(stretch: _Window, guess: _Guess) -> FloatArray:
     """What a hypothesis leaves of the positions of a stretch, shape (m,) [deg]."""
     if guess.added is not None:
-        return stretch.measured_deg - guess.added[1][0]
+        away: FloatArray = stretch.measured_deg - guess.added[1][0]
+        return away
     if guess.theta is not None and guess.kind != "oscillation":
         return stretch.measured_deg - stretch.reading(guess.theta, guess.power)[0]
     return np.full(stretch.time_s.size, _SWINGS) * stretch.total_deg

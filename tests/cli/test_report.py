@@ -65,6 +65,7 @@ def test_a_folder_without_permission_is_refused(tmp_path: Path, monkeypatch: pyt
 
 @pytest.fixture(scope="module")
 def stuck() -> LogAudit:
+    result: LogAudit
     (result,) = servofd.audit(STUCK)
     return result
 

@@ -61,7 +61,8 @@ def test_the_rate_limit_of_a_fitted_servo_is_that_of_the_surface(scale: float) -
     result = servofd.audit(pd.DataFrame({"time_s": TIME_S, **columns}))[0]
     verdict = result.surfaces[0]
     assert verdict.model.origin == "fitted"
-    gain = result.aircraft.surfaces["x"].calibrated.parameters["gain"]
-    assert gain == pytest.approx(scale, rel=0.02)
+    known = result.aircraft.surfaces["x"].calibrated
+    assert known is not None
+    assert known.parameters["gain"] == pytest.approx(scale, rel=0.02)
     assert result.aircraft.model("x").physics.follow_up_deg_s == pytest.approx(200.0, rel=0.06)
     assert verdict.status != "fault"

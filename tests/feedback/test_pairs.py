@@ -92,9 +92,9 @@ def test_what_the_servo_says_it_was_told_comes_first() -> None:
 def test_the_scale_of_pulses_is_found(unit: str) -> None:
     draft = draft_aircraft(log_of([0, 1, 3], base=0, unit=unit))
     for surface in draft.surfaces:
-        assert surface.surface.command.slope_deg_per_us == pytest.approx(0.1, rel=0.02)
-        assert surface.surface.command.trim_us == pytest.approx(1500.0, abs=0.5)
-        assert surface.surface.measured.unit == unit
+        assert surface.surface.command.model_dump()["slope_deg_per_us"] == pytest.approx(0.1, rel=0.02)
+        assert surface.surface.command.model_dump()["trim_us"] == pytest.approx(1500.0, abs=0.5)
+        assert surface.surface.model_dump()["measured"]["unit"] == unit
         assert surface.surface.calibrated is not None
         assert surface.surface.threshold_deg < 1.5
 
@@ -110,7 +110,7 @@ def test_the_pulse_of_a_command_is_found_behind_the_lag_of_its_repetition() -> N
     angles = dataclasses.replace(angles, values=0.2 * steps[np.maximum(sent, 0)])
     log = dataclasses.replace(log, channels={**log.channels, "RCOU.C1": pulses, "CSRV[0].PosCmd": angles})
     (surface,) = draft_aircraft(log).surfaces
-    assert list(surface.surface.command.pulse) == pytest.approx([1500.0, 0.2], rel=1e-3)
+    assert list(surface.surface.command.model_dump()["pulse"]) == pytest.approx([1500.0, 0.2], rel=1e-3)
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ def test_alarms_are_those_of_an_audit(tmp_path: Path, sample: str) -> None:
     period_s = np.median([one.segment.period_s for one in judged.values() if one.segment])
     plan = plan_onboard(aircraft, tuple(judged), rate_hz=float(1.0 / period_s), instructions=20_000)
     segments = {one.output: judged[one.surface].segment for one in plan.surfaces}
-    flown = fly(watch_script(plan), flight_of(segments), tmp_path)  # type: ignore[arg-type]
+    flown = fly(watch_script(plan), flight_of(segments), tmp_path)
     for planned in plan.surfaces:
         one, rows = judged[planned.surface], flown.of(planned.output)
         assert one.residuals is not None

@@ -22,6 +22,7 @@ SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 
 @pytest.fixture(scope="module")
 def stuck() -> LogAudit:
+    result: LogAudit
     (result,) = servofd.audit(SAMPLES / "faser_stuck_flight.mat")
     return result
 
