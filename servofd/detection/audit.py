@@ -29,7 +29,7 @@ from servofd.detection.evidence import detectable, reported, status_of, too_shor
 from servofd.detection.judge import judge
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals, prepared
-from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, describe
+from servofd.detection.verdict import CommonCause, LogAudit, Statistics, SurfaceAudit, describe
 from servofd.detection.wiring import wiring_problem
 
 if TYPE_CHECKING:
@@ -114,7 +114,8 @@ def audit_log(
 
     # The kernel runs without the interpreter's lock.
     with ThreadPoolExecutor(max_workers=threads or os.cpu_count()) as pool:
-        return LogAudit(log, aircraft, with_common_causes(tuple(pool.map(one, chosen))))
+        judged, causes = with_common_causes(tuple(pool.map(one, chosen)))
+        return LogAudit(log, aircraft, judged, common_causes=causes)
 
 
 def audit_segment(
@@ -139,7 +140,9 @@ def audit_segment(
     if surface.is_calibrated:
         return audit_calibrated(segment, surface, verdict, duration_s)
     if surface.model.origin == "none":
-        return verdict(status="unknown", reason=_unpredicted(surface, segment), segment=segment)
+        asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
+        reason, tried = _unpredicted(surface, segment, asked_deg), asked_deg >= _HARDLY_ASKED_DEG
+        return verdict(status="unknown", reason=reason, segment=segment, tried=tried)
     try:
         generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
     except DesignError as error:
@@ -273,9 +276,8 @@ _HARDLY_ASKED_DEG, _HARDLY_MOVED = 1.0, 0.05
 """A command that moves by less tells nothing [deg]; a position that moves by such a share of it does not follow."""
 
 
-def _unpredicted(surface: Surface, segment: Series) -> str:
+def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
     """Why no servo could be fitted to this log, and what to record."""
-    asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
     moved_deg = float(np.nanmax(segment.measured_deg) - np.nanmin(segment.measured_deg))
     record = "record a minute of full and free control movements with this surface, brisk and slow"
     share = surface.model.explained_share
@@ -316,29 +318,57 @@ def _odds(residuals: Residuals, found: tuple[Fault, ...], period_s: float, thres
     return false_alarms_per_hour(margin_deg, float(np.sqrt(power)), correlation, period_s)
 
 
-_TOGETHER_S = 0.5
-_FEWEST, _MOST_SHARE = 3, 0.6
+_TOGETHER_S, _STILL_TOGETHER_S = 1.0, 0.5
+_FEWEST, _MOST_SHARE = 3, 0.5
 """So many surfaces, and such a share of those that were judged, do not fail in one instant."""
 _FROZEN = ("stuck", "hardover", "deadband", "floating")
 _AT_START_S = 5.0
 _FROZEN_SAMPLES = 5
 _ASKED_DEG = 0.5
 """Readings of a servo that is asked to move so far change: none is coarser."""
+_NOBODYS = ("bus", "servo_type")
+"""Causes that are no fault of any servo."""
 
 
-def with_common_causes(surfaces: Sequence[SurfaceAudit]) -> tuple[SurfaceAudit, ...]:
-    """Return the same verdicts; faults that most surfaces share from one instant on become one suspicion of all."""
+def with_common_causes(
+    surfaces: Sequence[SurfaceAudit],
+) -> tuple[tuple[SurfaceAudit, ...], tuple[CommonCause, ...]]:
+    """Return the verdicts, and what befell most surfaces in one instant.
+
+    Its members keep their own faults; where a supply gave way, who was only suspected of being slow is at fault with
+    them: what several show at once is no chance. A bus that stands still or a wrong servo type is no fault of any
+    servo, and becomes a suspicion.
+    """
     judged = [s for s in surfaces if s.is_judged]
-    instants_s = sorted(_since_s(s, fault) for s in judged for fault in s.faults)
     result = list(surfaces)
-    for at_s in instants_s:
-        together = [s for s in result if any(_is_at(_since_s(s, fault), at_s) for fault in s.faults)]
-        still = [s for s in result if s not in together and _stands_still(s, at_s)]
-        if not together or len(together) + len(still) < max(_FEWEST, _MOST_SHARE * len(judged)):
+    causes: list[CommonCause] = []
+    for at_s in sorted(_since_s(s, fault) for s in judged for fault in s.faults):
+        if any(cause.since_s <= at_s <= cause.since_s + _TOGETHER_S for cause in causes):
             continue
-        text = _sentence(together, at_s, len(still))
-        result = [_shared(s, at_s, text) if s in together else s for s in result]
-    return tuple(result)
+        struck = {s.surface: fault for s in result if (fault := _struck(s, at_s)) is not None}
+        still = [s.surface for s in result if s.surface not in struck and _stands_still(s, at_s)]
+        is_common = len(struck) + len(still) >= max(_FEWEST, _MOST_SHARE * len(judged))
+        if not is_common or sum(fault.level == "fault" for fault in struck.values()) < 1:
+            continue
+        cause = _cause(list(struck.items()), still, at_s, _first_s(result))
+        causes.append(cause)
+        for place, surface in enumerate(result):
+            if surface.surface in struck and cause.kind in _NOBODYS:
+                result[place] = _excused(surface, at_s, cause)
+            elif surface.surface in struck and cause.kind == "supply":
+                result[place] = _convicted(surface, struck[surface.surface])
+    return tuple(result), tuple(causes)
+
+
+def _first_s(surfaces: Sequence[SurfaceAudit]) -> float:
+    return min((float(s.residuals.time_s[0]) for s in surfaces if s.residuals is not None), default=0.0)
+
+
+def _struck(surface: SurfaceAudit, at_s: float) -> Fault | None:
+    """What befell a surface at an instant: a fault, or a suspicion of one."""
+    found = [fault for fault in surface.faults if _is_at(_since_s(surface, fault), at_s)]
+    found += [fault for fault in surface.suspicions if _is_at(fault.start_s, at_s)]
+    return found[0] if found else None
 
 
 def _since_s(surface: SurfaceAudit, fault: Fault) -> float:
@@ -362,9 +392,9 @@ def _stands_still(surface: SurfaceAudit, at_s: float) -> bool:
         return False
     known = np.isfinite(seen.measured_deg)
     time_s, measured_deg, simulated_deg = seen.time_s[known], seen.measured_deg[known], seen.simulated_deg[known]
-    begin, end = np.searchsorted(time_s, (at_s + _TOGETHER_S, at_s + 2.0 * _TOGETHER_S))
+    begin, end = np.searchsorted(time_s, (at_s + _STILL_TOGETHER_S, at_s + 2.0 * _STILL_TOGETHER_S))
     if begin == end:
-        return bool(begin > 0 and time_s[begin - 1] >= at_s - _TOGETHER_S)
+        return bool(begin > 0 and time_s[begin - 1] >= at_s - _STILL_TOGETHER_S)
     froze = end - begin >= _FROZEN_SAMPLES and np.ptp(measured_deg[begin:end]) == 0.0
     return bool(froze and np.ptp(simulated_deg[begin:end]) > _ASKED_DEG)
 
@@ -373,26 +403,43 @@ def _is_at(start_s: float, at_s: float) -> bool:
     return 0.0 <= start_s - at_s <= _TOGETHER_S
 
 
-def _sentence(together: Sequence[SurfaceAudit], at_s: float, still: int) -> str:
-    """What happened to all of them, of which so many stood still without a fault, and what to look at."""
-    kinds = [fault.kind for s in together for fault in s.faults if _is_at(_since_s(s, fault), at_s)]
-    ends = [fault.end_s for s in together for fault in s.faults if _is_at(_since_s(s, fault), at_s)]
-    first_s = min(float(s.residuals.time_s[0]) for s in together if s.residuals is not None)
-    count = len(together) + still
-    start = f"{count} surfaces left their models together at {at_s:.2f} s, which is one cause and no servo's:"
+def _cause(struck: Sequence[tuple[str, Fault]], still: Sequence[str], at_s: float, first_s: float) -> CommonCause:
+    """What happened to all of them, and what to look at."""
+    names = tuple([name for name, _ in struck] + list(still))
+    faults = [fault for _, fault in struck]
+    ends_s = [fault.end_s for fault in faults if fault.end_s is not None]
+    end_s = float(np.median(ends_s)) if len(ends_s) == len(faults) else None
+    count = f"{len(names)} surfaces left their models together at {at_s:.2f} s"
+    slow = [fault for fault in faults if "slow" in (fault.kind, *fault.alternatives)]
     if at_s - first_s <= _AT_START_S:
-        return f"{start} look for a wrong servo type, calibration or pairing (--servo unknown fits servos to this log)"
-    if still or sum(kind in _FROZEN for kind in kinds) > 0.5 * len(kinds):
-        lasted = [end_s - at_s for end_s in ends if end_s is not None]
-        until = f", for {float(np.median(lasted)):.1f} s" if len(lasted) == len(ends) else ""
-        return (
-            f"{start} their positions stand still{until}; look for a frozen or late servo bus, or a supply that failed"
-        )
-    return f"{start} look at the servo supply, the bus and the clocks of the log"
+        text = f"{count}: look for a wrong servo type, calibration or pairing (--servo unknown fits servos to this log)"
+        return CommonCause("servo_type", at_s, end_s, names, text)
+    if still or 2 * sum(fault.kind in _FROZEN for fault in faults) > len(faults):
+        until = "" if end_s is None else f", for {end_s - at_s:.1f} s"
+        text = f"{count}: their positions stand still{until}; look for a frozen or late bus, or a failed supply"
+        return CommonCause("bus", at_s, end_s, names, text)
+    if 2 * len(slow) > len(faults):
+        shares = [f.parameters["bandwidth_scale"].value for f in slow if "bandwidth_scale" in f.parameters]
+        speed = f"{float(np.median(shares)):.0%} of their speed" if shares else "less than their speed"
+        text = f"the supply gave way at {at_s:.2f} s: {len(names)} servos have {speed}; measure it under load"
+        return CommonCause("supply", at_s, end_s, names, text)
+    return CommonCause("unknown", at_s, end_s, names, f"{count}: look at the servo supply, the bus and the clocks")
 
 
-def _shared(surface: SurfaceAudit, at_s: float, text: str) -> SurfaceAudit:
-    """The surface without the faults of this instant, and with the sentence."""
+def _convicted(surface: SurfaceAudit, given: Fault) -> SurfaceAudit:
+    """The surface at fault of what it was suspected of, since others show the same at once."""
+    if given in surface.faults or "slow" not in (given.kind, *given.alternatives):
+        return surface
+    fault = replace(given, kind="slow", level="fault")
+    suspicions = tuple(one for one in surface.suspicions if one is not given)
+    faults = tuple(sorted((*surface.faults, fault), key=lambda one: one.start_s))
+    reason = f"servo or its feedback: {'; then '.join(describe(one) for one in faults)}; others show the same at once"
+    return replace(surface, status="fault", faults=faults, suspicions=suspicions, reason=reason)
+
+
+def _excused(surface: SurfaceAudit, at_s: float, cause: CommonCause) -> SurfaceAudit:
+    """The surface without the faults of an instant that are no servo's, and with the sentence."""
+    text = f"{cause.text}: one cause, and no servo's"
     shared = [fault for fault in surface.faults if _is_at(_since_s(surface, fault), at_s)]
     own = tuple(fault for fault in surface.faults if fault not in shared)
     common = tuple(replace(fault, level="suspect") for fault in shared)

@@ -341,6 +341,7 @@ def reported(
         if segment.frozen_to_end and status != "fault":
             status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
     return verdict(
+        tried=status != "unknown" or found["detectable"].loss_share is not None,
         status=status,
         reason="; ".join((reason, *after)),
         segment=segment,

@@ -89,6 +89,8 @@ class SurfaceAudit:
     """Of an interval threshold the median level."""
     expected: bool
     """False if the aircraft file names no measured channel, or the log knows nothing of this surface."""
+    tried: bool = True
+    """False if it was not asked to move enough to show a jam."""
     faults: tuple[Fault, ...] = ()
     suspicions: tuple[Fault, ...] = ()
     """What only a cumulative sum noticed, or the tolerances of a working servo explain."""
@@ -113,6 +115,19 @@ class SurfaceAudit:
 
 
 @dataclass(frozen=True, slots=True)
+class CommonCause:
+    """What befell several surfaces in one instant."""
+
+    kind: Literal["supply", "bus", "clock", "servo_type", "unknown"]
+    since_s: float
+    end_s: float | None
+    """None if it lasts to the end of the log."""
+    surfaces: tuple[str, ...]
+    text: str
+    """One sentence."""
+
+
+@dataclass(frozen=True, slots=True)
 class LogAudit:
     """Verdict on all surfaces of one log."""
 
@@ -121,6 +136,8 @@ class LogAudit:
     surfaces: tuple[SurfaceAudit, ...]
     axes: tuple[AxisAudit, ...] = ()
     """What the aircraft's motion tells, if it was calibrated."""
+    common_causes: tuple[CommonCause, ...] = ()
+    """What befell several surfaces at once."""
 
     @property
     def has_fault(self) -> bool:
@@ -129,8 +146,15 @@ class LogAudit:
 
     @property
     def unjudged(self) -> tuple[SurfaceAudit, ...]:
-        """Surfaces that were expected to be judged and could not be."""
-        return tuple(s for s in self.surfaces if s.expected and not s.is_judged)
+        """Surfaces that were expected to be judged and could not be.
+
+        One that was not asked to move enough to show a jam does not keep the others from being cleared, if they are at
+        least half.
+        """
+        expected = [s for s in self.surfaces if s.expected]
+        missing = tuple(s for s in expected if not s.is_judged)
+        untried = sum(not s.tried for s in missing)
+        return missing if 2 * untried > len(expected) else tuple(s for s in missing if s.tried)
 
     @property
     def not_judged(self) -> str:

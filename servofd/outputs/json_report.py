@@ -53,6 +53,7 @@ def _log(result: LogAudit | FailedLog) -> dict[str, Any]:
         **_about(result.log),
         "error": None,
         "sentence": whole_sentence(result),
+        "common_causes": [asdict(cause) for cause in result.common_causes],
         "surfaces": {surface.surface: _surface(surface) for surface in result.surfaces},
         "axes": {axis.axis: _axis(axis) for axis in result.axes},
     }
@@ -148,14 +149,23 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
         },
         "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
         "false_alarms_per_hour": surface.false_alarms_per_hour,
-        "faults": [_fault(fault) for fault in surface.faults],
-        "suspicions": [_fault(fault) for fault in surface.suspicions],
+        "feedback": "position" if surface.segment is not None else "none",
+        "tried": surface.tried,
+        "faults": _faults(surface.surface, surface.faults),
+        "suspicions": _faults(f"{surface.surface}-suspected", surface.suspicions),
     }
 
 
-def _fault(fault: Fault) -> dict[str, Any]:
+def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
+    """Each with its name among those of its surface, in the order in which they were raised."""
+    return [_fault(f"{name}-{place}", fault) for place, fault in enumerate(faults, start=1)]
+
+
+def _fault(identity: str, fault: Fault) -> dict[str, Any]:
     plain = {name: getattr(fault, name) for name in _OF_FAULT}
     return plain | {
+        "id": identity,
+        "witness": "position",
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
         "alternatives": list(fault.alternatives),

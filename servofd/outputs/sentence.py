@@ -26,6 +26,13 @@ _WHAT = {
     "loss_of_effectiveness": "MOVES ONLY {gain:.0%} of its command since {since}",
     "unknown": "NOT WHERE IT SHOULD BE since {since}",
 }
+_CAUSES = {
+    "supply": "SUPPLY GAVE WAY",
+    "bus": "SERVO BUS STOOD STILL",
+    "clock": "CLOCKS DISAGREE",
+    "servo_type": "WRONG SERVO TYPE",
+    "unknown": "ONE CAUSE",
+}
 _MOST_NAMED = 2
 _CLAUSE = re.compile(r"[:;]| \(|, ")
 """Where the first clause of a reason ends."""
@@ -68,7 +75,10 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
         return f"{told}. Do not fly."
     if suspect:
         return f"{_surfaces(suspect).upper()} SUSPECT: look at it before the next flight."
-    dark = [s for s in surfaces if s.expected and not s.is_judged]
+    untried = [s for s in surfaces if s.expected and not s.is_judged and not s.tried]
+    dark = [s for s in surfaces if s.expected and not s.is_judged and s.tried]
+    if not healthy:
+        dark, untried = [*dark, *untried], []
     reasons = list(dict.fromkeys(_CLAUSE.split(s.reason, maxsplit=1)[0] for s in dark))
     why = f": {reasons[0]}" if len(reasons) == 1 else ""  # each with its numbers stands beside its surface
     missing = f"No verdict on {_surfaces(dark)}{why}." if dark else ""
@@ -77,13 +87,17 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
     if len(healthy) == 1:
         text = f"{spoken(healthy[0].surface).capitalize()} followed its command."
     else:
-        text = f"All {len(healthy)} surfaces {'that could be judged ' if missing else ''}followed their commands."
-    return f"{text} {missing}".strip()
+        told = "that could be judged " if missing or untried else ""
+        text = f"All {len(healthy)} surfaces {told}followed their commands."
+    verb = "was" if len(untried) == 1 else "were"
+    not_moved = f"{_surfaces(untried).capitalize()} {verb} not tried." if untried else ""
+    return " ".join(part for part in (text, missing, not_moved) if part)
 
 
 def whole_sentence(audit: LogAudit) -> str:
     """What happened to surfaces and axes, and whether to fly, once."""
-    parts = [sentence(audit.surfaces)] if audit.surfaces else []
+    parts = [f"{_CAUSES[cause.kind]} at {clock(cause.since_s)}: {cause.text}." for cause in audit.common_causes]
+    parts += [sentence(audit.surfaces)] if audit.surfaces else []
     advised = worst(audit.surfaces)
     return " ".join([*parts, *([axes_sentence(audit.axes, advised)] if audit.axes else [])]) or sentence(())
 

@@ -128,8 +128,8 @@ def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loss_share", "oscillation_deg"])
-@pytest.mark.parametrize("share", [0.27, 0.45])
-def test_a_fault_of_the_stated_size_in_the_second_quarter_shows(kind: str, share: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize("share", [0.45, 0.6])
+def test_a_fault_of_the_stated_size_behind_the_part_that_was_fitted_shows(kind: str, share: float, tmp_path: Path) -> None:
     table = pd.read_csv(Path(__file__).parents[2] / "sample_logs" / "table_three_faults.csv")
     table = table[["time_s", "aileron_cmd_deg", "aileron_pos_deg"]]
     table.to_csv(tmp_path / "good.csv", index=False)

@@ -340,7 +340,7 @@ def test_the_firmware_and_its_settings_tell_the_kind_of_vehicle(
 ) -> None:
     first_us = 5_000_000
     said = Message("MSG", "QZ", {"TimeUS": [first_us], "Message": [firmware]})
-    pulses = {"TimeUS": first_us + 20_000 * np.arange(50), "C1": [1500] * 50}
+    pulses: dict[str, Any] = {"TimeUS": first_us + 20_000 * np.arange(50), "C1": [1500] * 50}
     parm: dict[str, Any] = {"TimeUS": [first_us] * len(frame), "Name": list(frame), "Value": list(frame.values())}
     log = logparsers.read(io.BytesIO(encode([said, Message("RCOU", "QH", pulses), Message("PARM", "QNf", parm)])))
     assert log.vehicle == vehicle

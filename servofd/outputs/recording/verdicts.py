@@ -15,7 +15,7 @@ from servofd.aircraft.series import LeftOut
 from servofd.core.errors import RecordingError
 from servofd.core.evidence import Detectable, ModelOrigin
 from servofd.core.statistics import Estimate
-from servofd.detection.verdict import Fault, LogAudit, Statistics, SurfaceAudit
+from servofd.detection.verdict import CommonCause, Fault, LogAudit, Statistics, SurfaceAudit
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.stream import shown
 
@@ -115,7 +115,11 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
             key: tuple(LeftOut(*each) for each in entry.get("left_out", ()))
             for key, entry in document["surfaces"].items()
         }
-        return Verdicts(LogAudit(_log(document), aircraft, surfaces), tuple(document["notes"]), left_out)
+        causes = tuple(
+            CommonCause(**{**one, "surfaces": tuple(one["surfaces"])}) for one in document.get("common_causes", ())
+        )
+        audit = LogAudit(_log(document), aircraft, surfaces, common_causes=causes)
+        return Verdicts(audit, tuple(document["notes"]), left_out)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
         raise RecordingError(
             f"{name}: its verdicts cannot be read ({type(error).__name__}); audit the log again"
@@ -160,6 +164,7 @@ def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
         threshold_kind=entry["threshold"]["kind"],
         threshold_deg=entry["threshold"]["deg"],
         expected=entry["expected"],
+        tried=entry.get("tried", True),
         faults=tuple(_fault(fault) for fault in entry["faults"]),
         suspicions=tuple(_fault(fault) for fault in entry["suspicions"]),
         statistics=statistics,
