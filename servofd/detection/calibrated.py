@@ -555,7 +555,8 @@ def judged(flight: Watched) -> Found:
         fault = _weighed(fault, ratio, is_far=is_far)
         if guess is not None and fault.kind != "healthy":
             there = _Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
-            left_deg[there.rows][there.used] = _error_deg(there, guess)[there.used]
+            explained = 1.0 / _SWINGS if guess.kind == "oscillation" else 1.0
+            left_deg[there.rows][there.used] = explained * _error_deg(there, guess)[there.used]
         if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < _SAME_S:
             fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
