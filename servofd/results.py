@@ -286,7 +286,8 @@ class Audit(LogAudit, Shown):
     @classmethod
     def _of(cls, found: LogAudit) -> Self:
         surfaces = tuple(AuditedSurface(**_fields(one)) for one in found.surfaces)
-        return cls(found.log, found.aircraft, surfaces, tuple(AuditedAxis(**_fields(one)) for one in found.axes))
+        axes = tuple(AuditedAxis(**_fields(one)) for one in found.axes)
+        return cls(found.log, found.aircraft, surfaces, axes, found.common_causes)
 
     def __iter__(self) -> Iterator[Self]:
         """Itself, once."""

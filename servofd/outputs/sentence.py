@@ -96,7 +96,7 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
 
 def whole_sentence(audit: LogAudit) -> str:
     """What happened to surfaces and axes, and whether to fly, once."""
-    parts = [f"{_CAUSES[cause.kind]} at {clock(cause.since_s)}: {cause.text}." for cause in audit.common_causes]
+    parts = [f"{_CAUSES[one.kind]} at {clock(one.since_s)}: {one.text}." for one in audit.common_causes]
     parts += [sentence(audit.surfaces)] if audit.surfaces else []
     advised = worst(audit.surfaces)
     return " ".join([*parts, *([axes_sentence(audit.axes, advised)] if audit.axes else [])]) or sentence(())

@@ -178,3 +178,33 @@ measured = {{ channel = "{name}_pos_deg", unit = "deg" }}
         ("aileron-fitted", "fitted"),
         ("hs225bb-eq31", "named"),
     ]
+
+
+@pytest.mark.slow
+def test_what_began_late_is_told_the_right_way_round() -> None:
+    """The rudder is off for thirty of forty seconds: most of the log is faulty, and the servo is that of the rest."""
+    (result,) = servofd.audit("sample_logs/table_three_faults.csv")
+    (fault,) = result["rudder"].faults
+    assert (fault.kind, fault.end_s) == ("bias", None)
+    assert fault.start_s == pytest.approx(10.0, abs=0.5)
+    assert fault.parameters["bias_deg"].value == pytest.approx(2.5, abs=0.1)
+    first, second = result["elevator"].faults
+    assert (first.kind, second.kind) == ("deadband", "stuck")
+    assert [first.start_s, first.end_s, second.start_s] == pytest.approx([5.0, 14.0, 30.0], abs=0.3)
+    assert result["aileron"].status == "healthy"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("resting", [1, 3])
+def test_what_was_not_tried_does_not_keep_the_others_from_being_cleared(resting: int, tmp_path: Path) -> None:
+    """Unless it is most of the aircraft."""
+    table = pd.read_csv("sample_logs/table_three_faults.csv")[["time_s", "aileron_cmd_deg", "aileron_pos_deg"]]
+    table = table.assign(rudder_cmd_deg=table["aileron_cmd_deg"], rudder_pos_deg=table["aileron_pos_deg"])
+    noise_deg = np.random.default_rng(1).normal(0.0, 0.05, (len(table), resting))
+    for k in range(resting):
+        table = table.assign(**{f"flap{k}_cmd_deg": 0.0, f"flap{k}_pos_deg": noise_deg[:, k].round(3)})
+    table.to_csv(tmp_path / "flight.csv", index=False)
+    (result,) = servofd.audit(tmp_path / "flight.csv")
+    assert bool(result.not_judged) == (resting == 3)
+    if resting == 1:
+        assert result.sentence == "All 2 surfaces that could be judged followed their commands. Flap0 was not tried."

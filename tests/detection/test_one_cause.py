@@ -10,6 +10,11 @@ import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import BoolArray
 from servofd.detection.verdict import SurfaceAudit
+from servofd.servo.effects.commands import Delay
+from servofd.servo.effects.linkage import RateLimit
+from servofd.servo.library import second_order
+from servofd.servo.servo_model import ServoModel
+from servofd.simulation.commands import doublets
 
 NAMES, SIZES_DEG = ("aileron", "elevator", "rudder"), (10.0, 1.5, 1.5)
 TIME_S = np.arange(0.0, 40.0, 0.02)
@@ -55,3 +60,32 @@ def test_a_jam_is_its_own_whatever_the_others_do(silent_s: tuple[float, float]) 
     (fault,) = audited({"aileron": TIME_S >= 20.0}, others)["aileron"].faults
     assert fault.kind == "stuck"
     assert fault.start_s == pytest.approx(20.0, abs=0.6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.33, 0.5])
+def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float) -> None:
+    """Six servos of which nobody knows anything but what this log shows."""
+    time_s = np.arange(0.0, 90.0, 0.02)
+    columns = {}
+    for k in range(6):
+        rng = np.random.default_rng(k)
+        command_deg = doublets(time_s, rng) + 6.0 * np.sin((1.0 + 0.3 * k) * time_s)
+        before_deg, after_deg = (servo(part).simulate(time_s, command_deg, time_s) for part in (1.0, share))
+        measured_deg = np.where(time_s < 45.0, before_deg, after_deg) + rng.normal(0.0, 0.08, time_s.size)
+        columns |= {f"servo{k}_cmd_deg": command_deg, f"servo{k}_pos_deg": measured_deg}
+    (result,) = servofd.audit(pd.DataFrame({"time_s": time_s, **columns}))
+    assert {surface.status for surface in result.surfaces} == {"fault"}
+    for surface in result.surfaces:
+        (fault,) = surface.faults
+        assert fault.kind == "slow"
+        assert fault.parameters["bandwidth_scale"].value == pytest.approx(share, abs=0.1)
+    (cause,) = result.common_causes
+    assert (cause.kind, cause.end_s, len(cause.surfaces)) == ("supply", None, 6)
+    assert cause.since_s == pytest.approx(45.0, abs=1.0)
+    assert result.sentence.startswith("SUPPLY GAVE WAY at 0:45")
+
+
+def servo(share: float) -> ServoModel:
+    """One with such a share of its speed."""
+    return ServoModel(second_order(2.0 * np.pi * 6.0 * share, 0.8)) + Delay(0.02) + RateLimit(300.0 * share)
