@@ -75,10 +75,13 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
         return f"{told}. Do not fly."
     if suspect:
         return f"{_surfaces(suspect).upper()} SUSPECT: look at it before the next flight."
-    untried = [s for s in surfaces if s.expected and not s.is_judged and not s.tried]
-    dark = [s for s in surfaces if s.expected and not s.is_judged and s.tried]
-    if not healthy:
-        dark, untried = [*dark, *untried], []
+    return _cleared(healthy, [s for s in surfaces if s.expected and not s.is_judged])
+
+
+def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> str:
+    """Which surfaces are well, which were not tried, and on which there is no verdict, and why."""
+    untried = [s for s in dark if healthy and not s.tried]
+    dark = [s for s in dark if s not in untried]
     reasons = list(dict.fromkeys(_CLAUSE.split(s.reason, maxsplit=1)[0] for s in dark))
     why = f": {reasons[0]}" if len(reasons) == 1 else ""  # each with its numbers stands beside its surface
     missing = f"No verdict on {_surfaces(dark)}{why}." if dark else ""
