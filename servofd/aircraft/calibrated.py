@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from servofd.aircraft.noise import Noise
 from servofd.aircraft.priors import NAMES, PRIORS
+from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -140,3 +144,26 @@ class CalibratedServo(BaseModel):
     def _scaled(self) -> FloatArray:
         units = np.array([prior.between for prior in PRIORS])
         return self.covariance / np.outer(units, units)
+
+
+def calibrated_to_toml(name: str, known: dict[str, Any], comments: Mapping[str, str]) -> list[str]:
+    """Lines of an aircraft file that hold a fitted servo (as `CalibratedServo.model_dump` gives it) and its tests.
+
+    Examples
+    --------
+    >>> parameters = {prior.name: prior.value for prior in PRIORS}
+    >>> known = {"reach_deg": [-20.0, 20.0], "parameters": parameters, "between": [[1.0]], "noise": {"lag_s": 0.003}}
+    >>> calibrated_to_toml("rudder", known, {})[:3]
+    ['', '[surfaces.rudder.calibrated]', 'reach_deg = [-20.0, 20.0]']
+    """
+    heading = f"surfaces.{toml_key(name)}.calibrated"
+    plain = {key: value for key, value in known.items() if key not in ("parameters", "thresholds", "between", "noise")}
+    lines = ["", f"[{heading}]", *toml_lines(plain), "between = [  # covariance between good flights, lower triangle"]
+    lines += [f"    {toml_value(row)}," for row in known["between"]]
+    lines += ["]", "", f"[{heading}.parameters]"]
+    told = {prior.name: f"{comments.get(prior.name, '')} {prior.unit}".strip() for prior in PRIORS}
+    lines += toml_lines({prior.name: known["parameters"][prior.name] for prior in PRIORS}, told)
+    lines += ["", f"[{heading}.noise]", *toml_lines(known["noise"])]
+    if known.get("thresholds"):
+        lines += ["", f"[{heading}.thresholds]", *toml_lines(known["thresholds"])]
+    return lines

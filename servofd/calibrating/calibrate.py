@@ -11,37 +11,38 @@ import numpy as np
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft
-from servofd.calibrating.known import (
-    SPOKEN,
-    foreseen,
-    hardly_moved,
-    known_servo,
-    refuse_broken,
-    refuse_mixed,
-    refuse_unlike,
-    thresholds_above,
-)
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
 from servofd.core.evidence import ModelOrigin
 from servofd.core.statistics import Estimate
-from servofd.core.tolerance import Tolerance
 from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
 from servofd.detection.evidence import is_blind
+from servofd.detection.known import (
+    SPOKEN,
+    constant_deg,
+    foreseen,
+    hardly_moved,
+    known_servo,
+    linear_servo,
+    refuse_broken,
+    refuse_mixed,
+    refuse_unlike,
+    thresholds_above,
+    tolerance_of,
+)
 from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import WIDTHS, fit, worse_without
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
 from servofd.servo.context import AIR_KG_M3
-from servofd.servo.library import Servo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from servofd.aircraft.schema import Surface
-    from servofd.calibrating.flights import Flight
     from servofd.core.evidence import Detectable
     from servofd.core.types import FloatArray
+    from servofd.detection.flights import Flight
     from servofd.estimate.fit import Fit
 
 _PAYS: Final = 1.01
@@ -155,49 +156,6 @@ def _shown(estimate: Estimate, *, least: bool) -> str:
     return f"{value:.2g} deg [{low:.2g}, {high:.2g}]"
 
 
-def linear_servo(theta: FloatArray, source: str) -> Servo:
-    """The servo without its effects."""
-    from servofd.servo.transfer import TransferFunction
-
-    natural, damping = float(np.exp(theta[3])), float(np.exp(theta[4]))
-    transfer = TransferFunction((natural**2,), (1.0, 2.0 * damping * natural, natural**2))
-    return Servo.model_validate(
-        {
-            "title": "calibrated servo",
-            "bandwidth_hz": float(f"{transfer.bandwidth_rad_s / (2.0 * np.pi):.6g}"),
-            "damping": float(f"{damping:.6g}"),
-            "delay_s": round(float(theta[2]), 6),
-            "hold": "zoh",
-            "rate_limit_deg_s": float(f"{np.exp(theta[5]):.6g}"),
-            "source": source,
-        }
-    )
-
-
-def tolerance_of(known: CalibratedServo) -> Tolerance:
-    """Three standard deviations between flights, and the effects that a linear servo lacks."""
-    deviation = dict(zip(NAMES, 3.0 * np.sqrt(np.diag(known.covariance)), strict=True))
-    lacking = sum(known.parameters[key] for key in ("deadband_deg", "friction_deg", "play_deg")) / 2.0
-
-    def rounded(value: float, most: float = 0.9) -> float:
-        return float(f"{min(value, most):.3g}")
-
-    return Tolerance(
-        gain=rounded(deviation["gain"] + abs(known.parameters["hinge"])),
-        delay_s=rounded(deviation["delay_s"]),
-        bandwidth=rounded(deviation["ln_bandwidth"] + deviation["ln_damping"]),
-        rate=rounded(deviation["ln_rate"] + 0.1),
-        bias_deg=rounded(deviation["bias_deg"] + lacking + abs(known.parameters["hinge_deg"]), 900.0),
-        noise_deg=rounded(known.noise.still_deg, 900.0),
-    )
-
-
-def constant_deg(fitted: Fit) -> float:
-    """Constant threshold that the flights stayed below where they were left out of the fit, with a margin [deg]."""
-    largest = max(float(np.nanmax(np.abs(part), initial=0.0)) for part in fitted.held_out_deg)
-    return float(f"{max(1.5 * largest, 0.05):.2g}")
-
-
 def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now: Detectable) -> str:
     """What three more flights for each of these would show, if good flights differ by as little as they may."""
     surer = foreseen(known, fitted)
@@ -257,7 +215,7 @@ def calibrate_aircraft(
     --------
     >>> import numpy as np
     >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.calibrating.flights import Flight
+    >>> from servofd.detection.flights import Flight
     >>> from servofd.aircraft.series import Series
     >>> from servofd.simulation.flight import simulate_flight
     >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=30.0, seed=1, noise_deg=0.05)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from servofd.aircraft.priors import PRIORS
+from servofd.aircraft.calibrated import calibrated_to_toml
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.detection.calibrated import FALSE_ALARMS_PER_HOUR
@@ -107,23 +107,7 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
         }
         entry.setdefault("threshold_deg", one.threshold_deg)
         lines += toml_lines(entry, comments)
-    return lines if known is None else [*lines, *calibrated_to_toml(name, known, one)]
-
-
-def calibrated_to_toml(name: str, known: dict[str, Any], one: CalibratedSurface | None = None) -> list[str]:
-    """The fitted servo and its tests."""
-    heading = f"surfaces.{toml_key(name)}.calibrated"
-    parameters, thresholds = known.pop("parameters"), known.pop("thresholds", {})
-    between, noise = known.pop("between"), known.pop("noise")
-    lines = ["", f"[{heading}]", *toml_lines(known), "between = [  # covariance between good flights, lower triangle"]
-    lines += [f"    {toml_value(row)}," for row in between]
-    lines += ["]", "", f"[{heading}.parameters]"]
-    comments = {prior.name: prior.unit for prior in PRIORS}
-    if one is not None:
-        found = {name: one.estimates[name] for name in comments}
-        comments = {name: f"[{e[1]:.4g}, {e[2]:.4g}] {comments[name]}".rstrip() for name, e in found.items()}
-    lines += toml_lines({prior.name: parameters[prior.name] for prior in PRIORS}, comments)
-    lines += ["", f"[{heading}.noise]", *toml_lines(noise)]
-    if thresholds:
-        lines += ["", f"[{heading}.thresholds]", *toml_lines(thresholds)]
-    return lines
+    if known is None:
+        return lines
+    intervals = {} if one is None else {key: f"[{e.low:.4g}, {e.high:.4g}]" for key, e in one.estimates.items()}
+    return [*lines, *calibrated_to_toml(name, known, intervals)]

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.aircraft.calibrated import calibrated_to_toml
 from servofd.aircraft.outputs import WITHOUT_SURFACES, Pair, find_pairs, pulse_channel
 from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.series import bus_of
-from servofd.calibrating.known import Line
-from servofd.calibrating.result import calibrated_to_toml
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
+from servofd.detection.known import Line
 from servofd.feedback.fitted import Found, found_in, with_own_servo
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ def _to_toml(log: FlightLog, aircraft: Aircraft, remarks: list[str], heads: Mapp
         order = {key: entry[key] for key in _ENTRIES if key in entry} | entry
         lines += ["", f"[surfaces.{toml_key(name)}]{heads.get(name, '')}", *toml_lines(order)]
         if known is not None:
-            lines += calibrated_to_toml(name, known)
+            lines += calibrated_to_toml(name, known, {})
     for key, servo in aircraft.servos.items():
         table = servo.model_dump(exclude_defaults=True, exclude_none=True, mode="json")
         lines += ["", f"[servos.{toml_key(key)}]", *toml_lines(table)]

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from servofd.aircraft.series import bus_of, cut
-from servofd.calibrating.known import Line, crude_line
-from servofd.calibrating.own import OwnServo, own_servo, parts_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.evidence import ModelOrigin
+from servofd.detection.known import Line, crude_line
+from servofd.detection.own import OwnServo, own_servo, parts_of
 from servofd.estimate.record import Record
 from servofd.servo.library import Servo
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.schema import Aircraft
     from servofd.axes.verdict import AxisAudit
-    from servofd.calibrating.flights import Flight, Span
     from servofd.calibrating.result import Calibration
+    from servofd.detection.flights import Flight, Span
     from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
     from servofd.feedback.flown import Log
     from servofd.flight.judge import FlightAlone
@@ -256,7 +256,7 @@ def flights_of(
     runs: tuple[str, ...] = (),
 ) -> dict[str, list[Flight]]:
     """Each surface in each log that measured it."""
-    from servofd.calibrating.flights import Flight, cropped
+    from servofd.detection.flights import Flight, cropped
 
     flights: dict[str, list[Flight]] = {name: [] for name in surfaces or aircraft.surfaces}
     reasons, seen = [], set()

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from servofd.aircraft.priors import SIGMAS
-from servofd.calibrating.flights import Flight, busiest
 from servofd.core.errors import NoMeasurement
 from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.statistics import MAD_TO_SIGMA, Estimate, line, memory
+from servofd.detection.flights import Flight, busiest
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.servo.effects.commands import Delay

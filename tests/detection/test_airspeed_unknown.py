@@ -13,8 +13,8 @@ from servofd.aircraft.priors import NAMES
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
-from servofd.calibrating.flights import Flight
 from servofd.detection.audit import audit_segment
+from servofd.detection.flights import Flight
 from servofd.detection.stream import CalibratedStream
 from servofd.servo.context import NO_CONTEXT, Context
 

@@ -8,8 +8,8 @@ import pytest
 from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
-from servofd.calibrating.flights import Flight
 from servofd.core.types import FloatArray
+from servofd.detection.flights import Flight
 from servofd.detection.monitor import Event, Quiet, SurfaceMonitor
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0

@@ -55,8 +55,8 @@ def test_an_aircraft_is_drafted_from_the_longest_flight_of_a_log(
         drafts.append(tomllib.loads(capsys.readouterr().out))
     of_both, of_second = drafts
     for name, surface in of_second["surfaces"].items():
-        slopes = [each["command"]["slope_deg_per_us"] for each in (of_both["surfaces"][name], surface)]
-        assert slopes[0] == pytest.approx(slopes[1], rel=0.01)
+        gains = [each["calibrated"]["parameters"]["gain"] for each in (of_both["surfaces"][name], surface)]
+        assert gains[0] == pytest.approx(gains[1], abs=0.03)
 
 
 def test_each_boot_is_a_sweep_of_its_own_and_one_that_is_no_go_counts(

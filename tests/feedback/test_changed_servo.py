@@ -11,8 +11,8 @@ import pytest
 from logparsers.records import Channel, FlightLog
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
-from servofd.calibrating.own import OwnServo, own_servo
 from servofd.detection.audit import audit_log
+from servofd.detection.own import OwnServo, own_servo
 from servofd.feedback.fitted import fitted_aircraft
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit

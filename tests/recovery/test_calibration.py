@@ -20,12 +20,12 @@ from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
-from servofd.calibrating.flights import Flight
 from servofd.calibrating.result import Calibration
 from servofd.core.errors import CalibrationError
 from servofd.core.series import latest
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_segment
+from servofd.detection.flights import Flight
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
 from servofd.detection.verdict import Fault, SurfaceAudit

@@ -18,12 +18,11 @@ from scipy.special import ndtr, stdtrit
 
 from servofd.aircraft.calibrated import CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES
-from servofd.calibrating.calibrate import constant_deg, linear_servo, tolerance_of
-from servofd.calibrating.flights import Flight, busiest, cropped
-from servofd.calibrating.known import hardly_moved, known_servo
 from servofd.core.evidence import ModelOrigin
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
+from servofd.detection.flights import Flight, busiest, cropped
+from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
 from servofd.estimate.fit import fit, reach_of
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 
@@ -41,6 +40,8 @@ _MOST_SAMPLES: Final = 3_000
 """Of a part that are fitted: a minute at 50 Hz."""
 _EXPLAINS: Final = 0.3
 """Share of the motion, held out, that the servo of a part explains there, or it is none."""
+_UNUSUAL_EXPLAINS: Final = 0.8
+"""The same of a servo that is like no sound one: some motion goes with some command by chance."""
 _OWN_LIMITS: Final = 2.5
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
 _OWN_MARGIN: Final = 1.6
@@ -141,7 +142,7 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             records = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
             fitted = fit(records, reach_deg=reach_deg)
             share = fitted.explained_share if share is None else max(share, fitted.explained_share)
-            if fitted.explained_share >= _EXPLAINS:
+            if fitted.explained_share >= (_UNUSUAL_EXPLAINS if unusual(fitted.theta) else _EXPLAINS):
                 one = _judged(between_s, fitted, records, whole, usual, own_limits=1.0 if count == 1 else _OWN_LIMITS)
                 found += [one] if one is not None else []
         if count > 1 and found and _best(found).apart < _SOUND_ENOUGH:

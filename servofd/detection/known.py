@@ -8,14 +8,16 @@ import numpy as np
 
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES, PRIORS
-from servofd.calibrating.flights import Flight, asked_deg, cropped
 from servofd.core.errors import CalibrationError
+from servofd.core.tolerance import Tolerance
 from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
+from servofd.detection.flights import Flight, asked_deg, cropped
 from servofd.detection.verdict import describe
 from servofd.detection.wiring import ENOUGH_MOTION_DEG
 from servofd.estimate.fit import fit, predicted, residual
 from servofd.estimate.record import Record
+from servofd.servo.library import Servo
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -92,6 +94,49 @@ def known_servo(
         fastest_m_s=round(fastest_m_s, 2),
         flights=len(records),
     )
+
+
+def linear_servo(theta: FloatArray, source: str) -> Servo:
+    """The servo without its effects."""
+    from servofd.servo.transfer import TransferFunction
+
+    natural, damping = float(np.exp(theta[3])), float(np.exp(theta[4]))
+    transfer = TransferFunction((natural**2,), (1.0, 2.0 * damping * natural, natural**2))
+    return Servo.model_validate(
+        {
+            "title": "calibrated servo",
+            "bandwidth_hz": float(f"{transfer.bandwidth_rad_s / (2.0 * np.pi):.6g}"),
+            "damping": float(f"{damping:.6g}"),
+            "delay_s": round(float(theta[2]), 6),
+            "hold": "zoh",
+            "rate_limit_deg_s": float(f"{np.exp(theta[5]):.6g}"),
+            "source": source,
+        }
+    )
+
+
+def tolerance_of(known: CalibratedServo) -> Tolerance:
+    """Three standard deviations between flights, and the effects that a linear servo lacks."""
+    deviation = dict(zip(NAMES, 3.0 * np.sqrt(np.diag(known.covariance)), strict=True))
+    lacking = sum(known.parameters[key] for key in ("deadband_deg", "friction_deg", "play_deg")) / 2.0
+
+    def rounded(value: float, most: float = 0.9) -> float:
+        return float(f"{min(value, most):.3g}")
+
+    return Tolerance(
+        gain=rounded(deviation["gain"] + abs(known.parameters["hinge"])),
+        delay_s=rounded(deviation["delay_s"]),
+        bandwidth=rounded(deviation["ln_bandwidth"] + deviation["ln_damping"]),
+        rate=rounded(deviation["ln_rate"] + 0.1),
+        bias_deg=rounded(deviation["bias_deg"] + lacking + abs(known.parameters["hinge_deg"]), 900.0),
+        noise_deg=rounded(known.noise.still_deg, 900.0),
+    )
+
+
+def constant_deg(fitted: Fit) -> float:
+    """Constant threshold that the flights stayed below where they were left out of the fit, with a margin [deg]."""
+    largest = max(float(np.nanmax(np.abs(part), initial=0.0)) for part in fitted.held_out_deg)
+    return float(f"{max(1.5 * largest, 0.05):.2g}")
 
 
 def foreseen(known: CalibratedServo, fitted: Fit) -> CalibratedServo:
