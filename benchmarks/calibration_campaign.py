@@ -22,9 +22,9 @@ from strangers import SIZES, SURFACES, draw_failure, fly, stranger
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
-from servofd.detection.flights import Flight
 from servofd.core.errors import CalibrationError
 from servofd.detection.audit import audit_segment
+from servofd.detection.flights import Flight
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ from servofd.simulation.writers import write_flight
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from servofd.detection.monitor import Event
+    from servofd.live.alarms import Published
 
 NOISE_DEG = 0.1
 _WRAP = 2**32
@@ -80,7 +80,7 @@ class Hours:
         self.resident_mb: list[int] = []
         self._next_s = float("-inf")
 
-    def events(self, events: list[Event], now_s: float) -> None:  # noqa: ARG002 - as all watchers
+    def events(self, events: list[Published]) -> None:
         """Note them."""
         self.told += [f"{e.time_s:.1f} s: {e.event} {e.kind} {e.text}".strip() for e in events]
 
@@ -123,7 +123,7 @@ def telemetry_monitor(folder: Path) -> dict[str, Any]:
     gc.collect()
     session, watcher, before = Session(Codec(0, 191), {0: aircraft}), Hours(), open_files()
     now_s = replay_telemetry(session, path, watcher, Pace(0.0), float("inf"))
-    watcher.events(session.finish(now_s), now_s)
+    watcher.events(session.finish(now_s))
     ((vehicle, monitor),) = session.watched
     return {
         "frames": session.frames,

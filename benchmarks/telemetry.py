@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import FloatArray
-    from servofd.detection.monitor import Event
+    from servofd.live.alarms import Published
 
 REASONS: Final = ("clean", "frozen", "held", "echo", "spike")
 WAYS: Final = ("audit, no file", "audit, calibrated", "monitor, calibrated")
@@ -96,11 +96,10 @@ class _Silent:
     """Takes the events of a replay."""
 
     def __init__(self) -> None:
-        self.found: list[Event] = []
+        self.found: list[Published] = []
 
-    def events(self, events: list[Event], now_s: float) -> None:
+    def events(self, events: list[Published]) -> None:
         """Keep them."""
-        del now_s
         self.found += events
 
     def tick(self, now_s: float) -> None:
@@ -111,7 +110,7 @@ def monitored(path: Path, aircraft: Aircraft) -> dict[str, str]:
     """Replay a table through the monitor; of each surface ``fault`` or ``healthy``."""
     session, watcher = Session(Codec(0, 191), {0: aircraft}, is_stream=False), _Silent()
     now_s = replay_log(session, one_log(path), watcher, Pace(0.0), float("inf"))
-    watcher.events(session.finish(now_s), now_s)
+    watcher.events(session.finish(now_s))
     monitors = session.vehicles[0].monitors
     return {name: "fault" if monitor.has_fault else "healthy" for name, monitor in monitors.items()}
 

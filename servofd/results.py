@@ -448,7 +448,7 @@ def audit(
 
 @overload
 def audit(
-    log: Log,
+    log: Log | Flown,
     aircraft: Aircraft | str | Path | None = None,
     *,
     servo: str | None = None,
@@ -461,7 +461,7 @@ def audit(
 
 @_in_words_of_python
 def audit(
-    log: Log,
+    log: Log | Flown,
     aircraft: Aircraft | str | Path | None = None,
     *,
     servo: str | None = None,
@@ -526,7 +526,7 @@ def audit(
     job = Job(known, servo, threshold_deg, threshold, names)
     if isinstance(log, str | Path) and not is_plain_file(str(log)):
         return _fleet_of([str(log)], job)
-    found = [Audit._of(result) for result in workflow.audit(log, job)]
+    found = [Audit._of(result) for result in workflow.audit(cast("Log", log), job)]
     return found[0] if len(found) == 1 else Audits(found)
 
 

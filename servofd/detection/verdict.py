@@ -89,8 +89,6 @@ class SurfaceAudit:
     """Of an interval threshold the median level."""
     expected: bool
     """False if the aircraft file names no measured channel, or the log knows nothing of this surface."""
-    tried: bool = True
-    """False if it was not asked to move enough to show a jam."""
     faults: tuple[Fault, ...] = ()
     suspicions: tuple[Fault, ...] = ()
     """What only a cumulative sum noticed, or the tolerances of a working servo explain."""
@@ -107,6 +105,8 @@ class SurfaceAudit:
     """Share of the log for which this surface was judged."""
     outline: tuple[float | None, ...] = ()
     """Largest residual over its threshold in each of equal parts of the flight; None where nothing was judged."""
+    tried: bool = True
+    """False if it was not asked to move enough to show a jam."""
 
     @property
     def is_judged(self) -> bool:

@@ -129,7 +129,7 @@ def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loss_share", "oscillation_deg"])
 @pytest.mark.parametrize("share", [0.45, 0.6])
-def test_a_fault_of_the_stated_size_behind_the_part_that_was_fitted_shows(kind: str, share: float, tmp_path: Path) -> None:
+def test_a_fault_of_the_stated_size_behind_the_fitted_part_shows(kind: str, share: float, tmp_path: Path) -> None:
     table = pd.read_csv(Path(__file__).parents[2] / "sample_logs" / "table_three_faults.csv")
     table = table[["time_s", "aileron_cmd_deg", "aileron_pos_deg"]]
     table.to_csv(tmp_path / "good.csv", index=False)
@@ -202,7 +202,7 @@ def test_what_was_not_tried_does_not_keep_the_others_from_being_cleared(resting:
     table = table.assign(rudder_cmd_deg=table["aileron_cmd_deg"], rudder_pos_deg=table["aileron_pos_deg"])
     noise_deg = np.random.default_rng(1).normal(0.0, 0.05, (len(table), resting))
     for k in range(resting):
-        table = table.assign(**{f"flap{k}_cmd_deg": 0.0, f"flap{k}_pos_deg": noise_deg[:, k].round(3)})
+        table[f"flap{k}_cmd_deg"], table[f"flap{k}_pos_deg"] = 0.0, noise_deg[:, k].round(3)
     table.to_csv(tmp_path / "flight.csv", index=False)
     (result,) = servofd.audit(tmp_path / "flight.csv")
     assert bool(result.not_judged) == (resting == 3)

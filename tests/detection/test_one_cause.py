@@ -8,7 +8,7 @@ import pytest
 
 import servofd
 from servofd.aircraft.schema import plain_aircraft
-from servofd.core.types import BoolArray
+from servofd.core.types import BoolArray, FloatArray
 from servofd.detection.verdict import SurfaceAudit
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
@@ -67,7 +67,7 @@ def test_a_jam_is_its_own_whatever_the_others_do(silent_s: tuple[float, float]) 
 def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float) -> None:
     """Six servos of which nobody knows anything but what this log shows."""
     time_s = np.arange(0.0, 90.0, 0.02)
-    columns = {}
+    columns: dict[str, FloatArray] = {}
     for k in range(6):
         rng = np.random.default_rng(k)
         command_deg = doublets(time_s, rng) + 6.0 * np.sin((1.0 + 0.3 * k) * time_s)

@@ -335,7 +335,8 @@ def test_what_is_unknown_of_a_lost_command_is_known_in_flight() -> None:
     """What comes later changes nothing of a gap that is over."""
     rng = np.random.default_rng(10)
     came = rng.random(3000) >= 0.2
-    time_s, deg = 0.02 * np.flatnonzero(came), COMMANDS["lively"](0.02 * np.arange(3000), rng)[came]
+    sent_s: FloatArray = 0.02 * np.arange(3000.0)
+    time_s, deg = sent_s[came], COMMANDS["lively"](sent_s, rng)[came]
     whole = lost_between(time_s, deg)
     for count in (200, 1000, 2000):
         np.testing.assert_array_equal(lost_between(time_s[:count], deg[:count])[:-1], whole[: count - 1])

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servofd.aircraft.schema import Aircraft
-    from servofd.detection.monitor import Event
     from servofd.detection.stream import Piece
+    from servofd.live.alarms import Published
 
 SECONDS = 40.0
 FAULTS = {"elevator": Stuck(10.0), "rudder": Bias(18.0, bias_deg=3.0)}
@@ -68,7 +68,7 @@ def healthy() -> bytes:
 
 def heard(
     frames: Iterable[tuple[float, bytes]], aircraft: Aircraft, codec: Codec | None = None
-) -> tuple[Session, list[Event]]:
+) -> tuple[Session, list[Published]]:
     """Feed a session frame by frame."""
     session, events, stepped_s, now_s = Session(codec or Codec(0, 191), {0: aircraft}), [], 0.0, 0.0
     for now_s, frame in frames:
@@ -79,7 +79,7 @@ def heard(
     return session, events + session.finish(now_s)
 
 
-def brief(events: list[Event], *kinds: str) -> list[tuple[str, str, str]]:
+def brief(events: list[Published], *kinds: str) -> list[tuple[str, str, str]]:
     return [(event.surface, event.event, event.kind) for event in events if event.event in kinds]
 
 

@@ -16,7 +16,7 @@ from tests.live.relay import BadLink
 from tests.live.vehicles import flown, plane_file, said, vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from servofd.detection.monitor import Event
@@ -102,7 +102,7 @@ class Field:
         return self.events
 
 
-def kinds(events: list[Event], kind: str) -> list[tuple[str, float]]:
+def kinds(events: Sequence[Event], kind: str) -> list[tuple[str, float]]:
     return [(event.surface, event.time_s) for event in events if event.event == kind]
 
 
