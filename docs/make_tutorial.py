@@ -46,8 +46,8 @@ move as long as the servo is healthy, leaves its threshold when the elevator is 
 
 ## Smaller faults: an aircraft file
 
-For that verdict servofd fitted each servo roughly to the log. That finds jams. An aircraft file, calibrated on a flight that
-was good, finds small faults too.
+For that verdict servofd fitted each servo to the part of the log that explains the rest. What is wrong from the first
+second on, or smaller than one flight can tell, it cannot know. An aircraft file, calibrated on a flight that was good, can.
 
 @ simulate -o good.bin --duration 240 --seed 1
 @ calibrate good.bin -o plane.toml
