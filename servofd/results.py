@@ -33,7 +33,7 @@ from servofd.jobs.simulating import simulated
 from servofd.outputs.audit_report import audit_report, axis_chart
 from servofd.outputs.calibrate_report import calibrate_figure, calibrate_report
 from servofd.outputs.chart import flight_chart
-from servofd.outputs.compare_report import charts, compare_report, overlaid
+from servofd.outputs.compare_report import Track, charts, compare_report, overlaid, track_of
 from servofd.outputs.document import Table
 from servofd.outputs.explain_report import explain_figures, explain_report
 from servofd.outputs.figure import chart_figure
@@ -613,14 +613,13 @@ class Comparison(Shown):
         if surface is not None and surface not in both:
             raise UnknownName(suggest("surface of both flights", surface, both))
         for name in [surface] if surface else both:
-            chart = overlaid(name, both[name], self.names, at_s)
-            if chart is not None:
-                return chart_figure(chart)
+            return chart_figure(overlaid(name, both[name], self.names, at_s))
         raise NoMeasurement("no surface was judged in both flights")
 
-    def _both(self) -> dict[str, tuple[SurfaceAudit, SurfaceAudit]]:
-        others = {one.surface: one for one in self.second.surfaces}
-        return {one.surface: (one, others[one.surface]) for one in self.first.surfaces if one.surface in others}
+    def _both(self) -> dict[str, tuple[Track, Track]]:
+        others = {one.surface: track_of(one) for one in self.second.surfaces}
+        pairs = {one.surface: (track_of(one), others.get(one.surface)) for one in self.first.surfaces}
+        return {name: (a, b) for name, (a, b) in pairs.items() if a is not None and b is not None}
 
     def _rows(self) -> list[dict[str, Any]]:
         rows = []

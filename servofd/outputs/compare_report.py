@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from servofd.outputs.chart import Chart, Curve, Panel
+import numpy as np
+
+from servofd.outputs.chart import Chart, Curve, Panel, thinned
 from servofd.outputs.document import Cell, Document, Figures, Table
 from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from servofd.core.types import FloatArray
     from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.document import Part
 
 _RANKS = ("fault", "suspect", "healthy", "unknown", "no_data", "")
 _ROOM = 1.15
+_LEAST_DEG = 0.1
+_FEWEST = 2
 
 
 def compare_report(
@@ -86,30 +92,56 @@ def _cell(entry: Mapping[str, Any] | None) -> Cell:
     return Cell(entry["reason"], entry["status"], outline=outline, soft=numbers)
 
 
-def overlaid(name: str, flights: Sequence[SurfaceAudit], names: Sequence[str], at_s: Sequence[float]) -> Chart | None:
-    """What a surface did, and its residual, in two flights over each other; None where one was not judged.
+class Track(NamedTuple):
+    """What a surface did in a flight."""
+
+    time_s: FloatArray
+    measured_deg: FloatArray
+    residual_deg: FloatArray
+
+
+def track_of(surface: SurfaceAudit, points: int = 0) -> Track | None:
+    """What a surface did, in so many points if not all are wanted; None where it was not judged."""
+    found = surface.residuals
+    if found is None or found.time_s.size < _FEWEST:
+        return None
+    track = Track(found.time_s, found.measured_deg, found.residual_deg)
+    if not points:
+        return track
+    time_s, measured_deg = thinned(track.time_s, track.measured_deg, points)
+    return Track(time_s, measured_deg, thinned(track.time_s, track.residual_deg, points)[1])
+
+
+def overlaid(name: str, tracks: Sequence[Track], names: Sequence[str], at_s: Sequence[float]) -> Chart:
+    """What a surface did, and its residual, in two flights over each other.
 
     `at_s`: the moment of each flight that lies at 0 [s].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> one = Track(np.array([10.0, 11.0]), np.array([0.0, 1.0]), np.array([0.0, 0.0]))
+    >>> other = one._replace(time_s=np.array([30.0, 32.0]))
+    >>> chart = overlaid("rudder", (one, other), ("a.bin", "b.bin"), (10.0, 30.0))
+    >>> chart.first_s, chart.last_s, chart.legend
+    (0.0, 2.0, [('measured', 'a.bin'), ('simulated', 'b.bin')])
     """
-    drawn, left, last_s = [], [], 0.0
-    for one, flight, begin_s, role in zip(flights, names, at_s, ("measured", "simulated"), strict=True):
-        if one.residuals is None:
-            return None
-        time_s = one.residuals.time_s - begin_s
-        last_s = max(last_s, float(time_s[-1]))
-        drawn.append(Curve(flight, role, time_s, one.residuals.measured_deg))
-        left.append(Curve(flight, role, time_s, one.residuals.residual_deg))
+    drawn: dict[str, list[Curve]] = {"deflection": [], "residual": []}
+    for track, flight, moment_s, role in zip(tracks, names, at_s, ("measured", "simulated"), strict=True):
+        time_s = track.time_s - moment_s
+        drawn["deflection"].append(Curve(flight, role, time_s, track.measured_deg))
+        drawn["residual"].append(Curve(flight, role, time_s, track.residual_deg))
     panels = []
-    for title, curves in (("deflection", drawn), ("residual", left)):
-        high = _ROOM * max((float(abs(c.values[c.values == c.values]).max(initial=0.1)) for c in curves), default=1.0)
+    for title, curves in drawn.items():
+        sizes = [abs(float(size)) for curve in curves for size in (np.nanmin(curve.values), np.nanmax(curve.values))]
+        high = _ROOM * max([size for size in sizes if math.isfinite(size)] + [_LEAST_DEG])
         panels.append(Panel(title, "deg", tuple(curves), -high, high))
-    first_s = min(float(c.time_s[0]) for c in drawn)
+    times_s = [curve.time_s for curve in drawn["deflection"]]
     text = f"What was measured of {spoken(name)}, and its residual, in both flights."
+    first_s, last_s = min(float(t[0]) for t in times_s), max(float(t[-1]) for t in times_s)
     return Chart(spoken(name).capitalize(), text, first_s, last_s, tuple(panels))
 
 
-def charts(pairs: Mapping[str, Sequence[SurfaceAudit]], names: Sequence[str], at_s: Sequence[float]) -> Figures:
-    """Charts of the surfaces that both flights have."""
-    return Figures(
-        lambda: [chart for name, both in pairs.items() if (chart := overlaid(name, both, names, at_s)) is not None]
-    )
+def charts(pairs: Mapping[str, Sequence[Track]], names: Sequence[str], at_s: Sequence[float]) -> Figures:
+    """Charts of the surfaces that were judged in both flights."""
+    return Figures(lambda: [overlaid(name, both, names, at_s) for name, both in pairs.items()])

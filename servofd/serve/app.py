@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from functools import cache
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -16,14 +17,14 @@ from starlette.routing import Route
 
 from servofd.aircraft.columns import TIME_UNITS, UNITS
 from servofd.core.errors import ConfigError
-from servofd.outputs.compare_report import compare_report
+from servofd.outputs.compare_report import charts, compare_report
 from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
 from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
 from servofd.serve.forms import fields_of, files_in
 from servofd.serve.guard import Guard
-from servofd.serve.judge import AUDIT, PAGE, RECORDING, progress_in
+from servofd.serve.judge import AUDIT, PAGE, RECORDING, curves_in, progress_in
 from servofd.serve.preview import preview
 from servofd.serve.viewer import FILES, viewer_files
 from servofd.servo.prepare import is_prepared
@@ -295,9 +296,12 @@ class _Routes:
             ]
         except OSError:
             raise HTTPException(409, "One of the two is not judged yet.") from None
-        return _page(
-            compare_report([one.name for one in flights], documents, [f"/flights/{one.id}" for one in flights])
-        )
+        names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
+        first, second = (curves_in(self._flights.results(one.id)) for one in flights)
+        both = {name: (track, second[name]) for name, track in first.items() if name in second}
+        at_s = _moments(request.query_params.getlist("at"))
+        document = compare_report(names, documents, links, [charts(both, names, at_s)])
+        return _page(document, template="compared.html", chosen=chosen, at_s=at_s, names=names, drawn=bool(both))
 
     async def viewer(self, request: Request) -> Response:
         name = request.path_params["file"] or "index.html"
@@ -333,6 +337,17 @@ class _Routes:
         if flight is None:
             raise HTTPException(404, "There is no such flight; it may have been deleted.")
         return flight
+
+
+def _moments(given: Sequence[str]) -> tuple[float, float]:
+    """The moment of each flight that lies at 0 [s]: its boot, if none is given."""
+    try:
+        first, second = (float(one or 0.0) for one in given or ("", ""))
+    except ValueError:
+        raise HTTPException(400, "Align two flights by a moment of each, in seconds.") from None
+    if not (math.isfinite(first) and math.isfinite(second)):
+        raise HTTPException(400, "Align two flights by a moment of each, in seconds.")
+    return first, second
 
 
 _VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "explain": "explain"}

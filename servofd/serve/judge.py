@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import json
+import zipfile
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from servofd.batch.key import Job
 from servofd.core.files import make_folder, write_whole
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
+from servofd.outputs.compare_report import Track, track_of
 from servofd.outputs.json_report import to_json, worst_outline
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import spoken, whole_sentence, worst
@@ -23,7 +28,9 @@ if TYPE_CHECKING:
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
 """What the folder of a flight holds; the summary is written last."""
-_PROGRESS = "progress.txt"
+_PROGRESS, _CURVES = "progress.txt", "curves.npz"
+_POINTS = 2400
+"""Of the curves of a surface that two flights are compared by: twice what a page draws."""
 _NAMED = 6
 """Columns of a table that its row in the list names."""
 _MOST_RECORDED = 3_000_000
@@ -81,6 +88,8 @@ def judge(log: str, folder: str, job: Job) -> Summary:
         summary = replace(summary, table=True)
     write_whole(target / AUDIT, (json.dumps(document, indent=2) + "\n").encode())
     write_whole(target / PAGE, html_page(report).encode())
+    if audits:
+        write_whole(target / _CURVES, _curves(audits[0]))
     if audits and not too_long and find_spec("rerun") is not None:
         from servofd.outputs.recording import save_recording
 
@@ -88,6 +97,29 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     write_whole(target / SUMMARY, json.dumps(asdict(summary)).encode())
     (target / _PROGRESS).unlink(missing_ok=True)
     return summary
+
+
+def _curves(audit: LogAudit) -> bytes:
+    """What each surface did, as arrays of a file that is read without running anything."""
+    tracks = {one.surface: track for one in audit.surfaces if (track := track_of(one, _POINTS)) is not None}
+    content = io.BytesIO()
+    arrays = {
+        f"{k}.{field}": array for k, track in enumerate(tracks.values()) for field, array in track._asdict().items()
+    }
+    np.savez_compressed(content, names=np.array(list(tracks), dtype=str), **arrays)
+    return content.getvalue()
+
+
+def curves_in(folder: Path) -> dict[str, Track]:
+    """What each surface of a flight did; empty if nobody knows."""
+    try:
+        with np.load(folder / _CURVES, allow_pickle=False) as known:
+            return {
+                str(name): Track(*(known[f"{k}.{field}"] for field in Track._fields))
+                for k, name in enumerate(known["names"])
+            }
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return {}
 
 
 def progress_in(folder: Path) -> str:

@@ -507,6 +507,11 @@ def test_good_flights_are_calibrated_followed_and_explained_at_a_click(tmp_path:
         ids = [dropped(client, log)["id"] for log in logs]
         for one in ids:
             done(flights, one)
+        place = f"/compare?flight={ids[0]}&flight={ids[1]}"
+        together = client.get(f"{place}&at=5&at=7.5").text
+        assert together.count('class="chart"') == 3
+        assert {round(float(first)) for first in re.findall(r'data-first="(.*?)"', together)} <= {-8, -7}
+        assert client.get(f"{place}&at=x&at=1").status == client.get(f"{place}&at=nan&at=1").status == 400
         assert client.ask("POST", "/do", ticked("trend", *ids), **FORM).status == 400
         assert "aircraft-1.toml" in told(ticked("calibrate", *ids))
         assert "aircraft-1.toml" in client.get("/").text
