@@ -29,7 +29,7 @@ import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import FORMS, Inputs, Sums, before, covered, flown_of, inputs_of
-from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus, left_out, reason_of
+from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus, excludes_none, left_out, reason_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import Z_95, Estimate
 
@@ -705,6 +705,8 @@ def _verdict(
     """Verdict on an axis of a flight, some axes of which were different from its beginning on (`differing`)."""
     axis = model.axes[name]
     own = [event for event in events if event.is_own or (differing == [name] and _failed(event))]
+    if axis.own_command:  # the sizes of one that copies another mean nothing
+        own = [event for event in own if event.model_holds and not event.is_nothing]
     worst = max(own, key=lambda event: event.score, default=None)
     seconds = max(int(flown.sum()), 1)
     identifiable = float((draft.known & flown).sum()) / seconds
@@ -716,7 +718,7 @@ def _verdict(
         certain = certain and not any(other in SURFACE_AXES for other in differing)
         status = "fault" if certain else "suspect"
     elif not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT and _is_known(draft.whole):
-        status = "healthy"
+        status = "unknown" if draft.whole is not None and excludes_none(draft.whole[0]) else "healthy"
     lost, offset = (worst.lost_share, worst.offset_us) if worst is not None else draft.whole or (None, None)
     if not axis.own_command:  # which tells nothing of the effect of a microsecond
         lost, offset = None, None

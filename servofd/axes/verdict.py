@@ -10,13 +10,13 @@ import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
 from servofd.core.series import outline
+from servofd.core.statistics import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servofd.aircraft.axes import AxisModel, MotionModel
     from servofd.axes.model import Inputs
-    from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
 
 AxisStatus = Literal["healthy", "suspect", "fault", "unknown"]
@@ -51,6 +51,18 @@ class AxisEvent:
     def is_own(self) -> bool:
         """Whether something happened to this axis in flight."""
         return not self.cause and not self.from_start
+
+    @property
+    def model_holds(self) -> bool:
+        """Whether its lost share is one that an axis can lose: outside, something else moved the aircraft."""
+        return _LEAST_SHARE <= self.lost_share.value <= _MOST_SHARE
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether its loss and its offset are both known to be next to none, and it is not late either."""
+        lost, away = self.lost_share, self.offset_us
+        no_loss = -_SMALL_SHARE < lost.low <= 0.0 <= lost.high < _SMALL_SHARE
+        return self.lag_s is None and no_loss and -_SMALL_US < away.low <= 0.0 <= away.high < _SMALL_US
 
 
 class AxisDetectable(NamedTuple):
@@ -102,8 +114,10 @@ class AxisAudit:
 
     @property
     def is_weaker(self) -> bool:
-        """Whether it surely lost some of its effect (95 %), though no more than healthy flights may."""
-        return self.lost_share is not None and self.lost_share.low > 0.0
+        """Whether it surely lost some of its effect (95 %), though it raised no alarm."""
+        return (
+            self.status == "unknown" and not self.events and self.lost_share is not None and self.lost_share.low > 0.0
+        )
 
     @property
     def asked(self) -> FloatArray:
@@ -126,6 +140,11 @@ class AxisAudit:
         """Onset of the first event that is the axis' own [s]."""
         return next((event.start_s for event in self.events if event.is_own), None)
 
+
+_LEAST_SHARE, _MOST_SHARE = -0.5, 1.5
+"""Of the effect that an axis can lose, with what a short window gets wrong."""
+_SMALL_SHARE, _SMALL_US = 0.3, 25.0
+"""What no pilot notices: a third of an axis' effect, and the offset that one click of trim takes away."""
 
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
@@ -200,13 +219,16 @@ def reason_of(
     axis = model.axes[name]
     caused = next((event for event in events if event.cause), None)
     at_once = next((event for event in events if event.from_start), None)
+    odd = [event for event in events if event.is_own]
     if worst is not None:
         text = _failed(name, axis, members, worst, events)
     elif caused is not None:
         text = _moved(name, caused)
     elif at_once is not None:
         text = _differs(name, axis, members, at_once)
-    elif status == "healthy" and lost is not None:
+    elif odd:
+        text = _unexplained(odd[0])
+    elif lost is not None and (status == "healthy" or excludes_none(lost)):
         seen = shown(shows)
         text = f"{_share_left(lost)}{_unusual(lost)}{f'; {seen} would have been seen' if seen else ''}"
     else:
@@ -223,9 +245,34 @@ def _share_left(lost: Estimate) -> str:
     return f"had {value}% of its effect ({low} to {high}%)"
 
 
+def excludes_none(lost: Estimate) -> bool:
+    """Whether an interval says that an axis was not as in its good flights.
+
+    Examples
+    --------
+    >>> excludes_none(Estimate(0.1, 0.02, 0.18)), excludes_none(Estimate(0.1, -0.02, 0.22))
+    (True, False)
+    """
+    return not lost.low <= 0.0 <= lost.high
+
+
+def _unexplained(event: AxisEvent) -> str:
+    """What is said where the model does not hold."""
+    lost, away = event.lost_share, event.offset_us
+    if not event.model_holds:
+        return (
+            f"the model does not hold from {event.start_s:.1f} s on: to lose {lost.value:.0%} of an effect is "
+            "impossible, so that something else moved the aircraft"
+        )
+    return (
+        f"moved otherwise from {event.start_s:.1f} s on, and neither by a loss ([{lost.low:.0%}, {lost.high:.0%}]) "
+        f"nor by an offset ([{away.low:+.0f}, {away.high:+.0f}] us) of its command"
+    )
+
+
 def _unusual(lost: Estimate) -> str:
     """That zero lies outside a 95 % interval, which is no alarm: one healthy flight in forty is so on each side."""
-    if lost.low <= 0.0 <= lost.high:
+    if not excludes_none(lost):
         return ""
     than = "weaker" if lost.low > 0.0 else "stronger"
     return (

@@ -114,11 +114,9 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
         if _WORST_FIRST.index(gravest_status) >= _WORST_FIRST.index(advised):
             return f"{named}."
         return f"{named}. {'Do not fly.' if gravest_status == 'fault' else 'Look at it before the next flight.'}"
-    weaker = {
-        axis.axis: axis.lost_share for axis in axes if axis.status == "healthy" and axis.is_weaker and axis.lost_share
-    }
-    healthy = [axis.axis for axis in axes if axis.status == "healthy" and axis.axis not in weaker]
-    dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis != "thrust"]
+    weaker = {axis.axis: axis.lost_share for axis in axes if axis.is_weaker and axis.lost_share}
+    healthy = [axis.axis for axis in axes if axis.status == "healthy"]
+    dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis not in (*weaker, "thrust")]
     told = [f"{_listed(healthy).capitalize()} answered as on healthy days."] if healthy else []
     for axis, lost_share in weaker.items():  # without an alarm, and yet surely: how much, and how rare that is
         value, low, high = (f"{100.0 * share:.0f}" for share in lost_share)

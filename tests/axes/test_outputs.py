@@ -11,6 +11,7 @@ from scipy import stats
 
 from servofd.aircraft.axes import motion_to_toml
 from servofd.axes.judge import judge_motion
+from servofd.axes.verdict import AxisEvent
 from servofd.cli import main
 from servofd.core.statistics import Estimate
 from servofd.fleets.overview import overview
@@ -87,7 +88,7 @@ def test_an_axis_that_is_surely_a_little_weak_is_not_said_to_answer_as_ever() ->
     assert healthy.lost_share is not None
     width = healthy.lost_share.high - healthy.lost_share.low
     as_ever = replace(healthy, lost_share=Estimate(0.0, -width / 2.0, width / 2.0))
-    weak = replace(healthy, lost_share=Estimate(0.1, 0.03, 0.17))
+    weak = replace(healthy, status="unknown", lost_share=Estimate(0.1, 0.03, 0.17))
     assert axes_sentence([as_ever]) == "Roll answered as on healthy days."
     size = "10% weaker (3 to 17%), as one healthy flight in 40 seems to be: look at the next ones."
     assert axes_sentence([weak]) == f"Roll is probably {size}"
@@ -107,13 +108,31 @@ def test_the_gravest_axis_decides_whether_to_fly_and_that_is_said_once() -> None
 
 
 @pytest.mark.slow
-def test_the_reason_of_a_weak_axis_says_how_rare_that_is() -> None:
+def test_an_axis_whose_interval_excludes_nothing_lost_is_not_healthy() -> None:
     """A fifth less: its interval excludes nothing lost in some of these flights, and all of those say so."""
     found = [roll_of(flown(seed, "2026-05-09", aileron_share=0.82, from_s=0.0)) for seed in range(60, 63)]
-    healthy = [audit for audit in found if audit.status == "healthy"]
-    for audit in healthy:
+    for audit in found:
+        assert audit.lost_share is not None
+        assert audit.status != "healthy" or audit.lost_share.low <= 0.0
         assert ("weaker than in its good flights" in audit.reason) == audit.is_weaker
-    assert any(audit.is_weaker for audit in healthy)
+    assert any(audit.is_weaker for audit in found)
+
+
+@pytest.mark.parametrize(
+    ("lost", "offset", "holds", "nothing"),
+    [
+        ((-3.71, -4.2, -3.2), (0.0, -9.0, 9.0), False, False),
+        ((-0.02, -0.21, 0.18), (-1.0, -20.0, 18.0), True, True),
+        ((0.5, 0.4, 0.6), (-1.0, -20.0, 18.0), True, False),
+        ((0.02, -0.2, 0.2), (60.0, 40.0, 80.0), True, False),
+        ((0.3, -5.0, 5.7), (45.0, -1200.0, 1300.0), True, False),
+    ],
+)
+def test_sizes_that_cannot_be_or_say_nothing_are_no_reason(
+    lost: tuple[float, float, float], offset: tuple[float, float, float], *, holds: bool, nothing: bool
+) -> None:
+    event = AxisEvent(10.0, 11.0, None, 3.0, Estimate(*lost), Estimate(*offset))
+    assert (event.model_holds, event.is_nothing) == (holds, nothing)
 
 
 @pytest.mark.slow
