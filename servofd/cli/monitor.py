@@ -135,14 +135,14 @@ def _asks_its_log(aircraft: Mapping[int, Aircraft], log: FlightLog) -> bool:
 def _verdict(session: Session) -> int:
     """Exit code; the reason for a 2 goes to stderr."""
     axes = [vehicle.axes for vehicle in session.vehicles.values() if vehicle.axes is not None]
-    if any(monitor.has_fault for _, monitor in session.watched) or any(one.has_fault for one in axes):
+    if any(monitor.has_fault for monitor in session.judges) or any(one.has_fault for one in axes):
         return 1
     suspect = [audit for one in axes if one.has_suspect for audit in one.audits if audit.status == "suspect"]
     if any(one.has_suspect for one in axes):
         why = suspect[0].reason if suspect else "an axis did not answer its command"
         complain(f"not cleared: {why}")
         return 2
-    doubtful = [monitor for _, monitor in session.watched if monitor.suspicions]
+    doubtful = [monitor for monitor in session.judges if monitor.suspicions]
     if doubtful:
         found = "; ".join(f"{monitor.name}: {describe(monitor.suspicions[0])}" for monitor in doubtful)
         complain(f"not cleared: no alarm stands, but look at it: {found}")

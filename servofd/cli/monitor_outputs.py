@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -85,7 +86,8 @@ class Outputs:
                 say(line) if self._lines is None else self._lines.put(f"{line}\n".encode())
             self._note(event_line(event))
             if self._recording is not None:
-                self._recording.add(event)
+                began_s = self._began_s(event.surface, event.boot - 1)
+                self._recording.add(replace(event, time_s=event.time_s + began_s))
 
     def tick(self, now_s: float) -> None:
         """Draw, print and complain, each not too often."""
@@ -110,6 +112,11 @@ class Outputs:
         written = sum(worker.queue.dropped for worker in (self._stored, self._lines) if worker is not None)
         received = self.receiver.chunks.dropped if self.receiver is not None else 0
         return received + written + (self._recording.dropped if self._recording is not None else 0)
+
+    def _began_s(self, surface: str, boot: int = -1) -> float:
+        """When a boot began of the vehicle that has this surface, its latest if none is given [s]."""
+        owners = (v.began_s[boot] for v in self._session.vehicles.values() if surface in v.monitors or not surface)
+        return next(owners, 0.0)
 
     def _note(self, line: str) -> None:
         self._view.note(line)
@@ -151,10 +158,16 @@ class Outputs:
         def listen(surface: str, piece: Piece, inputs: Inputs) -> None:
             r = piece.residuals
             residual_deg = np.where(r.settled, r.residual_deg, np.nan)
-            columns = (r.time_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
+            began_s = self._began_s(surface)  # a recording has one time line
+            columns = (r.time_s + began_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
             recording.add(
                 Samples(
-                    surface, *columns, piece.threshold.level_deg, inputs.command_s, inputs.command_deg, inputs.context
+                    surface,
+                    *columns,
+                    piece.threshold.level_deg,
+                    inputs.command_s + began_s,
+                    inputs.command_deg,
+                    inputs.context,
                 )
             )
 
@@ -182,6 +195,7 @@ def event_document(event: Published) -> dict[str, Any]:
         "residual_deg": _number(event.residual_deg),
         "threshold_deg": _number(event.threshold_deg),
         "vehicle": event.vehicle or None,
+        "boot": event.boot,
     }
     if event.id:
         document |= {"id": event.id, "severity": event.severity.name.lower()}

@@ -8,7 +8,7 @@ has ended does not return.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from logparsers.protocol import Severity
@@ -38,6 +38,8 @@ class Published(Event):
     severity: Severity = Severity.INFO
     vehicle: int = 0
     """Its system id; 0 where there is none, as in a log of another kind."""
+    boot: int = 1
+    """Of the vehicle, whose time it is: the first that was heard is 1."""
 
 
 @dataclass(slots=True)
@@ -52,7 +54,8 @@ class Alarm:
     residual_deg: float = math.nan
     fault: Fault | None = None
     end_s: float | None = None
-    """None while it stands [s]."""
+    """None while it stands, infinite where the vehicle has booted meanwhile [s]."""
+    boot: int = 1
     dismissed: bool = False
     """Whether a working servo explains it."""
     severity: Severity = Severity.NOTICE
@@ -128,6 +131,8 @@ class Alarms:
     vehicle: int
     """Its system id, with which the ids of its alarms begin."""
     travels_deg: Mapping[str, float] = field(default_factory=dict)
+    boot: int = 1
+    """Which one of the vehicle's boots this is, of those that were heard."""
     all: list[Alarm] = field(default_factory=list)
     """In the order in which they were raised."""
     _counts: dict[str, int] = field(default_factory=dict)
@@ -141,10 +146,27 @@ class Alarms:
         """What to publish of that which the detector saw."""
         return [told for event in events for told in self._told(event)]
 
+    def begin_anew(self, event: Event) -> list[Published]:
+        """End what stands, for the vehicle has booted, as an event says: whether it lasts is seen anew."""
+        told = []
+        for alarm in self.all:
+            if alarm.end_s is None:
+                alarm.end_s = math.inf
+                text = "the vehicle has restarted: whether it lasts is not known"
+                told.append(
+                    self._published(
+                        replace(event, surface=alarm.surface, event="clear", kind=alarm.kind, text=text),
+                        alarm.id,
+                        Severity.NOTICE,
+                    )
+                )
+        self.boot += 1
+        return [*told, self._published(event, "", Severity.WARNING)]
+
     def _told(self, event: Event) -> list[Published]:
         if event.event not in ("alarm", "named", "clear"):
             return [self._published(event, "", Severity.WARNING)]
-        of_surface = [alarm for alarm in self.all if alarm.surface == event.surface]
+        of_surface = [alarm for alarm in self.all if alarm.surface == event.surface and alarm.boot == self.boot]
         open_ = [alarm for alarm in of_surface if alarm.end_s is None]
         same = next((a for a in reversed(open_) if event.fault is None or a.covers(event.fault)), None)
         if event.event == "clear":
@@ -154,7 +176,7 @@ class Alarms:
         if event.event == "named" or (event.fault is not None and any(a.covers(event.fault) for a in of_surface)):
             return []
         number = self._counts[event.surface] = self._counts.get(event.surface, 0) + 1
-        alarm = Alarm(f"{self.vehicle}/{event.surface}/{number}", event.surface, event.time_s)
+        alarm = Alarm(f"{self.vehicle}/{event.surface}/{number}", event.surface, event.time_s, boot=self.boot)
         self.all.append(alarm)
         self._learn(alarm, event)
         return [self._published(event, alarm.id, alarm.severity)]
@@ -193,4 +215,5 @@ class Alarms:
             alarm,
             severity,
             self.vehicle,
+            self.boot,
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,8 +19,8 @@ if TYPE_CHECKING:
 
     from logparsers.codec import Heard
 
-_GONE_S = 5.0
-"""A sender that is no autopilot and silent for so long makes room for another."""
+_LARGEST = 1e6
+"""Degrees, microseconds and counts of no servo and no supply are as large."""
 _MOST_OTHERS = 64
 _NAME = re.compile(r"(?:(\d+)/(\d+):)?([A-Z0-9_]+)(?:\[([^\]]*)\])?\.(\w+)(?:\[(\d+)\])?")
 
@@ -31,14 +30,6 @@ class _Wanted(NamedTuple):
     source: tuple[int, int] | None
     field: str
     element: int | None
-
-
-@dataclass(slots=True)
-class _Sender:
-    """Whom a channel is taken from."""
-
-    who: tuple[int, int]
-    latest_s: float
 
 
 class Stamp(NamedTuple):
@@ -52,8 +43,8 @@ class Stamp(NamedTuple):
 class ChannelTable:
     """Finds the wanted channels in messages.
 
-    A channel without a source takes the autopilot, if that sends it, or else the first that does, for as long as that
-    goes on; whoever else sends it is named in `news`, and not obeyed.
+    A channel without a source is the autopilot's, or that of the script on it; whoever else sends it is named in `news`
+    once, and not obeyed. What is no number of a servo is dropped, and named once.
 
     Examples
     --------
@@ -65,7 +56,6 @@ class ChannelTable:
 
     def __init__(self, channels: Iterable[str]) -> None:
         self._wanted: dict[tuple[str, str], list[_Wanted]] = {}
-        self._senders: dict[str, _Sender] = {}
         self._others: set[tuple[str, tuple[int, int]]] = set()
         self.news: list[str] = []
         """What is to be told of senders, and forgotten."""
@@ -84,42 +74,42 @@ class ChannelTable:
             self._wanted.setdefault((match[3], instance), []).append(_Wanted(channel, source, match[5], element))
             self._counts[channel] = (match[3], 0)
         self.messages = {message for message, _ in self._wanted}
+        self._named = {wanted.source for each in self._wanted.values() for wanted in each if wanted.source}
+        self.dropped = 0
+        """Values that were no measurements."""
         self._instances = {name: layouts[name].instance for name in self.messages}
 
-    def of(self, heard: Heard, arrival_s: float = 0.0) -> list[tuple[str, float]]:
-        """Wanted channels of a message that arrived then [s, receiver's clock], and their values as logged."""
+    def of(self, heard: Heard) -> list[tuple[str, float]]:
+        """Wanted channels of a message, and their values as logged."""
         if heard.name not in self.messages:
             return []
-        field = self._instances[heard.name]
-        instance = str(heard.fields[field]) if field else ""
         found = []
-        for wanted in self._wanted.get((heard.name, instance), ()):
+        for wanted in self._asked(heard):
             sender = (heard.system, heard.component)
-            if wanted.source is None:
-                if not self._obeyed(wanted.channel, sender, arrival_s):
-                    continue
-            elif wanted.source != sender:
+            if sender != wanted.source and (wanted.source is not None or heard.component != Component.AUTOPILOT1):
                 continue
-            value = heard.fields[wanted.field]
+            field = heard.fields[wanted.field]
+            value = float(field if wanted.element is None else field[wanted.element])
+            if not abs(value) <= _LARGEST:
+                self.dropped += 1
+                self._tell(wanted.channel, sender, f"{value:.3g} is no measurement: such values are left out")
+                continue
             self._counts[wanted.channel] = (heard.name, self._counts[wanted.channel][1] + 1)
-            found.append((wanted.channel, float(value if wanted.element is None else value[wanted.element])))
+            found.append((wanted.channel, value))
         return found
 
-    def _obeyed(self, channel: str, sender: tuple[int, int], arrival_s: float) -> bool:
-        bound, message = self._senders.get(channel), self._counts[channel][0]
-        if bound is None:
-            self._senders[channel] = _Sender(sender, arrival_s)
+    def obeys(self, heard: Heard) -> bool:
+        """Whether a message is the autopilot's, or of a sender that a channel names; tells of others once."""
+        sender = (heard.system, heard.component)
+        if heard.component == Component.AUTOPILOT1 or sender in self._named:
             return True
-        if bound.who == sender:
-            bound.latest_s = arrival_s
-            return True
-        is_better = sender[1] == Component.AUTOPILOT1 and bound.who[1] != Component.AUTOPILOT1
-        if is_better or (bound.who[1] != Component.AUTOPILOT1 and arrival_s - bound.latest_s > _GONE_S):
-            self._tell(message, sender, f"component {sender[1]}, not {bound.who[1]}")
-            self._senders[channel] = _Sender(sender, arrival_s)
-            return True
-        self._tell(message, sender, f"not that of component {sender[1]}")
+        if heard.name in self.messages and any(w.source is None for w in self._asked(heard)):
+            self._tell(heard.name, sender, f"not that of component {heard.component}")
         return False
+
+    def _asked(self, heard: Heard) -> list[_Wanted]:
+        field = self._instances[heard.name]
+        return self._wanted.get((heard.name, str(heard.fields[field]) if field else ""), [])
 
     def _tell(self, message: str, sender: tuple[int, int], what: str) -> None:
         if (message, sender) not in self._others and len(self._others) < _MOST_OTHERS:

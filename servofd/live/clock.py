@@ -1,8 +1,9 @@
-"""When live messages were made: seconds since the vehicle's first boot, as in a telemetry log.
+"""When live messages were made: seconds since the vehicle's latest boot.
 
 Stamps of the vehicle's own clock are kept exactly, with overflows added. What carries no stamp was made about when the
 stamped messages around it were: arrival alone tells nothing, since a link may be ten seconds later than it was before.
-What another clock stamped is shifted to that. A vehicle that restarts goes on where it was, by arrival time.
+What another clock stamped is shifted to that. With a boot time begins at zero again; what the boot before it sent, and
+the link still brings, is not taken for the new one's.
 """
 
 from __future__ import annotations
@@ -115,6 +116,8 @@ _BACKWARD_S = 1.0
 _STRAYED_S = 10.0
 _PERSISTS, _PERSISTS_S = 3, 0.3
 """Old stamps in a row, and for how long, that make a restart; a copy of the stream that comes late makes bursts."""
+_GONE_BACK_S = 5.0
+"""Old stamps for so long, and no other, are a clock that went back by whatever: a log that is replayed once more."""
 _PATIENCE_S = 2.0
 _STAMPED_EVERY_S = 1.0
 """Autopilots send at least one stamped message a second; what is unstamped was made no later than the next of them."""
@@ -139,13 +142,14 @@ class VehicleClock:
 
     def __init__(self) -> None:
         self.latency = Latency()
-        self._shift_s = 0.0
         self._wraps = 0
         """How often the vehicle's milliseconds have overflown."""
         self._newest_s, self._arrived_s = -math.inf, -math.inf
         """Newest stamp of the vehicle's own clock, and when that message arrived."""
         self._begun_s: float | None = None
         self._back, self._back_s = 0, math.inf
+        self._before: tuple[float, float] | None = None
+        """Newest stamp of the boot before this one, and when that message arrived [s]."""
         self._foreign: dict[tuple[int, str], _Shift] = {}
         self.restarts = 0
         """How often the vehicle has begun anew."""
@@ -178,9 +182,8 @@ class VehicleClock:
         expected_s = self._around(arrival_s)
         own_s = raw * stamp.tick_s
         if stamp.bits < 64:
-            overflows = round((expected_s - self._shift_s - own_s) / (stamp.tick_s * 2.0**stamp.bits))
+            overflows = round((expected_s - own_s) / (stamp.tick_s * 2.0**stamp.bits))
             own_s = (raw + overflows * (1 << stamp.bits)) * stamp.tick_s
-        own_s += self._shift_s
         key = (heard.component, heard.name)
         latest_s = self._newest_s + max(arrival_s - self._arrived_s, 0.0) + _STRAYED_S
         if key not in self._foreign and self._newest_s - _STRAYED_S <= own_s <= latest_s:
@@ -193,30 +196,28 @@ class VehicleClock:
         """About when a message was made that carries no stamp [s]."""
         return self._around(arrival_s) if math.isfinite(self._newest_s) else None
 
-    def log_s(self, stamp_s: float) -> float:
-        """Time of a row of the vehicle's own log, stamped with seconds since its latest boot."""
-        return stamp_s + self._shift_s
-
     def answered(self, number: int, stamp_s: float, arrival_s: float) -> None:
         """Take an answer to TIMESYNC."""
-        self.latency.answered(number, stamp_s + self._shift_s, arrival_s)
+        self.latency.answered(number, stamp_s, arrival_s)
 
     def _around(self, arrival_s: float) -> float:
         return self._newest_s + min(max(arrival_s - self._arrived_s, 0.0), _STAMPED_EVERY_S)
 
     def _reference(self, stamp_s: float, arrival_s: float) -> float | None:
         if math.isfinite(self._newest_s):
-            ahead_s = self._newest_s + arrival_s - self._arrived_s - self._shift_s - stamp_s
+            ahead_s = self._newest_s + arrival_s - self._arrived_s - stamp_s
             wraps = round(ahead_s / _WRAP_S)
             if abs(ahead_s - wraps * _WRAP_S) <= _STRAYED_S:
                 self._wraps = wraps
-        time_s = stamp_s + self._wraps * _WRAP_S + self._shift_s
+        time_s = stamp_s + self._wraps * _WRAP_S
+        if self._is_of_the_boot_before(time_s, arrival_s):
+            return None
         if time_s < self._newest_s - _BACKWARD_S:
             self._back, self._back_s = self._back + 1, min(self._back_s, arrival_s)
-            if self._back < _PERSISTS or arrival_s - self._back_s < _PERSISTS_S:
+            if not self._is_restart(stamp_s, arrival_s):
                 return None
-            time_s = self._newest_s + max(arrival_s - self._arrived_s, 0.0)
-            self._shift_s, self._wraps, self._newest_s = time_s - stamp_s, 0, -math.inf
+            self._before = self._newest_s, self._arrived_s
+            time_s, self._wraps, self._newest_s = stamp_s, 0, -math.inf
             self._foreign.clear()
             self.latency.begin_anew()
             self.restarts += 1
@@ -225,6 +226,23 @@ class VehicleClock:
             self._newest_s, self._arrived_s = time_s, arrival_s
         self.latency.take(arrival_s, time_s)
         return time_s
+
+    def _is_restart(self, stamp_s: float, arrival_s: float) -> bool:
+        """Whether old stamps in a row are those of a vehicle that began anew, not of messages that come late.
+
+        Who has booted since the newest message counts no more seconds than have passed since then.
+        """
+        lasts_s = arrival_s - self._back_s
+        is_young = stamp_s <= arrival_s - self._arrived_s + _STRAYED_S
+        return self._back >= _PERSISTS and lasts_s >= (_PERSISTS_S if is_young else _GONE_BACK_S)
+
+    def _is_of_the_boot_before(self, time_s: float, arrival_s: float) -> bool:
+        """Whether a stamp fits where the boot before was when it was last heard, and not where this one is."""
+        if self._before is None:
+            return False
+        newest_s, arrived_s = self._before
+        is_ahead = time_s > self._newest_s + max(arrival_s - self._arrived_s, 0.0) + _STRAYED_S
+        return is_ahead and newest_s - _STRAYED_S <= time_s <= newest_s + (arrival_s - arrived_s) + _STRAYED_S
 
 
 class _Shift:

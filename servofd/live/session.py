@@ -94,6 +94,8 @@ class Session:
     _pool: ThreadPoolExecutor | None = None
     _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
     _compared: set[str] = field(default_factory=set)
+    _left: set[int] = field(default_factory=set)
+    """Systems that were watched until another one sent the positions."""
     _wanted: dict[int, set[str]] = field(default_factory=dict)
     _tables: dict[int, ChannelTable] = field(default_factory=dict)
 
@@ -124,13 +126,13 @@ class Session:
             if heard is None:
                 continue
             self.frames += 1
-            vehicle = self.vehicles.get(heard.system) or self._found(heard, arrival_s)
+            vehicle = self.vehicles.get(heard.system) or self._found(heard)
             if vehicle is not None:
                 self.names.add(heard.name)
                 told = vehicle.hear(heard, arrival_s)
                 if any(event.event == "link_restored" or "restarted" in event.text for event in told):
                     vehicle.requests.again()  # it may have started anew, with its usual rates
-                events += vehicle.alarms.publish(told)
+                events += told
                 if heard.name == "TIMESYNC" and heard.component == Component.AUTOPILOT1 and heard.fields["tc1"] > 0:
                     vehicle.clock.answered(heard.fields["ts1"], heard.fields["tc1"] * 1e-9, arrival_s)
                 self._note(vehicle.requests.hear(heard))
@@ -172,10 +174,15 @@ class Session:
 
     @property
     def watched(self) -> list[tuple[Vehicle, SurfaceMonitor]]:
-        """Every surface of every vehicle."""
+        """Every surface of every vehicle, in its latest boot."""
         return [(vehicle, monitor) for vehicle in self.vehicles.values() for monitor in vehicle.monitors.values()]
 
-    def _found(self, heard: Heard, arrival_s: float) -> Vehicle | None:
+    @property
+    def judges(self) -> list[SurfaceMonitor]:
+        """Those of every surface and every boot."""
+        return [one for vehicle in self.vehicles.values() for one in (*vehicle.past, *vehicle.monitors.values())]
+
+    def _found(self, heard: Heard) -> Vehicle | None:
         """The first vehicle that speaks, if the aircraft file says of none which it is.
 
         Whoever speaks first is asked for positions; the first that sends any is the one.
@@ -190,11 +197,12 @@ class Session:
             if heard.system not in self._tables:
                 channels = [s.measured.channel for s in self.aircraft[0].surfaces.values() if s.measured]
                 self._tables[heard.system] = ChannelTable(channels)
-            if bound.has_positions or not self._tables[heard.system].of(heard, arrival_s):
+            if bound.has_positions or heard.system in self._left or not self._tables[heard.system].of(heard):
                 self._stranger(heard.system, autopilot)
                 return None
             self.notes.append(f"vehicle {heard.system} sends the positions: it is watched, not vehicle {bound.system}")
             del self.vehicles[bound.system]
+            self._left.add(bound.system)
             self.strangers.add(bound.system)
         elif not autopilot and heard.name not in self._wanted[0]:
             return None
@@ -288,7 +296,9 @@ class Session:
             return self.waiting() or "no vehicle"
         reasons: dict[str, list[str]] = {}
         for vehicle, monitor in self.watched:
-            why = monitor.unjudged
+            before = [past for past in vehicle.past if past.name == monitor.name]
+            # What has booted just before the end had its flight before.
+            why = (before[-1] if before and not (monitor.was_judged or monitor.silenced) else monitor).unjudged
             if vehicle.is_lost:
                 why = f"nothing from vehicle {vehicle.system} since {vehicle.now_s:.1f} s"
             if why:

@@ -15,7 +15,7 @@ from servofd.aircraft.outputs import output_of
 from servofd.aircraft.watch import Bus
 from servofd.core.errors import ConfigError
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
-from servofd.live.alarms import Alarms, travel_deg
+from servofd.live.alarms import Alarms, Published, travel_deg
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable, Surroundings
 from servofd.live.clock import VehicleClock
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from logparsers.codec import Heard
-    from servofd.aircraft.schema import Aircraft
+    from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.types import FloatArray
     from servofd.live.axes import AxisWatch
 
@@ -128,6 +128,10 @@ class Vehicle:
     clock: VehicleClock = field(default_factory=VehicleClock)
     losses: dict[int, Losses] = field(default_factory=dict)
     monitors: dict[str, SurfaceMonitor] = field(default_factory=dict)
+    past: list[SurfaceMonitor] = field(default_factory=list)
+    """Those of the boots before."""
+    began_s: list[float] = field(default_factory=lambda: [0.0])
+    """When each of its boots began, on a time line that they have in common [s]."""
     heard_s: float = float("-inf")
     """Arrival of the latest message [s]."""
     now_s: float = float("nan")
@@ -164,6 +168,7 @@ class Vehicle:
     """Arrival of the first message [s]."""
     _held_s: dict[str, float] = field(default_factory=dict)
     """Until when samples of a surface are left out [s]."""
+    _needs: list[str] = field(init=False)
     _around: Surroundings = field(init=False)
     _is_news: bool = False
     _counted_s: float = float("-inf")
@@ -178,10 +183,7 @@ class Vehicle:
         for name, surface in self.aircraft.surfaces.items():
             if surface.measured is None:
                 continue
-            self.monitors[name] = SurfaceMonitor(name, surface, self.aircraft.model(name))
-            self.monitors[name].is_periodic = self.is_stream
-            if not self.is_stream:
-                self.monitors[name].patience_s = LOG_SILENCE_S
+            self.monitors[name] = self._monitor(name, surface)
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.measured.channel, []).append((name, 1))
         self._bus = Bus(list(self.monitors))
@@ -194,7 +196,8 @@ class Vehicle:
             raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
         self.settings = Settings({name: output_of(self.aircraft.surfaces[name]) for name in self.monitors})
         self.messages = ChannelTable(self._routes).messages
-        self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.needs}))
+        self._needs = sorted({need for m in self.monitors.values() for need in m.needs})
+        self._around = Surroundings(self._needs)
         beside = ChannelTable(self._around.channels)
         self.seldom = beside.messages - self.messages
         self.messages |= streamed - {"VFR_HUD"}
@@ -210,14 +213,25 @@ class Vehicle:
                 "SERVO_OUTPUT_RAW.servo2_raw or NAMED_VALUE_FLOAT[SRVP2].value"
             )
 
+    def _monitor(self, name: str, surface: Surface) -> SurfaceMonitor:
+        monitor = SurfaceMonitor(name, surface, self.aircraft.model(name))
+        monitor.is_periodic = self.is_stream
+        if not self.is_stream:
+            monitor.patience_s = LOG_SILENCE_S
+        return monitor
+
     @property
     def channels(self) -> list[str]:
         """Names of its channels: commands first, after what both depend on."""
         mine = sorted(self._routes, key=lambda channel: min(role for _, role in self._routes[channel]))
         return [*self._around.channels, *mine, *(self.axes.channels if self.axes is not None else ())]
 
-    def hear(self, heard: Heard, arrival_s: float) -> list[Event]:
+    def hear(self, heard: Heard, arrival_s: float) -> list[Published]:
         """Take a message of this vehicle; what is to be told comes with `evaluate`, except about the link."""
+        if not self._table.obeys(heard):
+            self.news += self._table.news
+            self._table.news.clear()
+            return []
         events = self.silence(arrival_s)  # how long the link was away is known even if nobody asked meanwhile
         if self.is_lost:
             self.is_lost = False
@@ -233,28 +247,38 @@ class Vehicle:
         if not self.clock.is_set(arrival_s) and not self.clock.is_reference(heard):
             if heard.name in self._table.messages:
                 self._early.append((heard, arrival_s))
-            return events
+            return self.alarms.publish(events)
         restarts = self.clock.restarts
         time_s = self.clock.time_s(heard, arrival_s)
+        told: list[Published] = []
         if self.clock.restarts != restarts:
-            self._disorder = Disorder()
-            events += self.evaluate()
-            self._bus = Bus(list(self.monitors))
-            for monitor in self.monitors.values():
-                events += monitor.restart()
-            text = f"vehicle {self.system} has restarted; the monitor begins anew"
-            events.append(Event(self.now_s if time_s is None else time_s, "", "no_data", text=text))
+            told, events = self._begin_anew(events, 0.0 if time_s is None else time_s), []
         early, self._early = self._early, []
         for before, at_s in early:
-            self._sort(before, self.clock.time_s(before, at_s), at_s)
+            self._sort(before, self.clock.time_s(before, at_s))
         if time_s is not None:
             self._advance(time_s)
-            self._sort(heard, time_s, arrival_s)
+            self._sort(heard, time_s)
             if self.axes is not None:
                 self.axes.hear(heard.name, heard.fields, time_s)
         if self.log is not None:
             self.give(self.log.hear(heard, arrival_s))
-        return events
+        return told + self.alarms.publish(events)
+
+    def _begin_anew(self, events: list[Event], time_s: float) -> list[Published]:
+        """The vehicle has booted: what is to be told of the boot before, and that another begins, whose time it is."""
+        events = [*events, *self.finish()]
+        self.past += self.monitors.values()
+        self.began_s.append(self.began_s[-1] + max(self.now_s, 0.0))
+        self.monitors = {name: self._monitor(name, monitor.surface) for name, monitor in self.monitors.items()}
+        self.now_s, self._checked_s, self._disorder = time_s, -math.inf, Disorder()
+        self._samples.clear()
+        self._held_s.clear()
+        self._bus, self._around = Bus(list(self.monitors)), Surroundings(self._needs)
+        if self.axes is not None:
+            self.axes.restart()
+        text = f"vehicle {self.system} has restarted; the monitor begins anew"
+        return self.alarms.publish(events) + self.alarms.begin_anew(Event(time_s, "", "no_data", text=text))
 
     def _set(self, told: Mapping[str, Any]) -> list[Event]:
         """A parameter: what was evaluated is, the rest is calibrated anew, or not watched any more."""
@@ -304,11 +328,10 @@ class Vehicle:
     def give(self, channels: Iterable[tuple[str, float, float]]) -> None:
         """Take samples of its own log: channel, time since its latest boot [s] and value as logged."""
         for channel, stamp_s, value in channels:
-            time_s = self.clock.log_s(stamp_s)
-            self._advance(time_s)
-            self._add(channel, time_s, value)
+            self._advance(stamp_s)
+            self._add(channel, stamp_s, value)
             if self.axes is not None:
-                self.axes.add(channel, time_s, value)
+                self.axes.add(channel, stamp_s, value)
 
     def evaluate(self, *, final: bool = True) -> list[Event]:
         """Evaluate what was heard since; all of it, or what cannot wait for the next position."""
@@ -360,9 +383,9 @@ class Vehicle:
             events += monitor.finish()
         return events
 
-    def _sort(self, heard: Heard, time_s: float | None, arrival_s: float) -> None:
+    def _sort(self, heard: Heard, time_s: float | None) -> None:
         if time_s is not None:
-            for channel, value in self._table.of(heard, arrival_s):
+            for channel, value in self._table.of(heard):
                 self._add(channel, time_s, value)
             if self._table.news:
                 self.news += self._table.news

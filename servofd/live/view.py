@@ -160,7 +160,9 @@ class View:
         lines = []
         for vehicle in self._session.vehicles.values():
             for alarm in vehicle.alarms.all:
-                until = "to the end" if alarm.end_s is None else f"to {alarm.end_s:.1f} s"
+                end_s = math.inf if alarm.end_s is None else alarm.end_s
+                until = f"to {end_s:.1f} s" if math.isfinite(end_s) else "to the end"
+                until += f" of boot {alarm.boot}" * (vehicle.alarms.boot > 1)
                 word = "taken back" if alarm.dismissed else _STATUS[alarm.severity]
                 lines.append(
                     f"{self._of(vehicle, alarm.surface)}: {word}, {said_of(alarm)}, from {alarm.since_s:.1f} s {until}"

@@ -31,21 +31,51 @@ def position(component: int, deg: float) -> Heard:
     return Heard("NAMED_VALUE_FLOAT", 1, component, {"name": "SRVP2", "value": deg})
 
 
-def test_the_autopilot_outranks_a_packet_that_came_first() -> None:
-    table = ChannelTable([POSITION])
-    assert table.of(position(158, 40.0), 0.0)
-    assert table.of(position(1, 3.0), 0.1)
-    assert not table.of(position(158, 40.0), 0.2)
-    assert not table.of(position(158, 40.0), 100.0), "however long it is the only one"
-    assert table.news == ["NAMED_VALUE_FLOAT: component 1, not 158", "NAMED_VALUE_FLOAT: not that of component 158"]
+def test_only_the_autopilot_and_who_is_named_are_sensors() -> None:
+    """A companion of the same system id, or another monitor, is told of once; `1/158:` would take it."""
+    table, named = ChannelTable([POSITION]), ChannelTable([f"1/158:{POSITION}"])
+    for _ in range(3):
+        assert not table.obeys(position(158, 40.0))
+        assert table.of(position(158, 40.0)) == []
+    assert table.obeys(position(1, 3.0))
+    assert table.of(position(1, 3.0)) == [(POSITION, 3.0)]
+    assert table.news == ["NAMED_VALUE_FLOAT: not that of component 158"]
+    assert named.obeys(position(158, 40.0))
+    assert named.of(position(158, 40.0)) == [(f"1/158:{POSITION}", 40.0)]
+    assert named.of(position(1, 3.0)) == []
 
 
-def test_of_two_companions_the_first_is_believed_while_it_speaks() -> None:
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 3e38, -3e38])
+def test_what_is_no_number_of_a_servo_is_dropped_counted_and_told_once(value: float) -> None:
     table = ChannelTable([POSITION])
-    assert table.of(position(191, 1.0), 0.0)
-    assert not table.of(position(158, 1.0), 1.0)
-    assert table.of(position(158, 1.0), 5.1)
-    assert not table.of(position(191, 1.0), 5.2)
+    assert [table.of(position(1, value)) for _ in range(5)] == [[]] * 5
+    assert table.dropped == 5
+    assert len(table.news) == 1
+    assert "no measurement" in table.news[0]
+    assert table.of(position(1, 3.0)) == [(POSITION, 3.0)]
+
+
+@pytest.mark.slow
+def test_two_monitors_on_one_network_both_see(aircraft: Aircraft) -> None:
+    """The other one's health, heartbeats and stamps, which run ahead, change nothing for this one."""
+    field, other = Field.of({0: aircraft}), Codec(1, 191)
+    plane = vehicle(lively(duration_s=25.0, stuck_s=15.0))
+    turn = plane.turn
+
+    def beside(index: int) -> list[Any]:
+        ahead_ms = 5_000 + 20 * index
+        for name in ("SF_ELEVATO", "SRVP2"):
+            health = {"time_boot_ms": ahead_ms, "name": name, "value": 1.0}
+            field.session.take(field.now_s, other.encode("NAMED_VALUE_FLOAT", health))
+        beat = {"type": 18, "autopilot": 8, "mavlink_version": 3}
+        field.session.take(field.now_s, other.encode("HEARTBEAT", beat))
+        return turn(index)
+
+    plane.turn = beside  # type: ignore[method-assign]
+    field.fly(plane)
+    events = field.end()
+    assert [surface for surface, _ in kinds(events, "alarm")] == ["elevator"]
+    assert kinds(events, "no_data") == []
 
 
 @pytest.mark.slow
@@ -61,10 +91,7 @@ def test_a_second_sender_of_positions_raises_no_alarm_and_is_named(aircraft: Air
     plane.turn = beside  # type: ignore[method-assign]
     field.fly(plane)
     assert kinds(field.end(), "alarm") == []
-    assert [note for note in field.session.notes if "158" in note] == [
-        "NAMED_VALUE_FLOAT: component 1, not 158",
-        "NAMED_VALUE_FLOAT: not that of component 158",
-    ]
+    assert [note for note in field.session.notes if "158" in note] == ["NAMED_VALUE_FLOAT: not that of component 158"]
 
 
 @pytest.mark.slow
