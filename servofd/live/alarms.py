@@ -142,6 +142,11 @@ class Alarms:
         alarms = [alarm for alarm in self.all if alarm.surface == surface and alarm.end_s is None]
         return min(reversed(alarms), key=lambda alarm: alarm.severity, default=None)
 
+    @property
+    def gravest(self) -> Severity | None:
+        """Severity of the gravest alarm that stands; None if none does."""
+        return min((alarm.severity for alarm in self.all if alarm.end_s is None), default=None)
+
     def publish(self, events: Iterable[Event]) -> list[Published]:
         """What to publish of that which the detector saw."""
         return [told for event in events for told in self._told(event)]

@@ -18,7 +18,8 @@ from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from servofd.detection.monitor import Event, SurfaceMonitor
+    from servofd.detection.monitor import SurfaceMonitor
+    from servofd.live.alarms import Published
 
 _WORDS = {
     "AILERON": "AIL",
@@ -82,18 +83,6 @@ def _fitted(plain: str, room: int) -> str:
 _NAME_LONGEST: Final = 10
 _LEAST_ROOM: Final = 12
 """For a surface's name, however long the rest of a text would like to be."""
-_SEVERITIES: Final = {
-    "hardover": Severity.CRITICAL,
-    "stuck": Severity.CRITICAL,
-    "floating": Severity.CRITICAL,
-    "oscillation": Severity.CRITICAL,
-    "unknown": Severity.CRITICAL,
-    "loss_of_effectiveness": Severity.ERROR,
-    "bias": Severity.ERROR,
-    "slow": Severity.WARNING,
-    "deadband": Severity.WARNING,
-}
-"""By what the fault does to the aircraft: control lost, trim lost, control worse."""
 _KINDS: Final = {"deadband": "dead band", "loss_of_effectiveness": "loss of effectiveness", "unknown": "at fault"}
 _SHOWN: Final = (
     "position_deg",
@@ -129,15 +118,16 @@ class Alerts:
 
     Examples
     --------
-    >>> from servofd.detection.monitor import Event
+    >>> from servofd.live.alarms import Published
     >>> alerts = Alerts(["elevator", "rudder"])
-    >>> alerts.take(Event(30.4, "elevator", "alarm", "unknown", -2.1, 1.5), 1000.0)
+    >>> alarm = Published(30.4, "elevator", "alarm", "unknown", -7.1, 1.5, severity=Severity.WARNING)
+    >>> alerts.take(alarm, 1000.0)
     >>> [(name, fields["text"]) for name, fields in alerts.due(1000.0)]
-    [('STATUSTEXT', 'ELEVATOR ALARM, off by 2.1 deg')]
-    >>> alerts.take(Event(31.0, "elevator", "no_data", text="no position since 31.0 s"), 1000.5)
-    >>> alerts.take(Event(31.0, "rudder", "no_data", text="no position since 31.0 s"), 1000.5)
+    [('STATUSTEXT', 'ELEVATOR ALARM, off by 7.1 deg')]
+    >>> alerts.take(Published(31.0, "elevator", "no_data", text="no position since 31.0 s"), 1000.5)
+    >>> alerts.take(Published(31.0, "rudder", "no_data", text="no position since 31.0 s"), 1000.5)
     >>> [fields["text"] for _, fields in alerts.due(1001.6)]
-    ['ELEVATOR ALARM, off by 2.1 deg', 'ELEVATOR, RUDDER not watched: no position']
+    ['ELEVATOR ALARM, off by 7.1 deg', 'ELEVATOR, RUDDER not watched: no position']
     """
 
     def __init__(self, surfaces: Iterable[str]) -> None:
@@ -149,7 +139,7 @@ class Alerts:
         self._notes: list[str] = []
         self._gathered_s, self._spoke_s, self._beat_s = math.inf, -math.inf, -math.inf
 
-    def take(self, event: Event, now_s: float) -> None:
+    def take(self, event: Published, now_s: float) -> None:
         """Take an event; `now_s` is the receiver's clock [s]."""
         if event.event in ("link_lost", "link_restored") or not event.surface:
             return  # a ground station sees that itself
@@ -157,8 +147,7 @@ class Alerts:
             self._unwatched[event.surface] = event.text
             self._gathered_s = min(self._gathered_s, now_s)
             return
-        severity, what = _words(event)
-        text = self._text([event.surface], what)
+        severity, text = event.severity, self._text([event.surface], _words(event))
         again = [] if event.event == "clear" else [(now_s + _AGAIN_S, severity, text)]
         self._urgent[event.surface] = [(now_s, severity, text), *again]
 
@@ -185,13 +174,14 @@ class Alerts:
             self._gathered_s = math.inf
         return [("STATUSTEXT", {"severity": severity, "text": text}) for severity, text in found]
 
-    def periodic(self, monitors: Mapping[str, SurfaceMonitor], vehicle_s: float, now_s: float) -> list[Message]:
-        """Heartbeat and health of each surface, once a second."""
+    def periodic(
+        self, monitors: Mapping[str, SurfaceMonitor], gravest: Severity | None, vehicle_s: float, now_s: float
+    ) -> list[Message]:
+        """Heartbeat, by the gravest alarm that stands, and health of each surface, once a second."""
         if now_s - self._beat_s < _PERIOD_S:
             return []
         self._beat_s = now_s
-        alarmed = any(monitor.standing for monitor in monitors.values())
-        state = State.CRITICAL if alarmed else State.ACTIVE
+        state = State.ACTIVE if gravest is None or gravest >= Severity.NOTICE else State.CRITICAL
         beat = {
             "type": Kind.ONBOARD_CONTROLLER,
             "autopilot": Autopilot.INVALID,
@@ -227,16 +217,19 @@ class Alerts:
         return f"{who} {what}"[:LONGEST_TEXT]
 
 
-def _words(event: Event) -> tuple[int, str]:
-    """Severity, and what follows the surface's name."""
+def _words(event: Published) -> str:
+    """What follows the surface's name."""
     if event.event == "clear":
-        return Severity.NOTICE, "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
+        if event.text and event.kind != "healthy":
+            return event.text.partition(":")[0]
+        return "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
     if event.event == "alarm" and event.fault is None and event.text:
-        return _SEVERITIES["unknown"], "AXIS ALARM by its motion"
+        return "AXIS ALARM by its motion"
     if event.event == "alarm" and event.fault is None:
-        known = f", off by {abs(event.residual_deg):.1f} deg" if math.isfinite(event.residual_deg) else ""
-        return _SEVERITIES["unknown"], f"ALARM{known}"
+        known = f"off by {abs(event.residual_deg):.1f} deg" if math.isfinite(event.residual_deg) else ""
+        grave = "ALARM" if event.severity < Severity.NOTICE or not known else ""
+        return ", ".join(filter(None, (grave, known)))
     sizes = event.fault.parameters if event.fault is not None else {}
     known = next((name for name in _SHOWN if name in sizes), "")
     size = f" {sizes[known].value:.2g}{_UNITS.get(known, ' deg')}" if known else ""
-    return _SEVERITIES.get(event.kind, Severity.NOTICE), _KINDS.get(event.kind, event.kind) + size
+    return _KINDS.get(event.kind, event.kind) + size

@@ -258,7 +258,7 @@ class Session:
         for name, monitor in vehicle.monitors.items():
             if monitor.is_watched:
                 alerts.watched(name)
-        messages = alerts.due(now_s) + alerts.periodic(vehicle.monitors, vehicle.now_s, now_s)
+        messages = alerts.due(now_s) + alerts.periodic(vehicle.monitors, vehicle.alarms.gravest, vehicle.now_s, now_s)
         if self.alert is not None:
             for name, fields in messages:
                 self.alert(vehicle.system, name, fields)

@@ -106,7 +106,6 @@ def test_an_alert_reaches_the_console_of_mavproxy(tmp_path: Path, aircraft_file:
     ):
         console.wait_for("Waiting for heartbeat")
         with flying(vehicle, flight, speed=3.0) as counted:
-            console.wait_for("AP: ELEVATOR ALARM, off by ")
             console.wait_for("AP: ELEVATOR stuck ")
             until(lambda: console.read() and watching.read() and counted, "the end of the flight")
         assert watching.end() == 1, watching.err
@@ -149,7 +148,6 @@ def test_of_two_signing_vehicles_behind_a_bad_link_the_right_one_is_told(tmp_pat
                 flying(link, flight, codec=codec, wait=False, speed=2.0, message_hz=40.0, system=system)
             )
         until(lambda: console.read() and watching.read().named("elevator"), "a name for the fault")
-        console.wait_for("AP: ELEVATOR ALARM, off by ")
         console.wait_for("AP: ELEVATOR stuck ")
         assert watching.end() == 1, watching.err
     told = [event for event in watching.events() if event["event"] == "alarm"]
