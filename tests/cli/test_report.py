@@ -154,9 +154,9 @@ def test_the_verdict_never_hides_what_was_not_judged() -> None:
 
 @pytest.mark.slow
 def test_what_rests_on_a_fitted_zero_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The rudder of this log is off from 10 s on; a servo fitted to the log takes the longer part for right."""
+    """The rudder of this log is off from 10 s on; a servo fitted to the log cannot know which part is right."""
     log = SAMPLES / "table_three_faults.csv"
-    told = "its zero was fitted to this log: it may as well have been right until 0:10, and off by +2.5 deg since"
+    told = "its zero was fitted to this log: it may as well have been off by -2.5 deg until 0:10, and right since"
     main(["audit", str(log), "--surface", "rudder", "--html", str(tmp_path / "fitted.html")])
     assert told in capsys.readouterr().out
     assert told in (tmp_path / "fitted.html").read_text()
