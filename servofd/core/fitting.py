@@ -191,12 +191,17 @@ class Solution:
 
 
 def fit(
-    problem: Problem, begin: FloatArray, *, steps: int = 60, close: float = _CLOSE, enough: float = np.inf
+    problem: Problem,
+    begin: FloatArray,
+    *,
+    steps: int = 60,
+    close: float = _CLOSE,
+    slopes: FloatArray | None = None,
 ) -> Solution:
     """Numbers at the foot of the slope on which a descent begins.
 
-    It ends after so many `steps`, where one with fresh slopes improves the misfit by less than `close`, and where it
-    improves too slowly to come below `enough`.
+    It ends after so many `steps`, where one with fresh slopes improves the misfit by less than `close`.
+    `slopes` (n, k) are those at the beginning, if they are known.
 
     Examples
     --------
@@ -209,9 +214,9 @@ def fit(
     """
     x = np.clip(begin, problem.low, problem.high)
     error = problem.residual(x)
-    slopes = problem.slopes(x, error)
+    slopes = problem.slopes(x, error) if slopes is None else slopes
     best, damping, is_fresh = problem.misfit(x, error), _DAMPING, True
-    for k in range(steps):
+    for _ in range(steps):
         weighted = slopes * problem.noise.weights(error)[:, None]
         curvature = weighted.T @ slopes + np.diag(problem.prior**2)
         curvature += np.diag(damping * np.diag(curvature) + _NO_CURVATURE)
@@ -225,8 +230,6 @@ def fit(
         if gained > 0.0:
             slopes = slopes + np.outer((left - error - slopes @ moved) / size, moved)
             x, error, best, damping = there, left, misfit, max(damping / _BOLDER, _DAMPING)
-            if k >= 1 and best - 3.0 * gained > enough:
-                break
         if gained > close:
             is_fresh = False
         elif not is_fresh:

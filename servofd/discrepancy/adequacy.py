@@ -60,7 +60,7 @@ class Adequacy:
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
     noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
-    return max(min(noise_deg, float(np.sqrt(fit.total / max(float(record.counts.sum()), 1.0)))), SMALLEST_DEG)
+    return max(min(noise_deg, float(np.sqrt(fit.train / max(float(record.counts.sum()), 1.0)))), SMALLEST_DEG)
 
 
 def _floor_of_steps(record: Record, fit: Fit) -> float:
@@ -95,7 +95,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     floor_deg = white_deg if usual_deg else max(white_deg, min(rest_deg, float(np.sqrt(np.mean(error**2)))))
     memory = long_run_factor(error - error.mean())
     chance = _SIGMAS * float(
-        np.hypot(floor_uncertainty(record), np.sqrt(2.0 * memory / max(int(record.held_out.sum()), 1)))
+        np.hypot(floor_uncertainty(record), np.sqrt(2.0 * memory / max(int(record.counts.sum()), 1)))
     )
     ratios = _ratios(record, fit, floor_deg)
     reasons = []
@@ -120,7 +120,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
 
 def _ratios(record: Record, fit: Fit, floor_deg: float) -> list[float]:
     """Held-out error over the floor, of the whole and of each run."""
-    held = float(np.sqrt(fit.held_out / max(int(record.held_out.sum()), 1)))
+    held = float(np.sqrt(fit.held_out / max(int(record.counts.sum()), 1)))
     runs = np.sqrt(fit.run_deg2[fit.run_deg2 > 0.0]).tolist() if len(record.runs) > 1 else []
     return [each / floor_deg for each in (held, *runs)]
 

@@ -82,9 +82,8 @@ class RunErrors(NamedTuple):
     held_out_rms_deg: float
 
 
-def run_errors(fitter: Fitter, final: Fit) -> tuple[RunErrors, ...]:
+def run_errors(record: Record, fitter: Fitter, final: Fit) -> tuple[RunErrors, ...]:
     """Fit the servo with its effects again without each run, and judge that run; empty for a single run."""
-    record = fitter.record
     if not record.runs:
         return ()
     errors_deg = [_foreseen_deg(fitter, fit) for fit in (fitter.nominal(), final)]
@@ -146,6 +145,8 @@ _STILL_FOLLOWS = 0.2
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
 _FEWEST_SAMPLES = 100
+_SAME_POLE = 1e-4
+"""Relative difference of a pole from itself after its polynomial was multiplied out and split again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,16 +217,44 @@ class Explanation:
         return all(is_built_in(plain(effect)) for effect in self.selection.final.effects)
 
     @property
+    def is_servo_of_its_own(self) -> bool:
+        """Whether the poles that were found make a servo whose slow pole is the one that was fitted as such.
+
+        Of three real poles the slowest is taken for it: where the fit has another, the servo is that which the search
+        began with, and how its poles differ.
+        """
+        plant, scales = self.record.plant, self.physics.scales
+        if not (self.record.free_poles and plant.has_places):
+            return self.record.free_poles
+        known, _ = split(np.array(plant.transfer.denominator) / plant.transfer.denominator[0])
+        there = np.array(scaled(plant.transfer, scales).denominator)
+        slow_rad_s = known * self.physics.slow_scale
+        return bool(np.isclose(split(there / there[0])[0], slow_rad_s, rtol=_SAME_POLE))
+
+    @property
     def better_model(self) -> ServoModel:
         """The model with what was missing, for an audit."""
         return self.model.with_physics(self.physics)
 
     def rms_deg(self, fit: Fit) -> dict[str, float]:
-        """Error of a fit on the fitted and on the held-out samples [deg]."""
+        """Error of a fit [deg] on what was searched: fitted to it, and each fold predicted from the other."""
+        count = max(int(self.selection.fitter.record.counts.sum()), 1)
         return {
-            "train_rms_deg": float(np.sqrt(fit.train / max(int(self.record.trained.sum()), 1))),
-            "held_out_rms_deg": float(np.sqrt(fit.held_out / max(int(self.record.held_out.sum()), 1))),
+            "train_rms_deg": float(np.sqrt(fit.train / count)),
+            "held_out_rms_deg": float(np.sqrt(fit.held_out / count)),
         }
+
+    def untouched_rms_deg(self, fit: Fit) -> float | None:
+        """Error of a fit on the fold that no search looked at [deg]; None if there is none."""
+        untouched = self.record.untouched
+        return rms(fit.error_deg[untouched]) if untouched.any() else None
+
+    def step_errors(self, index: int) -> dict[str, float | bool | None]:
+        """Errors of a step [deg], and whether that on the untouched fold falls as well."""
+        fits = self.selection.nominal, *(rung.fit for rung in self.selection.rungs)
+        before, after = (self.untouched_rms_deg(fit) for fit in fits[index : index + 2])
+        confirmed = None if before is None or after is None else after < before
+        return {**self.rms_deg(fits[index + 1]), "untouched_rms_deg": after, "confirmed": confirmed}
 
     def document(self) -> dict[str, Any]:
         """Plain dictionaries and lists, schema servofd.explain/1."""
@@ -236,7 +265,10 @@ class Explanation:
             "surface": self.surface,
             "conclusion": self.conclusion,
             "noise_floor_rms_deg": selection.sigma_deg,
-            "nominal": self.rms_deg(selection.nominal),
+            "nominal": {
+                **self.rms_deg(selection.nominal),
+                "untouched_rms_deg": self.untouched_rms_deg(selection.nominal),
+            },
             "where": list(self.where),
             "bad_seconds": [block.start_s for block in self.blocks if block.bad],
             "steps": [
@@ -244,18 +276,19 @@ class Explanation:
                     "effect": rung.fit.names[-1],
                     "form": form_of(rung.fit.effects[-1], rung.fit.place),
                     "parameters": effect_values(selection, len(rung.fit.effects) - 1),
-                    **self.rms_deg(rung.fit),
+                    **self.step_errors(k),
                     "rivals": [
                         {"effect": rival.names[-1], "held_out_rms_deg": self.rms_deg(rival)["held_out_rms_deg"]}
                         for rival in rung.rivals
                     ],
                 }
-                for rung in selection.rungs
+                for k, rung in enumerate(selection.rungs)
             ],
             "indistinguishable": [list(tie) for tie in selection.ties],
             "separating": [each.document() for each in self.separating],
             "final": {
                 **self.rms_deg(final),
+                "untouched_rms_deg": self.untouched_rms_deg(final),
                 "model": {
                     effect.name: {name: each["value"] for name, each in effect_values(selection, k).items()}
                     for k, effect in enumerate(final.effects)
@@ -352,7 +385,7 @@ def explain_gap(
             )
     notes += _notes(record, selection)
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
-    errors = run_errors(selection.fitter, selection.final)
+    errors = run_errors(record, selection.fitter, selection.final)
     found = Explanation(
         segments[0].surface,
         model,
@@ -364,6 +397,7 @@ def explain_gap(
         runs=errors,
         undriven=tuple(undriven),
     )
+    found = replace(found, notes=(*found.notes, *_unconfirmed(found)))
     gain = None
     if selection.rungs and found.is_simulated_by_audit and record.side is None:
         before = model.with_physics(selection.nominal.physics) if free_poles else model
@@ -387,6 +421,16 @@ def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven]]:
         kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
     part = joined([at_rest(each) for each in kept])
     return (part, stood) if int(part.counts.sum()) >= _FEWEST_SAMPLES else (record, [])
+
+
+def _unconfirmed(found: Explanation) -> list[str]:
+    """Of each step that does not help on data that no search looked at, a sentence."""
+    steps = enumerate(found.selection.rungs)
+    return [
+        f"{rung.fit.names[-1]} is not confirmed: on a tenth of the log that was not looked at the error does not fall"
+        for k, rung in steps
+        if found.step_errors(k)["confirmed"] is False
+    ]
 
 
 def _notes(record: Record, selection: Selection) -> list[str]:
@@ -413,7 +457,7 @@ def _healthy_part(
     rough = None  # taken if no margin leaves a part that is explained
     for margin_s in _MARGINS_S:
         before = replace(record, counts=record.counts & (record.time_s < change_s - margin_s))
-        if int(before.held_out.sum()) < _FEWEST_SAMPLES:
+        if int(before.counts.sum()) < 2 * _FEWEST_SAMPLES:
             break
         later = record.counts & ~before.counts
         if record.free_poles and not _stands_out(before, later, selection.final):

@@ -11,15 +11,16 @@ the noise it is chi-squared; far from it a run counts by how many times better i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.core.fitting import bounded_step
-from servofd.core.types import FloatArray, IntArray
+from servofd.core.fitting import Noise, Problem, bounded_step
+from servofd.core.fitting import fit as minimum
+from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.noise import (
     COARSE_STEP_DEG,
     long_run_factor,
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
 
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""
-_AGAIN = 8
-"""Iterations of a fit to a part of what was fitted already."""
+_NEARBY = 4
+"""Steps of a fit to a fold, which begins where all samples lead."""
 _DAMPING, _MOST_DAMPED, _BOLDER, _TIMIDER, _TRIES = 1e-3, 1e4, 6.0, 12.0, 3
 """Levenberg and Marquardt: share of each curvature, by how much it changes after a step, and how many are tried."""
 _STEP = 0.1
@@ -126,9 +127,9 @@ class Fit:
     error_deg: FloatArray
     """Measured minus simulated position, shape (n,)."""
     train: float
-    """Sum of squares over the fitted samples [deg^2]."""
+    """Sum of squares over the samples that count [deg^2]."""
     held_out: float
-    """The same over the samples that only judge."""
+    """The same, each of two folds predicted by the servo as the other one tells it."""
     unstepped_deg: FloatArray
     """The error of the position before the steps of its converter, shape (n,); where there are none, `error_deg`."""
     misfit: float = np.inf
@@ -136,11 +137,6 @@ class Fit:
     """Mean square that is left of each run."""
     idle: tuple[int, ...] = ()
     """Which of the effects change nothing: a limit that is never reached."""
-
-    @property
-    def total(self) -> float:
-        """Over all samples that count."""
-        return self.train + self.held_out
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -190,6 +186,7 @@ class Fitter:
     _period_s: float = field(init=False)
     _below_deg: float = field(default=0.0, init=False)
     _root: Fit | None = field(default=None, init=False)
+    _halves: dict[tuple[Hashable, ...], list[tuple[BoolArray, Fit]]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self._look_at(thinned(self.record))
@@ -284,7 +281,7 @@ class Fitter:
         unstepped = error
         if Quantization in effects:
             unstepped = record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0))
-        train, held_out = error[record.trained], error[record.held_out]
+        square = float(error[record.counts] @ error[record.counts])
         values = np.array([getattr(physics, p.fields[0]) for effect in effects for p in effect.parameters])
         runs = record.run[record.counts]
         squares = np.bincount(runs, weights=error[record.counts] ** 2, minlength=max(len(record.runs), 1))
@@ -294,8 +291,8 @@ class Fitter:
             values,
             physics,
             error,
-            float(train @ train),
-            float(held_out @ held_out),
+            square,
+            square,
             unstepped,
             run_deg2=squares / count,
         )
@@ -387,7 +384,8 @@ class Fitter:
     ) -> Fit:
         """All numbers fitted together from where a servo is (Gauss, Newton, Levenberg).
 
-        What is still worse than `enough` after two steps, and improves too slowly to become better, ends there.
+        What is still worse than `enough` after two steps, and improves too slowly to become better, ends there. Slopes
+        of the own numbers hardly change, those of effects with kinks do: they are taken anew at every step.
         """
         numbers = self._numbers(effects, start)
         x = self._x(numbers, start)
@@ -400,7 +398,7 @@ class Fitter:
         for k in range(iterations):
             if not is_old:
                 slopes = self._slopes(numbers, x, physics, error)
-            else:  # those of the servo's own numbers hardly change
+            else:
                 slopes[:, own:] = self._slopes(numbers[own:], x[own:], physics, error)
             before = best
             for _ in range(_TRIES):
@@ -426,35 +424,79 @@ class Fitter:
         idle = _idle(effects, slopes[:, own:])
         return replace(fit, misfit=best, run_deg2=self._squares(error), idle=idle)
 
+    def _problem(self, numbers: list[_Number], start: Physics) -> Problem:
+        x = self._x(numbers, start)
+        steps = np.array([_step_of(n, each) for n, each in zip(numbers, x.tolist(), strict=True)])
+        low, high = np.array([n.x(n.low) for n in numbers]), np.array([n.x(n.high) for n in numbers])
+        prior = np.array([float(n.prior) for n in numbers])
+
+        def residual(there: FloatArray) -> FloatArray:
+            return self._seen_deg(self._servo(numbers, there, start))
+
+        return Problem(low, high, prior, np.zeros(x.size), residual, self._noise, steps)
+
+    @property
+    def _noise(self) -> Noise:
+        return Noise(self._run, self.kappa, self._least)
+
     def halved(self, fit: Fit) -> Fit:
-        """A fit whose errors are those of a servo fitted to the training blocks alone; its numbers stay."""
-        judged, whole = self._foreseen(fit), self.judged(fit.effects, fit.physics)
-        return replace(whole, train=judged.train, held_out=judged.held_out, misfit=fit.misfit)
+        """A fit with the errors that each of two folds has, predicted by the servo as the other one tells it."""
+        whole, counts = self.judged(fit.effects, fit.physics), self.record.counts
+        error = self._beside_mean_reading(whole)[counts]
+        others = [self._beside_mean_reading(judged)[held] for held, judged in self._foreseen(fit)]
+        held_out = float(sum(each @ each for each in others))
+        return replace(whole, train=float(error @ error), held_out=held_out, misfit=fit.misfit)
 
     def foreseen(self, fit: Fit) -> tuple[float, float]:
-        """Misfit that a servo fitted to the training blocks leaves on those held out, and what its prior costs."""
-        judged, held = self._foreseen(fit), self.record.held_out
-        error = self._whitened(self._beside_mean_reading(judged))
-        runs = self.record.run[held]
-        count = np.bincount(runs, minlength=self._count.size)
-        squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
-        weight = self._count.sum() * count / max(int(self.record.counts.sum()), 1) / self.kappa
-        return float(weight @ np.log(squares + self._least)), self.prior(judged)
+        """Misfit that a servo fitted to one fold leaves on the other, and what its prior costs: means of both ways."""
+        misfits, prices = [], []
+        for held, judged in self._foreseen(fit):
+            error = self._whitened(self._beside_mean_reading(judged))
+            runs = self.record.run[held]
+            count = np.bincount(runs, minlength=self._count.size)
+            squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
+            weight = self._count.sum() * count / max(int(self.record.counts.sum()), 1) / self.kappa
+            misfits.append(float(weight @ np.log(squares + self._least)))
+            prices.append(self.prior(judged))
+        return float(np.mean(misfits)), float(np.mean(prices))
 
     def prior(self, fit: Fit) -> float:
         """What it costs that the servo's own numbers are not those of its type."""
         numbers = [n for n in self._numbers(fit.effects, fit.physics) if n.prior]
         return float(np.sum(self._x(numbers, fit.physics) ** 2))
 
-    def _foreseen(self, fit: Fit) -> Fit:
-        """A servo fitted to the training blocks alone, on the whole record."""
-        if self.record.side is not None or not (fit.effects or fit.physics != self.record.plant.neutral):
-            return self.judged(fit.effects, fit.physics)
-        half = Fitter(replace(self.record, counts=self.record.trained))
-        half.kappa, half._size, half.colour = self.kappa, self._size, self.colour
-        trained = half.descended(fit.effects, fit.physics, _AGAIN)
-        self.simulations += half.simulations
-        return self.judged(fit.effects, trained.physics)
+    def _foreseen(self, fit: Fit) -> list[tuple[BoolArray, Fit]]:
+        """Each of two folds, and the servo fitted to the other one alone on the whole record.
+
+        Samples count for as much more as the fold has fewer, or the prior would have more of a say than in the fit.
+        """
+        key = fit.effects, fit.physics, self.colour, self.kappa.tobytes()
+        if key not in self._halves:
+            self._halves[key] = self._fitted_in_turn(fit)
+        return self._halves[key]
+
+    def _fitted_in_turn(self, fit: Fit) -> list[tuple[BoolArray, Fit]]:
+        record, physics = self.record, fit.physics
+        folds = [record.counts & (record.fold % 2 == fold) for fold in (1, 0)]
+        if (
+            record.side is not None
+            or not (fit.effects or physics != record.plant.neutral)
+            or not all(map(np.any, folds))
+        ):
+            return [(held, self.judged(fit.effects, physics)) for held in folds]
+        numbers = self._numbers(fit.effects, physics)
+        x = self._x(numbers, physics)
+        slopes = self._slopes(numbers, x, physics, self._seen_deg(physics))
+        found = []
+        for fold, held, others in zip((1, 0), folds, folds[::-1], strict=True):
+            half = Fitter(replace(record, counts=others))
+            half.kappa = self.kappa * float(others.sum() / record.counts.sum())
+            half._size, half.colour = self._size, self.colour
+            rows = self.part.fold[self._where] % 2 != fold
+            there = minimum(half._problem(numbers, physics), x, steps=_NEARBY, close=1.0, slopes=slopes[rows])
+            self.simulations += half.simulations
+            found.append((held, self.judged(fit.effects, self._servo(numbers, there.x, physics))))
+        return found
 
     def covariance(self, fit: Fit) -> FloatArray:
         """Of the values of a fit, shape (p, p); infinite where nothing shows."""
@@ -465,7 +507,7 @@ class Fitter:
         x = self._x(numbers, fit.physics)
         error = self._seen_deg(fit.physics)
         slopes = self._slopes(numbers, x, fit.physics, error)
-        weight = self._weights(error)
+        weight = self._noise.weights(error)
         curvature = slopes.T @ (slopes * weight[:, None]) + np.diag([float(n.prior) for n in numbers])
         seen = np.diag(curvature) > _SAME
         spread = np.full((len(numbers), len(numbers)), 0.0)
@@ -563,32 +605,19 @@ class Fitter:
 
     def _squares(self, error: FloatArray) -> FloatArray:
         """Mean square of each run."""
-        squares: FloatArray = np.bincount(self._run, weights=error * error, minlength=self._count.size) / self._count
-        return squares
+        return self._noise.squares(error)
 
     def _misfit(self, error: FloatArray, numbers: list[_Number], x: FloatArray) -> float:
         prior = sum(float(v) ** 2 for n, v in zip(numbers, x, strict=True) if n.prior)
-        return float((self._count / self.kappa) @ np.log(self._squares(error) + self._least)) + prior
-
-    def _weights(self, error: FloatArray) -> FloatArray:
-        per_run = 1.0 / (self.kappa * (self._squares(error) + self._least))
-        weights: FloatArray = per_run[self._run]
-        return weights
+        return self._noise.misfit(error) + prior
 
     def _slopes(self, numbers: list[_Number], x: FloatArray, physics: Physics, error: FloatArray) -> FloatArray:
-        columns = []
-        for number, each in zip(numbers, x.tolist(), strict=True):
-            step = _STEP * (1.0 if number.is_log or number.prior else max(1.0, 0.2 * abs(each)))
-            if abs(number.value(each + step) - number.value(each)) < _SAME:
-                step = -step
-            there = physics._replace(**dict.fromkeys(number.fields, number.value(each + step)))
-            columns.append((self._seen_deg(there) - error) / step)
-        return np.column_stack(columns) if columns else np.zeros((error.size, 0))
+        return self._problem(numbers, physics).slopes(x, error)
 
     def _step(
         self, slopes: FloatArray, error: FloatArray, numbers: list[_Number], x: FloatArray, damping: float
     ) -> FloatArray:
-        weighted = slopes * self._weights(error)[:, None]
+        weighted = slopes * self._noise.weights(error)[:, None]
         prior = np.array([float(n.prior) for n in numbers])
         curvature = slopes.T @ weighted + np.diag(prior)
         curvature += np.diag(damping * np.diag(curvature) + 1e-12)
@@ -600,14 +629,14 @@ class Fitter:
         """Misfit after a step of the numbers that are fitted already."""
         if slopes.shape[1]:
             rows, prior = slopes[:-1], slopes[-1]
-            weighted = rows * self._weights(error)[:, None]
+            weighted = rows * self._noise.weights(error)[:, None]
             curvature = rows.T @ weighted + np.diag(prior + 1e-9)
             step = -np.linalg.solve(curvature, weighted.T @ error)
             error = error + rows @ step
             penalty = float(prior @ step**2)
         else:
             penalty = 0.0
-        return float((self._count / self.kappa) @ np.log(self._squares(error) + self._least)) + penalty
+        return self._noise.misfit(error) + penalty
 
     def _sized(self, parameter: Parameter, grid: tuple[float, ...]) -> list[float]:
         return [self._scale(parameter) * value for value in grid]
@@ -630,6 +659,11 @@ def _idle(effects: tuple[type[Effect], ...], slopes: FloatArray) -> tuple[int, .
             found.append(k)
         first = last
     return tuple(found)
+
+
+def _step_of(number: _Number, x: float) -> float:
+    """Of differences."""
+    return _STEP * (1.0 if number.is_log or number.prior else max(1.0, 0.2 * abs(x)))
 
 
 def _beside(grid: list[float], value: float) -> list[float]:

@@ -79,6 +79,9 @@ SLOWEST_RATE_HZ = 19.0
 BLOCK_S = 0.3
 """Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most
 manoeuvres."""
+_CYCLE, _ASIDE, _FEWEST_FOR_THREE = 10, 4, 1000
+"""Of so many blocks, or runs, which one is untouched; and samples of which a tenth tells something, and can be missed:
+of 560 with a load on the horn the rest no longer tells the load."""
 _START_S = 0.5
 """Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
 _HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
@@ -121,6 +124,9 @@ class Record:
     """Samples that are compared."""
     block: IntArray
     """Number of the block that each sample lies in."""
+    fold: IntArray
+    """Which of the three folds each sample lies in: 0 and 1, each predicted from the other, and 2, which no search
+    looks at."""
     pressure_pa: FloatArray | None = None
     """Dynamic pressure."""
     voltage_v: FloatArray | None = None
@@ -164,16 +170,16 @@ class Record:
         return float(np.median(np.diff(self.time_s)))
 
     @property
-    def trained(self) -> BoolArray:
-        """Samples that are fitted: those of every other block."""
-        trained: BoolArray = self.counts & (self.block % 2 == 0)
-        return trained
+    def untouched(self) -> BoolArray:
+        """Samples that no search looks at; none of a record that is too short, or at rest."""
+        enough = self.side is None and int(self.counts.sum()) >= _FEWEST_FOR_THREE
+        untouched: BoolArray = self.counts & (self.fold == 2) & enough
+        return untouched
 
     @property
-    def held_out(self) -> BoolArray:
-        """Samples that only judge."""
-        held_out: BoolArray = self.counts & (self.block % 2 == 1)
-        return held_out
+    def searched(self) -> Record:
+        """The same record, of which only the samples count that a search may look at."""
+        return replace(self, counts=self.counts & ~self.untouched)
 
 
 def record_of(
@@ -205,6 +211,7 @@ def record_of(
     # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
     commands = commands_at_servo(segment, 0.0, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
+    fold = np.where(block % _CYCLE == _ASIDE, 2, block % 2)
     context = segment.context
     pressure_pa = context.pressure_pa(time_s) if "airspeed_m_s" in context.logged else None
     voltage_v = context.supply_v(time_s) if "servo_voltage_v" in context.logged else None
@@ -218,6 +225,7 @@ def record_of(
         measured_deg,
         counts,
         block,
+        fold,
         pressure_pa,
         voltage_v,
         current_a,
@@ -231,19 +239,20 @@ def record_of(
 def joined(records: Sequence[Record]) -> Record:
     """Several runs of one servo as one record, each from its own rest.
 
-    Of many, every other one is held out whole; of a few, every other block of each, as in a single one.
+    Of many, whole ones are the folds; of a few, blocks of each, as in a single one.
     """
     if len(records) == 1:
         return records[0]
-    runs, blocks, later_s, count = [], [], 0.0, 0
+    runs, blocks, folds, later_s, count = [], [], [], 0.0, 0
     for k, each in enumerate(records):
         shift_s = later_s - float(each.time_s[0])
         moved = replace(each.commands, effective_s=each.commands.effective_s + shift_s)
         load = each.pushed and replace(each.pushed, load_s=each.pushed.load_s + shift_s)
         runs.append(replace(each, commands=moved, time_s=each.time_s + shift_s, pushed=load))
-        number = each.block + count
-        blocks.append(2 * number + k % 2 if len(records) >= FEW_RUNS else number)
+        blocks.append(each.block + count)
         count += int(each.block[-1]) + 1
+        own = 2 if k % _CYCLE == _ASIDE else (k - (k + _CYCLE - _ASIDE) // _CYCLE) % 2
+        folds.append(np.full_like(each.fold, own) if len(records) >= FEW_RUNS else each.fold)
         later_s = float(runs[-1].time_s[-1]) + _BETWEEN_RUNS_S
     every: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in runs]) for name in _PER_SAMPLE}
     every |= {name: _context([getattr(each, name) for each in runs]) for name in _LOGGED}
@@ -256,6 +265,7 @@ def joined(records: Sequence[Record]) -> Record:
         ),
         **every,
         block=np.concatenate(blocks),
+        fold=np.concatenate(folds),
         pushed=_joined_load([each.pushed for each in runs]),
         step_deg=comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
         runs=tuple(runs),
@@ -323,7 +333,7 @@ def only(record: Record, where: IntArray) -> Record:
     first = np.cumsum([0, *(each.time_s.size for each in record.runs)])
     runs = tuple(only(each, where[run == k] - first[k]) for k, each in enumerate(record.runs) if np.any(run == k))
 
-    there: dict[str, Any] = {name: getattr(record, name)[where] for name in (*_PER_SAMPLE, "block")}
+    there: dict[str, Any] = {name: getattr(record, name)[where] for name in (*_PER_SAMPLE, "block", "fold")}
     there |= {name: values[where] for name in _LOGGED if (values := getattr(record, name)) is not None}
     return replace(record, **there, runs=runs)
 

@@ -269,6 +269,7 @@ class Search:
     visited: dict[tuple[tuple[str, ...], float], Fit] = field(default_factory=dict)
     grown: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
     part: Fitter = field(init=False)
+    _began: tuple[tuple[str, ...], float] = field(init=False)
 
     def begin(self, root: Fit) -> None:
         """From the servo as it is known; the liveliest part of the record screens candidates."""
@@ -276,6 +277,12 @@ class Search:
         self.part = Fitter(liveliest(record, self.fitter.judged((), root.physics).error_deg))
         self.look_again()
         self.keep(root)
+        self._began = root.key
+
+    @property
+    def root(self) -> Fit:
+        """The servo without effects as it fits best."""
+        return self.visited[self._began]
 
     def look_again(self) -> None:
         """Count the part's samples as the whole's."""

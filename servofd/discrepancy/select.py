@@ -19,7 +19,6 @@ from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.search import (
     FITS,
     LIMITS,
-    NAMES,
     OCCAM,
     Search,
     common_places,
@@ -66,6 +65,9 @@ leaves beyond the noise that effects may leave and still be an answer."""
 _MODEL_RATIO, _MODEL_SHARE = 1.5, 0.02
 """Where a servo leaves more than so many times the noise, its misfit is not right to that share for each effective
 sample: errors that differ by 5 % tell no names apart."""
+_FALLS, _BETTER, _SWAPS, _RIVALS = 0.999, 0.97**2, 4, 4
+"""Of the mean square on two folds, each predicted from the other: what a step must fall below, of the one before it, or
+what a rival must, of the step in whose place it stands, to be taken instead; so often, and of so many likely rivals."""
 _FAR_WORSE, _OF_STEP = 0.75, 0.02
 """Share of what a slow servo leaves beyond the noise that tells a limit of the speed from it by shape, if it is that
 share of a step too: real servos differ from a linear one by as much."""
@@ -122,7 +124,7 @@ def select(record: Record, progress: Callable[[str], None] = lambda _step: None)
 
 def searched(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Search:
     """All structures that come into question, fitted."""
-    fitter = Fitter(record)
+    fitter = Fitter(record.searched)
     root = fitter.root()
     search = Search(fitter, judgeable(record)[0], progress)
     search.begin(root)
@@ -146,14 +148,14 @@ def concluded(search: Search) -> Selection:
     linear = _better_linear(search, names[0])
     if linear is not None:
         names, sets = [linear], 1.0
-    best = names[0]
-    rungs = _rungs(search, best)
-    final = rungs[-1].fit if rungs else fitter.halved(best)
+    rungs = _climbed(search, names[0])
+    final = rungs[-1].fit if rungs else fitter.halved(search.root)
     found = adequacy(record, final)
-    ties, tied = _ties(best, names[1:])
+    ties, tied = _ties(final, [fit for fit in names if set(fit.names) != set(final.names)])
+    ties, tied = _or_rivals(rungs, ties, tied)
     step_deg = step_size_deg(record)
     if step_deg is not None:
-        ties, tied = _or_slow(search, best, ties, tied, step_deg)
+        ties, tied = _or_slow(search, final, ties, tied, step_deg)
     return Selection(
         nominal,
         rungs,
@@ -317,7 +319,7 @@ def _best_of_size(search: Search, size: int) -> list[Fit]:
 
 def _beyond_bounds(search: Search, size: int) -> list[Fit]:
     """Of the fits of a size with a number at its bound the likeliest, if it takes away most of what is there."""
-    most_deg2 = _MOST_LEFT * search.visited[((), INSIDE)].run_deg2.sum()
+    most_deg2 = _MOST_LEFT * search.root.run_deg2.sum()
     there = [fit for fit in search.visited.values() if len(fit.effects) == size and fit.run_deg2.sum() < most_deg2]
     return sorted(there, key=lambda fit: _cost(search, fit))[:_BEAM]
 
@@ -358,7 +360,7 @@ def _window(search: Search, fewer: Fit, more: Fit) -> float:
 def _tolerance(search: Search, fit: Fit, before: Fit | None = None) -> float:
     """Misfit that no model of a real servo, and no other simulator, is right to: a share of what was there before."""
     count = search.fitter._count / search.fitter.kappa
-    root = search.visited[((), INSIDE)] if before is None else before
+    root = search.root if before is None else before
     gap = float(count @ np.maximum(root.run_deg2 / (fit.run_deg2 + search.fitter._least) - 1.0, 0.0))
     return min(_OF_GAP * gap, _OF_SAMPLES * float(count.sum()))
 
@@ -374,7 +376,7 @@ def _needed(search: Search, best: Fit, longer: list[Fit]) -> bool:
 
 def _chosen(search: Search) -> Fit:
     """The best structure of as many names as are needed."""
-    best = search.visited[((), INSIDE)]
+    best = search.root
     for size in range(1, _MOST_ON_BENCH + 1):
         longer = _best_of_size(search, size)
         if _needed(search, best, longer):
@@ -415,7 +417,7 @@ def _better_linear(search: Search, best: Fit) -> Fit | None:
     fitter, record = search.fitter, search.fitter.record
     if not fitter.record.free_poles or fitter.record.side is not None:
         return None
-    root = search.visited[((), INSIDE)]
+    root = search.root
     is_usual = abs(root.physics.gain - 1.0) <= _USUAL_GAINS * _GAIN_SHARE
     if is_usual and not adequacy(record, fitter.halved(root)).reasons:
         return root
@@ -438,9 +440,7 @@ def _better_linear(search: Search, best: Fit) -> Fit | None:
 def _share_of_excess(search: Search, fewer: Fit, best: Fit) -> float:
     """Of what a servo without an effect leaves beyond the noise, how much the effect takes away."""
     fitter = search.fitter
-    before, after = (
-        fitter.halved(fit).held_out / max(float(fitter.record.held_out.sum()), 1.0) for fit in (fewer, best)
-    )
+    before, after = (fitter.halved(fit).held_out / max(float(fitter.record.counts.sum()), 1.0) for fit in (fewer, best))
     excess = before - floor_of(fitter.record, fitter.judged(best.effects, best.physics)) ** 2
     return (before - after) / excess if excess > 0.0 else 0.0
 
@@ -463,7 +463,7 @@ def _recoloured(search: Search, best: Fit) -> None:
     _reweighed(search)
     for fit in sorted(near, key=lambda fit: fit.misfit)[:FITS]:
         search.keep(fitter.descended(fit.effects, fit.physics))
-    search.keep(fitter.descended((), search.visited[((), INSIDE)].physics))
+    search.keep(fitter.descended((), search.root.physics))
 
 
 def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
@@ -510,7 +510,7 @@ def _beyond_noise(search: Search, best: Fit) -> float:
     if search.fitter.colour:
         return 0.0
     whole = search.fitter.judged(best.effects, best.physics)
-    left = whole.total / max(float(record.counts.sum()), 1.0)
+    left = whole.train / max(float(record.counts.sum()), 1.0)
     return max(0.0, 1.0 - (_MODEL_RATIO * floor_of(record, whole)) ** 2 / max(left, 1e-30))
 
 
@@ -550,6 +550,23 @@ def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tu
     )
 
 
+def _or_rivals(
+    rungs: tuple[Rung, ...], ties: tuple[tuple[str, ...], ...], tied: tuple[tuple[Fit, ...], ...]
+) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
+    """The ties, and what would have been the better step by itself but is not with those that follow."""
+    found = {names[0]: (list(names), list(fits)) for names, fits in zip(ties, tied, strict=True)}
+    for rung in rungs:
+        name = rung.fit.names[-1]
+        names, fits = found.get(name, ([name], []))
+        for rival in rung.rivals:
+            if rival.held_out < _BETTER * rung.fit.held_out and rival.names[-1] not in names:
+                names.append(rival.names[-1])
+                fits.append(rival)
+        if fits:
+            found[name] = names, fits
+    return tuple(tuple(names) for names, _ in found.values()), tuple(tuple(fits) for _, fits in found.values())
+
+
 def _or_slow(
     search: Search,
     best: Fit,
@@ -572,12 +589,12 @@ def _or_slow(
         effects = rest if search.fitter.record.free_poles else (*rest, SlowDynamics)
         neutral = search.fitter.record.plant.neutral
         start = best.physics._replace(**{n: getattr(neutral, n) for p in mine.parameters for n in p.fields})
-        starts = (start, search.visited[((), INSIDE)].physics)
+        starts = (start, search.root.physics)
         rival = min((search.fitter.descended(effects, s, LONG) for s in starts), key=lambda fit: fit.misfit)
     if rival is None:
         return ties, tied
     halves = (search.fitter.halved(fit).held_out for fit in (rival, best))
-    there, here = (half / max(float(search.fitter.record.held_out.sum()), 1.0) for half in halves)
+    there, here = (half / max(float(search.fitter.record.counts.sum()), 1.0) for half in halves)
     by_shape_deg = float(np.sqrt(max(there - here, 0.0)))
     if by_shape_deg > _OF_STEP * step_deg and _share_of_excess(search, rival, best) > _FAR_WORSE:
         return ties, tied
@@ -587,28 +604,74 @@ def _or_slow(
     return tuple(names for names, _ in old.values()), tuple(fits for _, fits in old.values())
 
 
+def _climbed(search: Search, best: Fit) -> tuple[Rung, ...]:
+    """The ladder to the best, or to what has as few or fewer names and is foreseen better.
+
+    A rival in the place of a step that leaves less on data that neither was fitted to is the better step.
+    """
+    for _ in range(_SWAPS):
+        rungs = _rungs(search, best)
+        better = [
+            rival
+            for rung in rungs
+            for rival in rung.rivals
+            if rival.held_out < _BETTER * rung.fit.held_out and rival.held_out < _BETTER * rungs[-1].fit.held_out
+        ]
+        if not better:
+            break
+        best = min(better, key=lambda fit: fit.held_out)
+    return rungs
+
+
 def _rungs(search: Search, best: Fit) -> tuple[Rung, ...]:
-    """From the servo as it is known to the best, the effect that helps most first."""
-    fitter, rungs = search.fitter, []
-    left = list(best.effects)
-    known: list[type[Effect]] = []
-    while left:
-        fits = [_prefix(search, best, (*known, effect)) for effect in left]
-        k = int(np.argmin([fit.misfit for fit in fits]))
-        known.append(left.pop(k))
-        fit = fitter.halved(_reordered(fits[k], tuple(known)))
-        before = tuple(sorted(effect.name for effect in known[:-1]))
-        rivals: dict[str, Fit] = {}
-        for other in sorted(search.visited.values(), key=lambda f: f.misfit):
-            rest = [name for name in other.names if name not in before]
-            if len(other.effects) == len(known) and len(rest) == 1 and rest[0] != known[-1].name:
-                last = next(e for e in other.effects if e.name == rest[0])
-                order = (*(e for e in other.effects if e is not last), last)
-                if search.is_physical(other):
-                    rivals.setdefault(rest[0], _reordered(other, order))
-        shown = [fitter.judged(each.effects, each.physics) for each in list(rivals.values())[:NAMES]]
-        rungs.append(Rung(fit, tuple(shown)))
+    """From the servo as it is known to the best, the effect that helps most first; each step must lower the error.
+
+    That is the one of two folds, each predicted from the other. Of the orders in which it falls at every step that is
+    taken which comes to most effects; an effect that lowers it in no order is not named.
+    """
+    halves: dict[frozenset[type[Effect]], Fit] = {}
+
+    def held_out(effects: tuple[type[Effect], ...]) -> Fit:
+        key = frozenset(effects)
+        if key not in halves:
+            halves[key] = search.fitter.halved(_reordered(_prefix(search, best, effects), effects))
+        return halves[key]
+
+    def climbed(known: tuple[type[Effect], ...], before: float) -> tuple[type[Effect], ...]:
+        longest = known
+        left = [effect for effect in best.effects if effect not in known]
+        for effect in sorted(left, key=lambda effect: held_out((*known, effect)).held_out):
+            there = held_out((*known, effect)).held_out
+            if there >= _FALLS * before:
+                break
+            way = climbed((*known, effect), there)
+            longest = max(longest, way, key=len)
+            if len(longest) == len(best.effects):
+                break
+        return longest
+
+    order = climbed((), search.fitter.nominal().held_out)
+    rungs = []
+    for count in range(1, len(order) + 1):
+        fit = _reordered(held_out(order[:count]), order[:count])
+        rungs.append(Rung(fit, _rivals(search, fit)))
     return tuple(rungs)
+
+
+def _rivals(search: Search, fit: Fit) -> tuple[Fit, ...]:
+    """Servos with another effect in the place of the last one, best first."""
+    known, last = sorted(fit.names[:-1]), fit.names[-1]
+    rivals: dict[str, Fit] = {}
+    for other in sorted(search.visited.values(), key=lambda each: each.misfit):
+        rest = list(other.names)
+        for name in known:
+            if name in rest:
+                rest.remove(name)
+        if len(other.effects) == len(fit.effects) and len(rest) == 1 and rest[0] != last and search.is_physical(other):
+            effect = next(each for each in other.effects if each.name == rest[0])
+            rivals.setdefault(rest[0], _reordered(other, (*(e for e in other.effects if e is not effect), effect)))
+    shown = [search.fitter.halved(each) for each in list(rivals.values())[:_RIVALS]]
+    return tuple(sorted(shown, key=lambda each: each.held_out))
 
 
 def _prefix(search: Search, best: Fit, effects: tuple[type[Effect], ...]) -> Fit:

@@ -171,6 +171,7 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
         measured_deg=np.full(time_s.size, record.plant.dc_gain * command_deg[0]),
         counts=time_s > _SETTLING_S,
         block=np.zeros(time_s.size, dtype=np.int64),
+        fold=np.zeros(time_s.size, dtype=np.int64),
         pressure_pa=_AIR_PA[0] + share * (_AIR_PA[1] - _AIR_PA[0]) if manoeuvre.air_changes else _CRUISE_PA * ones,
         voltage_v=_SUPPLY_V - share * (_SUPPLY_V - _SAGGING_V) if manoeuvre.supply_sags else _SUPPLY_V * ones,
         current_a=None,

@@ -160,7 +160,7 @@ def _law(
 def _held_out(record: Record) -> BoolArray:
     """Which of the runs were not fitted, shape (r,)."""
     ends = np.cumsum([each.time_s.size for each in record.runs])
-    held_out: BoolArray = record.block[ends - 1] % 2 == 1
+    held_out: BoolArray = record.fold[ends - 1] != 0
     return held_out
 
 

@@ -184,7 +184,7 @@ def _explained(
             continue
         found.append(one)
         if flown.has_unknown_servo(name) and one.record.side is None:
-            aircraft = _with_fitted_poles(aircraft, name, one)
+            aircraft = _with_unknown_servo(aircraft, name, _fitted_poles(one))
     return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source, flown.logs)
 
 
@@ -292,10 +292,10 @@ def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = UNKNOWN
     )
 
 
-def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> Aircraft:
-    """The aircraft with the servo whose poles were found, for an audit."""
+def _fitted_poles(found: Explanation) -> Servo:
+    """The servo whose poles were found, for an audit."""
     transfer = scaled(found.record.plant.transfer, found.selection.final.physics.scales)
-    servo = Servo(
+    return Servo(
         title=UNKNOWN_SERVO.title,
         numerator=transfer.numerator,
         denominator=transfer.denominator,
@@ -303,4 +303,3 @@ def _with_fitted_poles(aircraft: Aircraft, surface: str, found: Explanation) -> 
         hold="zoh",
         source="servofd explain",
     )
-    return _with_unknown_servo(aircraft, surface, servo)

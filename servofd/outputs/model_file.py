@@ -49,15 +49,17 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
     kept = {one.surface: reason for one in found if (reason := _why_not(one))}
     lines, is_better = [], False
     for one in found:
-        entry = dict(document["surfaces"][one.surface])
+        entry, servos = dict(document["surfaces"][one.surface]), document.get("servos", {})
         if one.surface not in kept:
             entry["effects"] = _merged(entry.get("effects", {}), _table(one))
             entry.pop("calibrated", None)  # of the servo without them
+            if one.record.free_poles and not one.is_servo_of_its_own:
+                servos = {**servos, entry["servo"]: _begun(servos[entry["servo"]], one)}
         elif one.selection.final.effects or not _is_own_fit(one):
             continue
-        changed = {**document, "surfaces": {**document["surfaces"], one.surface: entry}}
+        changed = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
         entry |= good_levels(type(aircraft).model_validate(changed), one.surface, logs)
-        document["surfaces"][one.surface] = entry
+        document = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
         is_better = True
         if one.surface not in kept:
             lines += _found(one, source)
@@ -65,6 +67,12 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
         return ModelFile("", kept)
     lines = [*(f"# {surface}: as it was: {reason}." for surface, reason in kept.items()), *lines]
     return ModelFile("\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n", kept)
+
+
+def _begun(servo: Mapping[str, Any], one: Explanation) -> dict[str, Any]:
+    """The servo that the search began with, of which the effects tell how the poles differ."""
+    transfer = one.record.plant.transfer
+    return {**servo, "numerator": transfer.numerator, "denominator": transfer.denominator}
 
 
 def _found(one: Explanation, source: str) -> list[str]:
@@ -81,8 +89,8 @@ def _table(found: Explanation) -> EffectTable:
     """The effects, and what the servo's own numbers came to beside them."""
     final, known = found.selection.final, found.record.plant.neutral
     poles = next(each for each in OWN if each.fixed["slow_place"] == final.place)
-    # Of a servo that nobody knew the poles are written as its own.
-    own: list[type[Effect]] = [*([] if found.record.free_poles else [poles]), Gain, Delay, Bias]
+    # Of a servo that nobody knew the poles are written as its own, if they can be.
+    own: list[type[Effect]] = [*([] if found.is_servo_of_its_own else [poles]), Gain, Delay, Bias]
     fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}
     beside = []
     for effect in own:
