@@ -17,7 +17,7 @@ import numpy as np
 import logparsers
 from servofd.axes.calibrate import spread_between
 from servofd.axes.model import FORMS
-from servofd.axes.motion import motion_of
+from servofd.axes.read import motion_of
 from servofd.flight.change import LOOKS, WINDOWS_S, Compared, airborne, as_flown_before, judge_motion_alone, regressed
 
 if TYPE_CHECKING:

@@ -429,23 +429,6 @@ def _lifting(airframe: Airframe, of_output: Callable[[LoggedOutput], FloatArray]
     return lifting
 
 
-def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None) -> Motion:
-    """Commands and motion of a log on one grid of time.
-
-    Parameters
-    ----------
-    log : FlightLog
-        Of an autopilot, or a table with the columns of `servofd.axes.motion`.
-    rate_hz : float, optional
-        Of the grid; None: what the log has.
-    parameters : mapping of str to float, optional
-        SERVOn_... of an autopilot, to assume where the log has none.
-    """
-    if log.is_of_autopilot:
-        return motion_of_autopilot(log, rate_hz, parameters)
-    return motion_of_table(log, rate_hz)
-
-
 _COMMANDS = {
     "roll": ("ail_cmd_us", "aileron_cmd_us", "roll_cmd_us"),
     "pitch": ("ele_cmd_us", "elevator_cmd_us", "pitch_cmd_us"),

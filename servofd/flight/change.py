@@ -51,6 +51,8 @@ _ENOUGH = 0.8
 _SLOW_HZ = 15.0
 """At lower rates an axis is seen in balance with its command; at higher ones its acceleration tells sooner."""
 _HELD_S = 3
+_LEAST_EXPLAINED = 0.5
+"""Share of an axis' answer that a form explains in healthy flights: 0.75 to 0.99 in all that were measured."""
 _AIRBORNE = 0.6
 """Share of the median airspeed above which an aircraft flies."""
 _AFTER_TAKEOFF_S, _BEFORE_LANDING_S = 5.0, 3.0
@@ -375,6 +377,9 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
     told = np.flatnonzero(compared.held.max(axis=0) > 1.0)
     if told.size:
         return _changed(known, compared, int(told[0]), float(motion.time_s[0]))
+    if compared.seconds.explained < _LEAST_EXPLAINED:
+        text = f"{name}: command and motion explain {compared.seconds.explained:.0%} of it only, too little to compare"
+        return replace(known, text=text)
     shown = compared.shown_loss(look)
     if not shown <= 1.0:
         return known

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.outputs import named_outputs, outputs_of, pulse_channel
-from servofd.axes.motion import SHARES, Series, motion_of
+from servofd.axes.motion import SHARES, Series
+from servofd.axes.read import motion_of
 from servofd.core.errors import NoMeasurement
 from servofd.flight.change import airborne
 

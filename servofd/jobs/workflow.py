@@ -109,7 +109,7 @@ def judged(
 def _with_axes(result: LogAudit, motion: MotionModel) -> LogAudit:
     """The same audit, with what motion tells of axes and of faulty surfaces; a log without motion stays as it is."""
     from servofd.axes.judge import judge_motion
-    from servofd.axes.motion import motion_of
+    from servofd.axes.read import motion_of
 
     try:
         axes = judge_motion(motion, motion_of(result.log, motion.rate_hz, motion.parameters))
@@ -161,7 +161,7 @@ def calibrate_axes(
 ) -> MotionModel:
     """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good."""
     from servofd.axes.calibrate import calibrate_motion
-    from servofd.axes.motion import motion_of
+    from servofd.axes.read import motion_of
 
     logs, flights, silent = [], [], []
     for log in each_once(logs_of(paths)):

@@ -11,7 +11,7 @@ import numpy as np
 
 from logparsers.records import Channel, FlightLog
 from servofd.axes.judge import judge_motion
-from servofd.axes.motion import motion_of
+from servofd.axes.read import motion_of
 from servofd.axes.verdict import named
 from servofd.core.errors import NoMeasurement
 from servofd.detection.monitor import Event

@@ -102,7 +102,7 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
 def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
     """What the motion of a flight tells of each axis: the effect that was left, and where it stood."""
     from servofd.axes.judge import judge_motion
-    from servofd.axes.motion import motion_of
+    from servofd.axes.read import motion_of
 
     found = []
     for audit in judge_motion(motion, motion_of(log, motion.rate_hz, motion.parameters)):

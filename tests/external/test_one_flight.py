@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import logparsers
-from servofd.axes.motion import motion_of
+from servofd.axes.read import motion_of
 from servofd.flight.change import judge_motion_alone
 from tests.external.test_bench_tables import DATA
 
