@@ -1,10 +1,10 @@
 """The servo that a log shows by itself: fitted to the part of it that explains the whole best.
 
 Nobody has said which servo it is, and nobody knows which part of the log is good. The whole log and its thirds are
-fitted, each by itself, then its sixths and twelfths if none of them is like a sound servo. A part counts if its servo
-explains what the surface does there and stays below its own limits; of those that count, the one is taken that explains
-the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that was faulty
-throughout is what was fitted, and only what sound servos are like can tell.
+fitted, each by itself, then its first and last sixths and twelfths if none of them is like a sound servo. A part counts
+if its servo explains what the surface does there and stays below its own limits; of those that count, the one is taken
+that explains the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that
+was faulty throughout is what was fitted, and only what sound servos are like can tell.
 """
 
 from __future__ import annotations
@@ -40,8 +40,10 @@ _MOST_SAMPLES: Final = 3_000
 """Of a part that are fitted: a minute at 50 Hz."""
 _EXPLAINS: Final = 0.3
 """Share of the motion, held out, that the servo of a part explains there, or it is none."""
-_UNUSUAL_EXPLAINS: Final = 0.8
-"""The same of a servo that is like no sound one: some motion goes with some command by chance."""
+_SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.8, 0.5
+"""The same of less than a third of the log, and of a servo that is like no sound one or leaves more than noise [deg]:
+some motion goes with some command by chance."""
+_LARGE_PARTS: Final = 3
 _OWN_LIMITS: Final = 2.5
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
 _OWN_MARGIN: Final = 1.6
@@ -142,7 +144,7 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             records = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
             fitted = fit(records, reach_deg=reach_deg)
             share = fitted.explained_share if share is None else max(share, fitted.explained_share)
-            if fitted.explained_share >= (_UNUSUAL_EXPLAINS if unusual(fitted.theta) else _EXPLAINS):
+            if fitted.explained_share >= _least_share(count, fitted):
                 one = _judged(between_s, fitted, records, whole, usual, own_limits=1.0 if count == 1 else _OWN_LIMITS)
                 found += [one] if one is not None else []
         if count > 1 and found and _best(found).apart < _SOUND_ENOUGH:
@@ -167,10 +169,24 @@ def _best(found: list[_Part]) -> _Part:
     return min(found, key=cost)
 
 
+def _least_share(count: int, fitted: Fit) -> float:
+    """Share of the motion that the servo of one of so many parts has to explain."""
+    is_unusual, is_large = bool(unusual(fitted.theta)), count <= _LARGE_PARTS
+    if is_unusual and not is_large:
+        return np.inf
+    if is_unusual or fitted.held_out_rms_deg > _NOISE_DEG:
+        return _FAR_EXPLAINS
+    return _EXPLAINS if is_large else _SHORT_EXPLAINS
+
+
 def parts_of(segment: Series, count: int) -> Iterator[tuple[tuple[float, float], Series]]:
-    """Yield from when to when each of so many parts of a log lasts [s], and it, where enough moves."""
+    """Yield from when to when each of so many parts of a log lasts [s], and it, where enough moves; small ones at ends.
+
+    A short part in the middle may go with the command by chance.
+    """
     edges_s = np.linspace(segment.measured_s[0], segment.measured_s[-1], count + 1).tolist()
-    for from_s, to_s in itertools.pairwise(edges_s):
+    parts = list(itertools.pairwise(edges_s))
+    for from_s, to_s in parts if count <= _LARGE_PARTS else (parts[0], parts[-1]):
         part = cropped(segment, ((from_s, to_s),))
         if not hardly_moved([Flight("", part)]):
             yield (from_s, to_s), part
