@@ -40,7 +40,7 @@ _MOST_SAMPLES: Final = 3_000
 """Of a part that are fitted: a minute at 50 Hz."""
 _EXPLAINS: Final = 0.3
 """Share of the motion, held out, that the servo of a part explains there, or it is none."""
-_SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.8, 0.5
+_SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.95, 0.5
 """The same of less than a third of the log, and of a servo that is like no sound one or leaves more than noise [deg]:
 some motion goes with some command by chance."""
 _LARGE_PARTS: Final = 3
@@ -143,7 +143,8 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
         for between_s, part in parts_of(segment, count):
             records = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
             fitted = fit(records, reach_deg=reach_deg)
-            share = fitted.explained_share if share is None else max(share, fitted.explained_share)
+            if count == 1:
+                share = fitted.explained_share
             if fitted.explained_share >= _least_share(count, fitted):
                 one = _judged(between_s, fitted, records, whole, usual, own_limits=1.0 if count == 1 else _OWN_LIMITS)
                 found += [one] if one is not None else []
