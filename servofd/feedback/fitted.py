@@ -68,7 +68,8 @@ def found_in(
     line = _line_of(segment)
     if line is None or not free_scale:
         own = own_servo(segment, log.source.name)
-        if line is None or isinstance(own, OwnServo) or _is_usual(line):
+        share = own.origin.explained_share if isinstance(own, OwnServo) else 0.0
+        if line is None or _is_usual(line) or (share or 0.0) >= line.correlation**2:
             return Found(Line(), own)
     own = own_servo(segment.with_commands(line.gain, line.offset_deg), log.source.name)
     if not isinstance(own, OwnServo):
