@@ -192,7 +192,7 @@ def _show_help(options: Options) -> int:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Within the block, a termination raises `KeyboardInterrupt` like Ctrl-C, and no interrupt gets lost.
+    """Within the block, the end of the terminal and a termination raise `KeyboardInterrupt`, and no interrupt is lost.
 
     Python ignores an exception that strikes inside a finaliser or a weak reference's callback: the run would go
     on, with a traceback on the screen. Such an interrupt is raised once more, a moment later. One that strikes while a
@@ -201,7 +201,10 @@ def interruptible() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    ends = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # not under nohup
+        ends.append(signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in ends}
     unraisable, struck = sys.unraisablehook, threading.Event()
 
     def strike(_number: int, _frame: object) -> None:

@@ -49,6 +49,9 @@ def console(**options: Any) -> Console:  # noqa: ANN401 - those of rich
     from rich.segment import Segment
 
     class Plain(Console):
+        def on_broken_pipe(self) -> None:
+            raise  # noqa: PLE0704 - within its handler: who called decides on the exit code
+
         def render(self, *words: Any, **more: Any) -> Iterator[Segment]:  # noqa: ANN401 - as rich has it
             for segment in super().render(*words, **more):
                 yield segment if segment.control else Segment(plain(segment.text), segment.style)

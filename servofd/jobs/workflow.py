@@ -273,7 +273,10 @@ def flights_of(
                 if known.surfaces[name].measured is not None:
                     reasons.append(f"{log.label}: {name}: {error}")
                 continue
-            there.append(Flight(Path(log.label).name, segment))
+            if segment.measured_s.size:
+                there.append(Flight(Path(log.label).name, segment))
+            else:
+                reasons.append(f"{log.label}: {name}: nothing was measured in the part that was chosen")
     missing = [run for run in runs if run not in seen]
     if missing:
         raise UnknownName(suggest("run", missing[0], sorted(seen)))

@@ -212,3 +212,17 @@ def test_a_sweep_measures_what_is_wrong(tmp_path: Path, config: str, capsys: pyt
     assert (code, rudder["status"]) == (1, "no_go")
     assert rudder["numbers"]["gain"]["low"] <= 0.94 <= rudder["numbers"]["gain"]["high"]
     assert rudder["numbers"]["gain"]["value"] == pytest.approx(0.94, abs=0.003)
+
+
+@pytest.mark.slow
+def test_a_flight_outside_the_part_that_is_asked_for_is_left_out(
+    tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, later = flown(), flown(seed=3)
+    words = [
+        logged(tmp_path, "good.csv", good),
+        written(tmp_path, "later.csv", 100.0 + later.time_s, later.command_deg[:, 0], later.measured_deg[:, 0]),
+    ]
+    assert main(["calibrate", *words, "-c", config, "--between", "0:59", "-o", str(tmp_path / "new.toml")]) == 0
+    assert main(["calibrate", words[1], "-c", config, "--between", "0:59", "-o", str(tmp_path / "no.toml")]) == 2
+    assert "nothing was measured in the part that was chosen" in capsys.readouterr().err

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
+import subprocess
 import sys
 import time
 from typing import TYPE_CHECKING
@@ -133,3 +135,26 @@ def test_a_terminal_that_cannot_draw_gets_lines(folder: Path) -> None:
         shown = clean(terminal.look(), 100)
     assert "elevator: ALARM, stuck at" in shown
     assert "rudder: watched" in shown
+
+
+@pytest.mark.parametrize("how", ["SIGTERM", "SIGHUP", "closed"])
+def test_whatever_ends_it_the_lines_of_json_are_whole(folder: Path, tmp_path: Path, how: str) -> None:
+    lines, own = tmp_path / "events.jsonl", tmp_path / "own.tlog"
+    words = ["monitor", str(folder / "flight.tlog"), "-c", str(folder / "plane.toml"), "--speed", "2", "--no-alert"]
+    words += ["--plain", "--json-lines", str(lines), "--tlog", str(own)]
+    run = [sys.executable, "-m", "servofd", *words]
+    with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as monitor:
+        assert monitor.stdout is not None
+        while b"stuck at" not in monitor.stdout.readline():
+            pass
+        if how == "closed":
+            monitor.stdout.close()
+        else:
+            monitor.send_signal(getattr(signal, how))
+        said = monitor.stderr.read() if monitor.stderr is not None else b""
+        code = monitor.wait()
+    assert code == (2 if how == "closed" else 1)
+    assert b"Traceback" not in said
+    events = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert {"alarm", "named"} <= {event["event"] for event in events}
+    assert (folder / "flight.tlog").read_bytes().startswith(own.read_bytes())
