@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.core.fitting import Noise, Problem, bounded_step
+from servofd.core.fitting import Noise, Problem, bounded_step, inverse
 from servofd.core.fitting import fit as minimum
 from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.noise import (
@@ -40,8 +40,9 @@ if TYPE_CHECKING:
 
 _ITERATIONS, _GAIN_OVER = 8, 0.3
 """A descent ends where a step improves the misfit by less."""
-_NEARBY = 4
-"""Steps of a fit to a fold, which begins where all samples lead."""
+_NEARBY, _FROM_ALL = 4, 4.0
+"""Steps of a fit to a fold, which begins where all samples lead, and how many of their standard deviations off a number
+may come to lie (of half the samples it is 1.4)."""
 _DAMPING, _MOST_DAMPED, _BOLDER, _TIMIDER, _TRIES = 1e-3, 1e4, 6.0, 12.0, 3
 """Levenberg and Marquardt: share of each curvature, by how much it changes after a step, and how many are tried."""
 _STEP = 0.1
@@ -486,14 +487,21 @@ class Fitter:
             return [(held, self.judged(fit.effects, physics)) for held in folds]
         numbers = self._numbers(fit.effects, physics)
         x = self._x(numbers, physics)
-        slopes = self._slopes(numbers, x, physics, self._seen_deg(physics))
+        error = self._seen_deg(physics)
+        slopes = self._slopes(numbers, x, physics, error)
+        prior = np.array([float(n.prior) for n in numbers])
+        curvature = (slopes * self._noise.weights(error)[:, None]).T @ slopes + np.diag(prior)
+        # What a fold does not tell stays as all samples tell it.
+        near = 1.0 / (_FROM_ALL * np.sqrt(np.diag(inverse(curvature))))
+        prior, centre = np.where(prior > 0.0, prior, near), np.where(prior > 0.0, 0.0, x)
         found = []
         for fold, held, others in zip((1, 0), folds, folds[::-1], strict=True):
             half = Fitter(replace(record, counts=others))
             half.kappa = self.kappa * float(others.sum() / record.counts.sum())
             half._size, half.colour = self._size, self.colour
             rows = self.part.fold[self._where] % 2 != fold
-            there = minimum(half._problem(numbers, physics), x, steps=_NEARBY, close=1.0, slopes=slopes[rows])
+            problem = replace(half._problem(numbers, physics), prior=prior, centre=centre)
+            there = minimum(problem, x, steps=_NEARBY, close=1.0, slopes=slopes[rows])
             self.simulations += half.simulations
             found.append((held, self.judged(fit.effects, self._servo(numbers, there.x, physics))))
         return found
