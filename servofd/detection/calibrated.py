@@ -66,6 +66,8 @@ _LEAST_LOSS: Final = 0.95
 _FLAT = 1e-8
 _LOST_GAIN = 0.12
 _AT_STOP_DEG = 1.5
+_RAN_DEG = 2.0
+"""What stays at an end of the travel ran there if it was further away, and else stopped there."""
 _SURE = 0.3
 LOUD: Final = 1.5
 """A good servo that passes its thresholds by so much is none."""
@@ -207,6 +209,10 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
     better = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
     began = time_s.size > 0 and better.max() > 0.0
     start_s = float(min(time_s[int(np.argmax(better))], alarm_s)) if began else alarm_s
+    if kind == "hardover":
+        there = min(int(np.searchsorted(watched.record.time_s, start_s)), watched.reading_deg.size - 1)
+        if abs(watched.reading_deg[there] - parameters["position_deg"].value) < _RAN_DEG:  # it stopped where it was
+            kind, alternatives = "stuck", ("hardover", *(other for other in alternatives if other != "stuck"))
     fault = Fault(
         kind, start_s, alarm_s, end_s, parameters, probability, alternatives,
         named_s=float(min(window.time_s[-1], alarm_s + _WINDOW_S)),
