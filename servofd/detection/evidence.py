@@ -92,6 +92,8 @@ _JUDGED = 0.4
 _FEWEST_S = 3.0
 _LEAST = 0.5
 _LEAST_OF_THE_LOG = 0.5
+_TRIED_DEG = 3.0
+"""A surface that was asked to move by so much was tried, also where its threshold is too wide to show a jam."""
 _STOPS_S, _STOPS_SHARE = 3.0, 0.1
 
 
@@ -329,6 +331,7 @@ def reported(
     **found: Any,  # noqa: ANN401 - fields of the verdict
 ) -> SurfaceAudit:
     """The verdict with what was seen of the flight, and what was not."""
+    asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
     uncovered, remarks = coverage(segment, residuals)
     problem = uncovered or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
     if status == "healthy" and problem:
@@ -341,7 +344,7 @@ def reported(
         if segment.frozen_to_end and status != "fault":
             status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
     return verdict(
-        tried=status != "unknown" or found["detectable"].loss_share is not None,
+        tried=status != "unknown" or found["detectable"].loss_share is not None or asked_deg >= _TRIED_DEG,
         status=status,
         reason="; ".join((reason, *after)),
         segment=segment,

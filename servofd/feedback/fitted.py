@@ -26,6 +26,7 @@ _FAR_GAINS: Final = (1.0 / 3.0, 3.0)
 """A scale that is further from one is no servo's: the command is another unit, or reversed."""
 _SCALES: Final = (0.02, 50.0)
 _PARTS: Final = 3
+_SAME_SLOPE: Final = 0.3
 _ORDINARY: Final = Servo(
     title="an ordinary servo, for want of a better one",
     bandwidth_hz=6.0,
@@ -65,7 +66,7 @@ def found_in(
         return nothing
     if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S or segment.command_s.size < 2:
         return nothing
-    line = _line_of(segment)
+    line = _line_of(segment, is_free=free_scale)
     if line is None or not free_scale:
         own = own_servo(segment, log.source.name)
         share = own.origin.explained_share if isinstance(own, OwnServo) else 0.0
@@ -82,11 +83,16 @@ def found_in(
     return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt})))
 
 
-def _line_of(segment: Series) -> Line | None:
-    """Return how the position goes with the command, in the part of a log in which it does so most."""
+def _line_of(segment: Series, *, is_free: bool) -> Line | None:
+    """Return how the position goes with the command, in the part of a log in which it does so most.
+
+    Of a command whose scale is known it has to be so in two parts: an autopilot answers a jam the other way.
+    """
     lines = [crude_line(Record.of(part)) for _, part in parts_of(segment, _PARTS)]
     known = [line for line in lines if line is not None and _SCALES[0] <= abs(line.gain) <= _SCALES[1]]
-    return max(known, key=lambda line: line.correlation, default=None)
+    best = max(known, key=lambda line: line.correlation, default=None)
+    alike = [line for line in known if best is not None and abs(line.gain - best.gain) < _SAME_SLOPE * abs(best.gain)]
+    return best if is_free or len(alike) > 1 else None
 
 
 def _is_usual(line: Line) -> bool:
