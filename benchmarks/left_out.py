@@ -131,7 +131,7 @@ def judged(selection: Selection, names: Sequence[str], *, is_known: bool) -> Jud
     missing = [name for name in names if not any(name in each for each in offered)]
     per_name = float(np.mean([len(each) for each in offered])) if offered else 1.0
     record = selection.fitter.record
-    held_out_deg = float(np.sqrt(selection.final.held_out / max(int(record.held_out.sum()), 1)))
+    held_out_deg = float(np.sqrt(selection.final.held_out / max(int(record.counts.sum()), 1)))
     is_right = not missing and (not is_known or len(named) == len(names))
     if not is_known:
         return Judged(len(missing) / max(len(names), 1), is_right, per_name, held_out_deg)

@@ -102,7 +102,7 @@ def test_tables_are_read_by_pandas_and_duckdb(results: Path) -> None:
     }
     (fault,) = pd.read_parquet(results / "faults").to_dict("records")
     assert (fault["surface"], fault["kind"], fault["level"]) == ("rudder", "stuck", "fault")
-    assert fault["start_s"] == pytest.approx(6.0, abs=0.3)
+    assert fault["start_s"] == pytest.approx(15.0, abs=0.3)
     logs_table = pd.read_parquet(results / "logs")
     assert logs_table.not_judged.notna().sum() == 1
     duckdb = pytest.importorskip("duckdb")

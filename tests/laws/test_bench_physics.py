@@ -99,13 +99,13 @@ def test_joined_runs_move_as_each_run_does_alone() -> None:
     assert joined([one]) is one
 
 
-def test_of_many_runs_every_other_one_is_held_out_and_of_few_every_other_block() -> None:
+def test_of_many_runs_whole_ones_are_the_folds_and_of_few_blocks_of_each() -> None:
     one = bench_record()
     for count in (2, 5, 6, 9):
         both = joined([one] * count)
-        shares = [np.mean(both.held_out[both.run == k]) for k in range(count)]
+        folds = [set(both.fold[both.run == k].tolist()) for k in range(count)]
+        assert all(len(each) == 1 for each in folds) == (count >= 6)
+        assert set().union(*folds) >= {0, 1}
         if count < 6:
-            assert shares == pytest.approx([0.5] * count, abs=0.06)
-        else:
-            assert shares == [k % 2 for k in range(count)]
-        assert both.trained.sum() + both.held_out.sum() == count * one.counts.sum()
+            shares = [np.mean(both.fold[both.run == k] == 1) for k in range(count)]
+            assert shares == pytest.approx([0.5] * count, abs=0.1)

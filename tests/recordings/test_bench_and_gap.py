@@ -49,8 +49,9 @@ def test_the_servo_that_was_found_stands_beside_each_test(bench: Path) -> None:
     for name in ("elevator", "elevator 2"):
         time_us, deflection = found[surface_place(name, "deflection")]
         _, error = found[surface_place(name, "error")]
-        np.testing.assert_array_equal(time_us, np.rint(log.measured_s * 1e6))
-        np.testing.assert_allclose(deflection[:, 2], log.measured_deg, atol=1e-5)
+        used = np.isin(np.rint(log.measured_s * 1e6), time_us)  # a reading far out of the noise may be none
+        assert used.sum() == time_us.size >= 0.999 * log.measured_s.size
+        np.testing.assert_allclose(deflection[:, 2], log.measured_deg[used], atol=1e-5)
         np.testing.assert_array_equal(deflection[:, 2] - error[:, 0], deflection[:, 1])
         assert np.std(error) < 0.15
     said = everything(bench)
