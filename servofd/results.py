@@ -14,7 +14,7 @@ import numpy as np
 from logparsers import FlightLog, LogError
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.axes.verdict import AxisAudit
-from servofd.batch.find import META_FILE, find_logs, is_plain_file
+from servofd.batch.find import META_FILE, find_logs, is_pattern, is_plain_file
 from servofd.batch.key import Job
 from servofd.calibrating.result import Calibration, calibration_to_toml
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError, UnknownName, needs, suggest
@@ -524,7 +524,7 @@ def audit(
         known = aircraft_of_columns(columns)
     names = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
     job = Job(known, servo, threshold_deg, threshold, names)
-    if isinstance(log, str | Path) and not is_plain_file(str(log)):
+    if isinstance(log, str | Path) and not _is_one_log(str(log)):
         return _fleet_of([str(log)], job)
     found = [Audit._of(result) for result in workflow.audit(cast("Log", log), job)]
     return found[0] if len(found) == 1 else Audits(found)
@@ -544,6 +544,11 @@ class Fleet(Overview, Shown):
         names = ("path", "run", "status", "sentence", "start_utc", "duration_s", "surface")
         rows = [{name: flight[name] for name in names} for flight in self.flights]
         return [{"flight": flight_name(row)} | {k: v for k, v in row.items() if k != "run"} for row in rows]
+
+
+def _is_one_log(text: str) -> bool:
+    """Whether it names one file, or tables of the messages of one flight."""
+    return is_plain_file(text) or (is_pattern(text) and len(find_logs([text]).logs) == 1)
 
 
 def _fleet_of(inputs: list[str], job: Job) -> Fleet:

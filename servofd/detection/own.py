@@ -44,6 +44,8 @@ _SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.95, 0.5
 """The same of less than a third of the log, and of a servo that is like no sound one or leaves more than noise [deg]:
 some motion goes with some command by chance."""
 _LARGE_PARTS: Final = 3
+_SHORTEST_S: Final = 5.0
+"""Of a part: what a servo does in less is no measure of the rest (a gripper that sticks at the end of 13 s)."""
 _OWN_LIMITS: Final = 2.5
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
 _OWN_MARGIN: Final = 1.6
@@ -63,6 +65,7 @@ _EACH_FAULT: Final = 2.0
 _MOST_MISFIT: Final = 25.0
 _WINDOW_S: Final = 5.0
 """What one stretch leaves unexplained is no better for the others that are at rest."""
+_NEARLY_ALL: Final = 0.9
 _CONTRADICT: Final = 4.0
 """Standard deviations between two parts of which one servo is no account."""
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
@@ -141,7 +144,10 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
     share: float | None = None
     for count in _PARTS:
         for between_s, part in parts_of(segment, count):
-            records = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
+            pieces = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
+            records = [record for record in pieces if record.usable.any()]
+            if not records:
+                continue
             fitted = fit(records, reach_deg=reach_deg)
             if count == 1:
                 share = fitted.explained_share
@@ -189,6 +195,8 @@ def parts_of(segment: Series, count: int) -> Iterator[tuple[tuple[float, float],
     parts = list(itertools.pairwise(edges_s))
     for from_s, to_s in parts if count <= _LARGE_PARTS else (parts[0], parts[-1]):
         part = cropped(segment, ((from_s, to_s),))
+        if to_s - from_s < _SHORTEST_S and count > 1:
+            continue
         if not hardly_moved([Flight("", part)]):
             yield (from_s, to_s), part
 
@@ -215,6 +223,8 @@ def _judged(
     thresholds = {name: float(f"{limit:.3g}") for name, limit in zip(STATISTICS, limits.tolist(), strict=True)}
     known = known.model_copy(update={"thresholds": thresholds})
     flight = watched(known, whole)
+    if not flight.judged.any():
+        return None
     story = judged(flight)
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * len(
         story.faults + story.suspicions
@@ -263,7 +273,8 @@ def _own(part: _Part, others: list[_Part], source: str) -> OwnServo:
 
 def _contradicted(part: _Part, others: list[_Part]) -> str:
     """Which other part moves otherwise, in words; nothing if none does for sure."""
-    for other in others:
+    is_whole = part.between_s[1] - part.between_s[0] > _NEARLY_ALL * float(np.ptp(part.time_s))
+    for other in () if is_whole else others:  # of which the whole is an account
         spread = np.sqrt(np.diag(part.known.covariance + other.known.covariance))
         change = other.fitted.theta - part.fitted.theta
         told = {

@@ -105,7 +105,7 @@ def draft_aircraft(log: FlightLog) -> Draft:
     pairs = find_pairs(log)
     if not pairs:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
-    plain = Aircraft.model_validate({"surfaces": {pair.surface: _entries(log, pair) for pair in pairs}})
+    plain = Aircraft.model_validate({"surfaces": {pair.surface: surface_entry(log, pair) for pair in pairs}})
     bus = bus_of(log, plain)
     return Draft(log, tuple(_draft(log, pair, plain, bus) for pair in pairs))
 
@@ -119,7 +119,7 @@ def _draft(log: FlightLog, pair: Pair, plain: Aircraft, bus: Mapping[str, Marks]
     return DraftedSurface(pair, *with_own_servo(surface, pair.surface, Found(Line(), found.servo)))
 
 
-def _entries(log: FlightLog, pair: Pair) -> dict[str, Any]:
+def surface_entry(log: FlightLog, pair: Pair) -> dict[str, Any]:
     """How command and position of a pair are read, before anything is fitted."""
     command_unit = log[pair.command].unit
     angle_command = pair.command == pair.position.command

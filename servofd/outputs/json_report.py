@@ -149,7 +149,7 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
         },
         "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
         "false_alarms_per_hour": surface.false_alarms_per_hour,
-        "feedback": "position" if surface.segment is not None else "none",
+        "feedback": "position" if surface.expected else "none",
         "tried": surface.tried,
         "faults": _faults(surface.surface, surface.faults),
         "suspicions": _faults(f"{surface.surface}-suspected", surface.suspicions),

@@ -273,7 +273,8 @@ class _Routes:
         if task is None:
             raise HTTPException(404, "There is no such calibration, trend or explanation.")
         try:
-            found = (self._flights.task_folder(task.id) / PAGE).read_text("utf-8") if task.state == "done" else ""
+            page = self._flights.task_folder(task.id) / PAGE
+            found = page.read_text(encoding="utf-8") if task.state == "done" else ""
         except OSError:
             found = ""
         if found:

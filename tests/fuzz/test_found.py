@@ -24,7 +24,7 @@ from servofd.cli import main
 from servofd.core.errors import ConfigError, RecordingError
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.verdict import Statistics
-from servofd.feedback.draft import draft_aircraft
+from servofd.feedback.draft import surface_entry
 from servofd.fleets.store import FleetStore, read_table
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
@@ -338,11 +338,11 @@ def test_the_latest_arrival_that_a_telemetry_log_can_hold() -> None:
 
 def test_a_servo_of_an_output_that_no_autopilot_has() -> None:
     """Of a damaged log; it is judged by its channels."""
-    draft = draft_aircraft(logparsers.read(io.BytesIO(seeds.logs_of("dataflash")[0])))
-    first = draft.surfaces[0]
-    pair = replace(first.pair, output=replace(first.pair.output, number=5_000_001))
-    known = replace(draft, surfaces=(replace(first, pair=pair),)).aircraft()
-    assert [surface.output for surface in known.surfaces.values()] == [None]
+    log = logparsers.read(io.BytesIO(seeds.logs_of("dataflash")[0]))
+    pairs = find_pairs(log)
+    far = replace(pairs[0], output=replace(pairs[0].output, number=5_000_001))
+    assert "output" in surface_entry(log, pairs[0])
+    assert "output" not in surface_entry(log, far)
 
 
 def test_a_function_of_an_output_that_is_no_number() -> None:

@@ -81,10 +81,19 @@ def test_judging_again_gives_what_an_audit_would(
     main(["audit", str(SAMPLES / name), *options, "--rrd", str(second), "--json", str(tmp_path / "audit.json")])
     code, document, _ = reviewed([str(first), *options, "-o", str(tmp_path / "again.rrd")], capsys)
     (wanted,) = json.loads((tmp_path / "audit.json").read_text())["logs"]
-    assert document["logs"][0]["surfaces"] == wanted["surfaces"]
+    assert rounded(document["logs"][0]["surfaces"]) == rounded(wanted["surfaces"])
     assert code == int(any(s["faults"] for s in wanted["surfaces"].values()))
     assert main(["review", str(second), "--compare", str(tmp_path / "again.rrd")]) == code
     assert "no difference" in capsys.readouterr().out
+
+
+def rounded(value: Any) -> Any:
+    """Numbers with nine digits: sums in another order differ in their last."""
+    if isinstance(value, dict):
+        return {key: rounded(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [rounded(each) for each in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
 @pytest.mark.slow
