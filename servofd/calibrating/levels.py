@@ -19,26 +19,21 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
-    from servofd.core.types import FloatArray
     from servofd.servo.servo_model import ServoModel
 
 PERSISTENCE = 3
-"""Judged samples in a row that make an alarm of a servo fitted to its log: a reading may be as old as the interval
-since the one before it, and so may a command, and for as many samples a step of the command contradicts no servo."""
+"""Judged samples in a row that make an alarm: a reading may be as old as the interval since the one before it, and so
+may a command, and for as many samples a step of the command contradicts no servo."""
 _ALIKE_S = 2.0
-_MOVES_DEG = 2.0
-"""Blocks in which the servo travels by so much are compared with each other, and so are the others: what a model lacks
-shows in motion, and a log is at rest for most of its time."""
-_USUAL_TIMES, _QUIETEST = 4.0, 25.0
-"""Blocks whose residual is so many times that of the quietest quarter of their kind, and beyond what tolerances explain
-anyway, are no part of what a threshold is drafted from."""
+"""Samples within so long tell one thing."""
 _MARGIN, _UNSURE = 1.25, 2.0
 """A threshold is so many times the largest residual, and more where few blocks were seen."""
 _NOISE_SIGMAS = 3.0
+"""Standard deviations of its noise that a residual may reach by chance."""
 
 
 class Drafted(NamedTuple):
-    """Tolerances under which the log that they come from raises no alarm, but where it contradicts itself."""
+    """Tolerances under which the runs that they come from raise no alarm."""
 
     tolerance: Tolerance
     level_deg: float
@@ -106,9 +101,9 @@ def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     level = interval_threshold(generator, segment, residuals, base)
     no_noise_deg = np.maximum(np.abs(residuals.residual_deg) - _NOISE_SIGMAS * level.sigma_deg, 0.0)
     beyond = no_noise_deg / np.maximum(level.tolerance_deg, 1e-9)
-    least = float(beyond[usual].max())
-    scale = max(_width(residuals.time_s[usual], beyond[usual], residuals.simulated_deg[usual], least), 1.0)
-    tolerance = _scaled(base, scale)
+    blocks = np.count_nonzero(np.diff(np.floor(residuals.time_s[usual] / _ALIKE_S), prepend=-np.inf))
+    unsure = _MARGIN + _UNSURE / float(np.sqrt(blocks))
+    tolerance = _scaled(base, max(unsure * float(beyond[usual].max()), 1.0))
     return Drafted(tolerance, round(interval_threshold(generator, segment, residuals, tolerance).typical_deg, 3))
 
 
@@ -123,16 +118,3 @@ def _scaled(base: Tolerance, scale: float) -> Tolerance:
         bias_deg=round(scale * base.bias_deg, 4),
         noise_deg=base.noise_deg,
     )
-
-
-def _width(time_s: FloatArray, excesses: FloatArray, moved_deg: FloatArray, least: float) -> float:
-    """How many times as wide tolerances have to be, by blocks of 2 s; never narrower than `least` times."""
-    first = np.flatnonzero(np.diff(np.floor(time_s / _ALIKE_S), prepend=-np.inf))
-    peaks = np.maximum.reduceat(excesses, first)
-    moves = np.maximum.reduceat(moved_deg, first) - np.minimum.reduceat(moved_deg, first) >= _MOVES_DEG
-    kinds = [peaks[kind] for kind in (moves, ~moves) if kind.any()]
-    alike = [kind[kind <= max(_USUAL_TIMES * float(np.percentile(kind, _QUIETEST)), least)] for kind in kinds]
-    usual = np.concatenate(alike)
-    if usual.size == 0:
-        return least
-    return max(least, float(usual.max()) * (_MARGIN + _UNSURE / float(np.sqrt(usual.size))))

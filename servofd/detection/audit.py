@@ -421,7 +421,7 @@ def _cause(struck: Sequence[tuple[str, Fault]], still: Sequence[str], at_s: floa
     if 2 * len(slow) > len(faults):
         shares = [f.parameters["bandwidth_scale"].value for f in slow if "bandwidth_scale" in f.parameters]
         speed = f"{float(np.median(shares)):.0%} of their speed" if shares else "less than their speed"
-        text = f"the supply gave way at {at_s:.2f} s: {len(names)} servos have {speed}; measure it under load"
+        text = f"{len(names)} servos have {speed} since {at_s:.2f} s: measure their supply under load"
         return CommonCause("supply", at_s, end_s, names, text)
     return CommonCause("unknown", at_s, end_s, names, f"{count}: look at the servo supply, the bus and the clocks")
 

@@ -27,8 +27,9 @@ import numpy as np
 from logparsers.compiled import compiled
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.evidence import Detectable
+from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.probability import CusumDesign
-from servofd.detection.residual import Residuals, decide, new_glitch_memory
+from servofd.detection.residual import Residuals
 from servofd.detection.threshold import Threshold
 from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual

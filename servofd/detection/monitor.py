@@ -279,8 +279,6 @@ class SurfaceMonitor:
     _told_slow: bool = False
     suspicions: tuple[Fault, ...] = ()
     """What the last look found that is no fault."""
-    _wrong_s: float = -np.inf
-    """When the model was last far from the position [s]."""
     _slow: str = ""
     _excused: tuple[float, float] = (-np.inf, 0.0)
     """Until when nothing at all was heard of the vehicle, and for how long [s]."""
@@ -571,7 +569,7 @@ class SurfaceMonitor:
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
-        wanted = self._alarms or np.isfinite(self._suspected_s) or np.isfinite(self._wrong_s)
+        wanted = self._alarms or np.isfinite(self._suspected_s)
         look = self._look(whole=True) if wanted else None
         return events + (self.told(look, look.judge()) if look is not None else [])
 

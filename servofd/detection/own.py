@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from servofd.servo.library import Servo
 
 _PARTS: Final = (1, 3, 6, 12)
+"""Into how many parts a log is cut, one after the other."""
 _MOST_SAMPLES: Final = 3_000
 """Of a part that are fitted: a minute at 50 Hz."""
 _EXPLAINS: Final = 0.3
@@ -44,6 +45,7 @@ _SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.95, 0.5
 """The same of less than a third of the log, and of a servo that is like no sound one or leaves more than noise [deg]:
 some motion goes with some command by chance."""
 _LARGE_PARTS: Final = 3
+"""So many or fewer are large, and all of them are tried."""
 _SHORTEST_S: Final = 5.0
 """Of a part: what a servo does in less is no measure of the rest (a gripper that sticks at the end of 13 s)."""
 _OWN_LIMITS: Final = 2.5
@@ -63,9 +65,9 @@ _SOUND_ENOUGH: Final = 2.5
 _EACH_FAULT: Final = 2.0
 """Nats: one surface in some has a fault."""
 _MOST_MISFIT: Final = 25.0
+"""Squared standard deviations that one reading counts for, as where a fault is timed."""
 _WINDOW_S: Final = 5.0
 """What one stretch leaves unexplained is no better for the others that are at rest."""
-_NEARLY_ALL: Final = 0.9
 _CONTRADICT: Final = 4.0
 """Standard deviations between two parts of which one servo is no account."""
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
@@ -118,6 +120,8 @@ class _Part:
     apart: float
     """Half of the squared deviations from a sound servo, and what its faults cost [nats]."""
     time_s: FloatArray
+    """Of the whole log, shape (m,)."""
+    is_whole: bool
 
 
 def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigin:
@@ -152,7 +156,7 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             if count == 1:
                 share = fitted.explained_share
             if fitted.explained_share >= _least_share(count, fitted):
-                one = _judged(between_s, fitted, records, whole, usual, own_limits=1.0 if count == 1 else _OWN_LIMITS)
+                one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []
         if count > 1 and found and _best(found).apart < _SOUND_ENOUGH:
             break
@@ -207,9 +211,10 @@ def _judged(
     records: list[Record],
     whole: Record,
     usual: tuple[float, float],
-    own_limits: float,
+    *,
+    is_whole: bool,
 ) -> _Part | None:
-    """The part, if its servo stays below so many times the usual limits there."""
+    """The part, if its servo stays below the usual limits there; a part may reach some times as much."""
     known = known_servo(fitted, records, *usual, pushed=_PUSHED, apart=_APART)
     usually = _WIDER * np.array([FLOORS[name] for name in STATISTICS])
     seconds = whole.period_s * sum(float(np.count_nonzero(record.usable)) for record in records)
@@ -217,7 +222,7 @@ def _judged(
     largest = np.zeros(len(STATISTICS))
     for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
         largest = np.maximum(largest, statistics_of(watched(known, record), left_deg))
-    if (largest > own_limits * usually).any():
+    if (largest > (1.0 if is_whole else _OWN_LIMITS) * usually).any():
         return None
     limits = np.maximum(usually, _OWN_MARGIN * largest)
     thresholds = {name: float(f"{limit:.3g}") for name, limit in zip(STATISTICS, limits.tolist(), strict=True)}
@@ -226,11 +231,10 @@ def _judged(
     if not flight.judged.any():
         return None
     story = judged(flight)
-    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * len(
-        story.faults + story.suspicions
-    )
+    seen = len(story.faults) + len(story.suspicions)
+    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
-    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s)
+    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole)
 
 
 def _wider(seconds: float) -> FloatArray:
@@ -273,8 +277,7 @@ def _own(part: _Part, others: list[_Part], source: str) -> OwnServo:
 
 def _contradicted(part: _Part, others: list[_Part]) -> str:
     """Which other part moves otherwise, in words; nothing if none does for sure."""
-    is_whole = part.between_s[1] - part.between_s[0] > _NEARLY_ALL * float(np.ptp(part.time_s))
-    for other in () if is_whole else others:  # of which the whole is an account
+    for other in () if part.is_whole else others:  # of which the whole is an account
         spread = np.sqrt(np.diag(part.known.covariance + other.known.covariance))
         change = other.fitted.theta - part.fitted.theta
         told = {

@@ -15,6 +15,7 @@ import numpy as np
 
 from servofd.aircraft.series import settled_from_s
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, no_sum, shown, thresholds_of
+from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.probability import CusumDesign
 from servofd.detection.residual import (
     PEAK_OF_LAGS,
@@ -22,11 +23,9 @@ from servofd.detection.residual import (
     Commands,
     FilterMemory,
     Residuals,
-    decide,
     filter_in_place,
     go_on,
     mark_starts,
-    new_glitch_memory,
     new_starts_memory,
     unseen_deg,
 )
@@ -102,12 +101,9 @@ class History:
         rows = [getattr(residuals, name) for name in _OF_RESIDUALS] + [getattr(threshold, name) for name in _OF_LEVELS]
         return np.array([*rows, suspicious], dtype=float)
 
-    def snapshot(
-        self, kind: ThresholdKind, cusum: CusumDesign, since_s: float = -np.inf
-    ) -> tuple[Residuals, Threshold, BoolArray]:
-        """Residuals, threshold and suspicious samples since an instant [s], copied."""
-        first = int(np.searchsorted(self._rows[0, : self.size], since_s))
-        *rows, suspicious = self._rows[:, first : self.size].copy()
+    def snapshot(self, kind: ThresholdKind, cusum: CusumDesign) -> tuple[Residuals, Threshold, BoolArray]:
+        """Residuals, threshold and suspicious samples, copied."""
+        *rows, suspicious = self._rows[:, : self.size].copy()
         known, levels = dict(zip(_OF_RESIDUALS, rows, strict=False)), rows[len(_OF_RESIDUALS) :]
         known |= {"settled": known["settled"] != 0.0, "restart": known["restart"].astype(np.int8)}
         threshold = Threshold(kind, cusum=cusum, **dict(zip(_OF_LEVELS, levels, strict=True)))

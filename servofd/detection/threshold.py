@@ -30,14 +30,8 @@ from numpy.typing import NDArray
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
-from servofd.detection.residual import (
-    CURVATURE_TO_SIGMA,
-    RESTART_ALL,
-    RunningMedian,
-    new_running_median,
-    unmodelled,
-    with_value,
-)
+from servofd.detection.glitches import RunningMedian, new_running_median, with_value
+from servofd.detection.residual import CURVATURE_TO_SIGMA, RESTART_ALL, unmodelled
 from servofd.servo.loops import compiled, inner
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from servofd.aircraft.series import bus_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.detection.known import Line
-from servofd.feedback.fitted import Found, found_in, with_own_servo
+from servofd.feedback.fitted import Found, at_once, found_in, with_own_servo
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -107,7 +107,7 @@ def draft_aircraft(log: FlightLog) -> Draft:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
     plain = Aircraft.model_validate({"surfaces": {pair.surface: surface_entry(log, pair) for pair in pairs}})
     bus = bus_of(log, plain)
-    return Draft(log, tuple(_draft(log, pair, plain, bus) for pair in pairs))
+    return Draft(log, tuple(at_once(lambda pair: _draft(log, pair, plain, bus), pairs)))
 
 
 def _draft(log: FlightLog, pair: Pair, plain: Aircraft, bus: Mapping[str, Marks]) -> DraftedSurface:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from servofd.aircraft.series import bus_of, cut
 from servofd.core.errors import NoMeasurement
@@ -14,7 +16,7 @@ from servofd.estimate.record import Record
 from servofd.servo.library import Servo
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
@@ -24,9 +26,11 @@ if TYPE_CHECKING:
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 _FAR_GAINS: Final = (1.0 / 3.0, 3.0)
 """A scale that is further from one is no servo's: the command is another unit, or reversed."""
-_SCALES: Final = (0.02, 50.0)
+_SCALES: Final = (0.005, 200.0)
+"""A position in radians, or one of a command in them, moves by a 57th or 57 times as much."""
 _PARTS: Final = 3
 _SAME_SLOPE: Final = 0.3
+"""Share by which the slopes of two parts differ that are one."""
 _ORDINARY: Final = Servo(
     title="an ordinary servo, for want of a better one",
     bandwidth_hz=6.0,
@@ -35,6 +39,10 @@ _ORDINARY: Final = Servo(
     hold="zoh",
     source="no servo explains the log",
 )
+
+
+Asked = TypeVar("Asked")
+Given = TypeVar("Given")
 
 
 class Found(NamedTuple):
@@ -49,10 +57,17 @@ class Found(NamedTuple):
 def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | None = None) -> Aircraft:
     """Return the same aircraft with servos fitted to a log."""
     surfaces, servos, bus = dict(aircraft.surfaces), dict(aircraft.servos), bus_of(log, aircraft)
-    for name in aircraft.surfaces if only is None else only:
-        surfaces[name], fitted = with_own_servo(aircraft.surfaces[name], name, found_in(log, name, aircraft, bus))
+    names = list(aircraft.surfaces if only is None else only)
+    for name, found in zip(names, at_once(lambda name: found_in(log, name, aircraft, bus), names), strict=True):
+        surfaces[name], fitted = with_own_servo(aircraft.surfaces[name], name, found)
         servos |= fitted
     return aircraft.model_copy(update={"surfaces": surfaces, "servos": servos})
+
+
+def at_once(fitted: Callable[[Asked], Given], each: Sequence[Asked]) -> list[Given]:
+    """Return what is fitted to each of several surfaces, one a core: the kernel runs without the interpreter's lock."""
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        return list(pool.map(fitted, each))
 
 
 def found_in(

@@ -14,18 +14,10 @@ from hypothesis import strategies as st
 from servofd.aircraft.marks import Why
 from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
+from servofd.detection.glitches import glitches, new_running_median, with_value
 from servofd.detection.judge import judge
 from servofd.detection.monitor import Event, Look, SurfaceMonitor
-from servofd.detection.residual import (
-    ResidualGenerator,
-    glitches,
-    mark_starts,
-    new_running_median,
-    new_starts_memory,
-    prepared,
-    rhythm,
-    with_value,
-)
+from servofd.detection.residual import ResidualGenerator, mark_starts, new_starts_memory, prepared, rhythm
 from servofd.detection.stream import CommandBuffer, History, Piece, Stream
 from servofd.detection.threshold import latch, new_latch_memory
 from servofd.detection.verdict import Fault

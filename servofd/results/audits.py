@@ -1,210 +1,59 @@
-"""The verbs as functions for a notebook: results that show themselves, and become a table, a figure or a page."""
+"""Flights judged: one, its runs, many, and two beside each other; and logs as they are."""
 
 from __future__ import annotations
 
-import re
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
-from functools import wraps
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Self, cast, overload
 
 import numpy as np
 
-from logparsers import FlightLog, LogError
+from logparsers import FlightLog
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.axes.verdict import AxisAudit
 from servofd.batch.find import META_FILE, find_logs, is_pattern, is_plain_file
 from servofd.batch.key import Job
-from servofd.calibrating.result import Calibration, calibration_to_toml
-from servofd.core.errors import ConfigError, NoMeasurement, ServofdError, UnknownName, needs, suggest
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
 from servofd.core.series import latest
 from servofd.detection.verdict import LogAudit, SurfaceAudit
-from servofd.feedback.flown import known_aircraft, layout_of, log_files, logs_of
+from servofd.feedback.flown import known_aircraft, layout_of, logs_of
 from servofd.feedback.tables import as_described, frame_of, is_table
 from servofd.fleets.overview import Overview, overview
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import by_path, read_logs
-from servofd.identification.result import Identification
-from servofd.jobs import bench, workflow
-from servofd.jobs.explaining import explain_logs
-from servofd.jobs.simulating import simulated
+from servofd.jobs import workflow
 from servofd.outputs.audit_report import audit_report, axis_chart
-from servofd.outputs.calibrate_report import calibrate_figure, calibrate_report
 from servofd.outputs.chart import flight_chart
 from servofd.outputs.compare_report import Track, charts, compare_report, overlaid, track_of
-from servofd.outputs.document import Table
-from servofd.outputs.explain_report import explain_figures, explain_report
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
-from servofd.outputs.identify_report import identify_figures, identify_report
-from servofd.outputs.model_file import model_file
 from servofd.outputs.page import html_page
-from servofd.outputs.sentence import spoken
-from servofd.outputs.trend_report import quantity_row, trend_picture, trend_report
-from servofd.simulation.flight import SimulatedFlight
-from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
+from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, plain_log
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
-    from logparsers import Channel
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold, ThresholdKind
-    from servofd.discrepancy.explanation import Explanation
     from servofd.feedback.flown import Log
     from servofd.outputs.chart import Chart
     from servofd.outputs.document import Document
+    from servofd.results.simulated import Flown
 
 
-class Shown(ABC):
-    """A result that a notebook shows, and that becomes a table or a page."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def report(self) -> Document:
-        """What the verb found, as the command line prints it and its page shows it."""
-
-    @abstractmethod
-    def _rows(self) -> list[dict[str, Any]]:
-        """One for each surface or quantity."""
-
-    @property
-    def sentence(self) -> str:
-        """What it comes to, in a sentence."""
-        return self.report().sentence
-
-    @property
-    def status(self) -> str:
-        """``healthy``, ``suspect``, ``fault``, ``unknown`` or ``no_data``: which colour it has."""
-        return self.report().status
-
-    def to_html(self) -> str:
-        """Text of its page."""
-        return html_page(self.report())
-
-    @classmethod
-    def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
-        return cls(**_fields(found))
-
-    def to_pandas(self) -> pd.DataFrame:
-        """One row for each surface or quantity."""
-        needs("pandas")
-        import pandas as pd
-
-        return pd.DataFrame(self._rows())
-
-    def save_html(self, path: str | Path) -> Path:
-        """Write its page, and give the path."""
-        write_whole(path, self.to_html().encode())
-        return Path(path)
-
-    def __repr__(self) -> str:
-        """Short: one line, and one for each surface or quantity."""
-        rows = [["" if v is None else str(v) for v in list(row.values())[:_SHORT]] for row in self._rows()]
-        widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(rows[0]) if rows else 0)]
-        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-        report, name = self.report(), type(self).__name__
-        head = f"{name}: {report.sentence.removeprefix(f'{name}: ')}{f' ({report.facts})' if report.facts else ''}"
-        return "\n".join([head, *(f"  {line}" for line in lines)])
-
-    def _repr_html_(self) -> str:
-        rows = self._rows()
-        return html_page(
-            self.report(),
-            "cell.html",
-            head=[spoken(name) for name in (rows[0] if rows else ())][:_SHOWN],
-            rows=[["" if value is None else value for value in row.values()][:_SHOWN] for row in rows],
-        )
-
-
-_SHORT, _SHOWN = 3, 6
-"""Columns of a row in a terminal, and in a notebook."""
-
-P = ParamSpec("P")
-Result = TypeVar("Result", bound=Shown)
-Given = TypeVar("Given")
-
-_OPTION = re.compile(r"(?<![\w-])(?:-(?P<short>[cs])|--(?P<long>[a-z][a-z-]*))(?![\w-])(?: (?P<value>[A-Za-z0-9.]+))?")
-_DISORDER = ("split the log there", "sort it by its time, or tell flights apart by a column run")
-_TABLES = ("DataFrame:", "dict:")
-_KEYWORDS = {"c": "aircraft", "s": "surface", "config": "aircraft", "duration": "duration_s"}
-
-
-def _in_words_of_python(verb: Callable[P, Given]) -> Callable[P, Given]:
-    """The verb with errors that name its arguments where those of the command line name options."""
-
-    @wraps(verb)
-    def call(*args: P.args, **options: P.kwargs) -> Given:
-        try:
-            return verb(*args, **options)
-        except (LogError, ServofdError) as error:
-            text = str(error).replace(*_DISORDER) if str(error).startswith(_TABLES) else str(error)
-            error.args = (_OPTION.sub(_keyword, text), *error.args[1:])
-            raise
-
-    return call
-
-
-def _keyword(option: re.Match[str]) -> str:
-    name = option["short"] or option["long"].replace("-", "_")
-    return f"{_KEYWORDS.get(name, name)}={option['value'] or ''}"
-
-
-def _shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable[P, Result]:
-    """The verb as the command line calls it, with a result that shows itself."""
-
-    @wraps(verb)
-    @_in_words_of_python
-    def call(*args: P.args, **options: P.kwargs) -> Result:
-        return kind._of(verb(*args, **options))
-
-    call.__name__ = call.__qualname__ = name
-    return call
-
-
-class _Drawn(ABC):
-    """A surface or an axis that draws itself, and gives its numbers over time."""
-
-    __slots__ = ()
-
-    def __repr__(self) -> str:
-        """What is said of it."""
-        return self.said
-
-    @property
-    @abstractmethod
-    def said(self) -> str:
-        """Name, status and reason."""
-
-    @abstractmethod
-    def chart(self) -> Chart:
-        """The whole flight of it."""
-
-    @abstractmethod
-    def series(self) -> pd.DataFrame:
-        """Its numbers over time."""
-
-    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Figure of the whole flight; into one's own axes, the upper part into one, or all of it into several."""
-        needs("matplotlib")
-        return chart_figure(self.chart(), ax)
-
-
-class AuditedSurface(SurfaceAudit, _Drawn):
+class AuditedSurface(SurfaceAudit, Drawn):
     """Verdict on one surface."""
 
     __slots__ = ()
-    __repr__ = _Drawn.__repr__
+    __repr__ = Drawn.__repr__
 
     @property
     def said(self) -> str:
@@ -245,11 +94,11 @@ class AuditedSurface(SurfaceAudit, _Drawn):
         return self.segment, self.residuals, self.threshold
 
 
-class AuditedAxis(AxisAudit, _Drawn):
+class AuditedAxis(AxisAudit, Drawn):
     """What the motion of the aircraft tells of one axis."""
 
     __slots__ = ()
-    __repr__ = _Drawn.__repr__
+    __repr__ = Drawn.__repr__
 
     @property
     def said(self) -> str:
@@ -285,8 +134,8 @@ class Audit(LogAudit, Shown):
 
     @classmethod
     def _of(cls, found: LogAudit) -> Self:
-        surfaces = tuple(AuditedSurface(**_fields(one)) for one in found.surfaces)
-        axes = tuple(AuditedAxis(**_fields(one)) for one in found.axes)
+        surfaces = tuple(AuditedSurface(**fields_of(one)) for one in found.surfaces)
+        axes = tuple(AuditedAxis(**fields_of(one)) for one in found.axes)
         return cls(found.log, found.aircraft, surfaces, axes, found.common_causes)
 
     def __iter__(self) -> Iterator[Self]:
@@ -336,7 +185,7 @@ class Audit(LogAudit, Shown):
         return compare(self, other)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _audit_of, (_plain(self.log, {}), self.aircraft, self.surfaces, self.axes)
+        return _audit_of, (plain_log(self.log, {}), self.aircraft, self.surfaces, self.axes, self.common_causes)
 
     def report(self) -> Document:
         """Verdicts in words, tables and charts."""
@@ -362,23 +211,13 @@ class Audit(LogAudit, Shown):
         return self._drawn(min(drawn, key=lambda one: _WORST_FIRST.index(one.status)), ax)
 
     @staticmethod
-    def _drawn(one: _Drawn, ax: Axes | Sequence[Axes] | None) -> Figure:
+    def _drawn(one: Drawn, ax: Axes | Sequence[Axes] | None) -> Figure:
         return one.plot(ax)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [_row(one) for one in self.surfaces] + [
             {"surface": axis.axis, "status": axis.status, "reason": axis.reason} for axis in self.axes
         ]
-
-
-def _fields(found: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
-    return {field.name: getattr(found, field.name) for field in fields(found)}
-
-
-def _plain(log: FlightLog, channels: Mapping[str, Channel]) -> dict[str, Any]:
-    """What a pickle holds of a log."""
-    span_s = log.span_s or (0.0, log.duration_s)
-    return _fields(log) | {"channels": dict(channels), "parameters": dict(log.parameters), "span_s": span_s}
 
 
 def _audit_of(log: dict[str, Any], *others: Any) -> Audit:  # noqa: ANN401 - the other fields
@@ -459,7 +298,7 @@ def audit(
 ) -> Audit | Audits: ...
 
 
-@_in_words_of_python
+@in_words_of_python
 def audit(
     log: Log | Flown,
     aircraft: Aircraft | str | Path | None = None,
@@ -573,7 +412,7 @@ def _is_watched(console: Console) -> bool:
     return console.is_terminal or console.is_jupyter
 
 
-@_in_words_of_python
+@in_words_of_python
 def fleet(folder: str | Path, aircraft: Aircraft | str | Path | None = None, *, servo: str | None = None) -> Fleet:
     """What the logs of a folder say together.
 
@@ -661,7 +500,7 @@ def compare(first: Audit, second: Audit) -> Comparison:
     return Comparison(first, second)
 
 
-@_in_words_of_python
+@in_words_of_python
 def load(
     log: Log, aircraft: Aircraft | str | Path | None = None, *, columns: Mapping[str, str] | None = None
 ) -> FlightLog | tuple[FlightLog, ...]:
@@ -678,250 +517,3 @@ def load(
         aircraft = aircraft_of_columns(columns)
     found = tuple(logs_of(log, known_aircraft(aircraft)))
     return found[0] if len(found) == 1 else found
-
-
-class Flown(SimulatedFlight):
-    """A simulated flight, which is a log for every verb."""
-
-    __slots__ = ()
-
-    def to_pandas(self) -> pd.DataFrame:
-        """As a plain table: time, and command and measured position of each surface [deg]."""
-        needs("pandas")
-        import pandas as pd
-
-        columns = {"time_s": self.time_s}
-        for k, name in enumerate(self.surfaces):
-            columns |= {f"{name}_cmd_deg": self.command_deg[:, k], f"{name}_pos_deg": self.measured_deg[:, k]}
-        return pd.DataFrame(columns)
-
-    def __repr__(self) -> str:
-        return f"Flown: {', '.join(self.surfaces)}, {self.time_s[-1]:.1f} s"
-
-
-@_in_words_of_python
-def simulate(
-    output: str | Path | None = None,
-    aircraft: Aircraft | str | Path | None = None,
-    *,
-    servo: str | None = None,
-    command: str = "flight",
-    duration_s: float = 60.0,
-    rate_hz: float | None = None,
-    seed: int = 0,
-    fault: str | Sequence[str] = (),
-    effect: str | Sequence[str] = (),
-    noise_deg: float = 0.1,
-) -> Flown:
-    """Fly an aircraft whose faults are known, and write its log if `output` names a file.
-
-    Parameters
-    ----------
-    output : str or Path, optional
-        Log to write: ``.csv``, ``.mat``, ``.bin``, ``.tlog`` or ``.ulg``.
-    aircraft, servo
-        As for `audit`; three surfaces of one servo if left out.
-    command : {"flight", "chirp", "steps", "doublets"}
-        What is asked of the surfaces.
-    duration_s, rate_hz : float
-        Length [s], and sample rate [Hz].
-    seed : int
-        The same seed gives the same flight.
-    fault, effect : str or sequence of str
-        ``"elevator:stuck@30"``, ``"elevator:delay:delay_s=0.02"``.
-    noise_deg : float
-        Standard deviation of noise on what is measured [deg].
-
-    Examples
-    --------
-    >>> flown = simulate(duration_s=40.0, fault="rudder:stuck@20", seed=1)
-    >>> audit(flown, servo="hs225bb-eq31").rudder.faults[0].kind
-    'stuck'
-    """
-    made = simulated(
-        output, aircraft, servo=servo, command=command, duration_s=duration_s, rate_hz=rate_hz, seed=seed,
-        fault=_several(fault), effect=_several(effect), noise_deg=noise_deg,
-    )  # fmt: skip
-    return Flown(**_fields(made.flight))
-
-
-def _several(texts: str | Sequence[str]) -> Sequence[str]:
-    return (texts,) if isinstance(texts, str) else texts
-
-
-class Identified(Identification, Shown):
-    """A servo, how sure its numbers are, and the evidence."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
-
-    def report(self) -> Document:
-        """Numbers with their intervals, and figures."""
-        return identify_report(self, f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}")
-
-    def plot(self) -> Figure:
-        """Figure of the frequency response, or of the motion where there is none."""
-        needs("matplotlib")
-        return identify_figures(self)[0].figure
-
-    def _rows(self) -> list[dict[str, Any]]:
-        (table,) = (part for part in self.report().parts if isinstance(part, Table))
-        return [dict(zip(map(str, table.head), row, strict=True)) for row in table.rows]
-
-
-identify = _shown("identify", bench.identify, Identified)
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Explained(Shown):
-    """What the model of a servo lacked, and how the gap shrinks."""
-
-    explanation: Explanation
-    aircraft: Aircraft
-    source: str
-    logs: tuple[FlightLog, ...]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        logs = [_plain(log, log.channels) for log in self.logs]
-        return _explained_of, (self.explanation, self.aircraft, self.source, logs)
-
-    @property
-    def answer(self) -> str:
-        """What is missing, how much, whether that is a fault, and what to do next."""
-        return self.explanation.answer
-
-    def report(self) -> Document:
-        """What is missing in words, tables and figures."""
-        return explain_report([self.explanation], self.source)
-
-    @property
-    def steps(self) -> pd.DataFrame:
-        """One row for each effect, the one that helps most first: its size, and the error with it."""
-        return self.to_pandas()
-
-    def plot(self) -> Figure:
-        """Figure of the motion where the models differ most."""
-        needs("matplotlib")
-        return explain_figures(self.explanation, "explain")[0].figure
-
-    def save(self, path: str | Path) -> Path:
-        """Write the aircraft file with the better model, and give the path."""
-        text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
-        write_whole(path, text.encode())
-        return Path(path)
-
-    def _rows(self) -> list[dict[str, Any]]:
-        document = self.explanation.document()
-        first = {"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}
-        steps = [
-            {
-                "effect": step["effect"],
-                "form": step["form"],
-                "sizes": ", ".join(f"{name} = {each['value']:.4g}" for name, each in step["parameters"].items()),
-                "train_rms_deg": step["train_rms_deg"],
-                "held_out_rms_deg": step["held_out_rms_deg"],
-            }
-            for step in document["steps"]
-        ]
-        return [first, *steps]
-
-
-def _explained_of(explanation: Explanation, aircraft: Aircraft, source: str, logs: list[dict[str, Any]]) -> Explained:
-    return Explained(explanation, aircraft, source, tuple(FlightLog(**log) for log in logs))
-
-
-@_in_words_of_python
-def explain(
-    logs: Log | Sequence[Log],
-    aircraft: str | Path | Aircraft | None = None,
-    *,
-    surface: str | None = None,
-    servo: str | None = None,
-) -> Explained:
-    """Explain where a servo and its model disagree; parameters as of `servofd.explain_logs`.
-
-    Examples
-    --------
-    >>> found = explain("sample_logs/hidden/hidden_11.csv", servo="hs225bb-eq31")
-    >>> found.answer.split(",")[0][:10]
-    'Play of 1.'
-    >>> found.steps["effect"].tolist()
-    ['as it was', 'backlash']
-    """
-    found = explain_logs(log_files(logs), aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
-    if found.failures:
-        raise NoMeasurement(found.failures[0])
-    return Explained(found.explanations[0], found.aircraft, found.source, found.logs)
-
-
-class Calibrated(Calibration, Shown):
-    """An aircraft calibrated from good flights."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
-
-    def to_toml(self) -> str:
-        """The aircraft file, with its comments."""
-        return calibration_to_toml(self)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the aircraft file, and give the path."""
-        write_whole(path, self.to_toml().encode())
-        return Path(path)
-
-    def report(self) -> Document:
-        """Tables of the surfaces, and the smallest faults."""
-        return calibrate_report(self)
-
-    def plot(self) -> Figure:
-        """Figure of the smallest faults that flights like these show."""
-        needs("matplotlib")
-        return calibrate_figure(self)
-
-    def _rows(self) -> list[dict[str, Any]]:
-        return [
-            {
-                "surface": one.surface,
-                "delay_ms": round(1e3 * one.estimates["delay_s"].value, 1),
-                "bandwidth_rad_s": round(one.bandwidth_rad_s.value, 1),
-                "held_out_rms_deg": round(one.held_out_rms_deg, 3),
-                **{f"smallest_{name}": size for name, size in one.detectable.document().items()},
-                "flights": ", ".join(one.flights),
-                "notes": "; ".join(one.notes),
-            }
-            for one in self.surfaces
-        ]
-
-
-calibrate = _shown("calibrate", workflow.calibrate, Calibrated)
-
-
-class Trend(AircraftTrend, Shown):
-    """All surfaces of one aircraft over its flights."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
-
-    def report(self) -> Document:
-        """What changes over the flights, and since when."""
-        return trend_report(trend_document(self))
-
-    def plot(self, surface: str | None = None) -> Figure:
-        """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""
-        needs("matplotlib")
-        known = {one.surface: one for one in self.surfaces}
-        name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
-        if name not in known:
-            raise UnknownName(suggest("surface", name, known))
-        return trend_picture(name, trend_document(self)["surfaces"][name]).figure
-
-    def _rows(self) -> list[dict[str, Any]]:
-        names = ("quantity", "now", "per_flight", "limit", "forecast")
-        return [
-            {"surface": name} | dict(zip(names, quantity_row(one), strict=True))
-            for name, surface in trend_document(self)["surfaces"].items()
-            for one in surface["quantities"].values()
-        ]
-
-
-trend = _shown("trend", trend_logs, Trend)

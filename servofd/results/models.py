@@ -1,0 +1,213 @@
+"""Servos identified, explained, calibrated and followed over many flights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from logparsers import FlightLog
+from servofd.calibrating.result import Calibration, calibration_to_toml
+from servofd.core.errors import NoMeasurement, UnknownName, needs, suggest
+from servofd.core.files import write_whole
+from servofd.feedback.flown import log_files
+from servofd.identification.result import Identification
+from servofd.jobs import bench, workflow
+from servofd.jobs.explaining import explain_logs
+from servofd.outputs.calibrate_report import calibrate_figure, calibrate_report
+from servofd.outputs.document import Table
+from servofd.outputs.explain_report import explain_figures, explain_report
+from servofd.outputs.identify_report import identify_figures, identify_report
+from servofd.outputs.model_file import model_file
+from servofd.outputs.trend_report import quantity_row, trend_picture, trend_report
+from servofd.results.shown import Shown, in_words_of_python, plain_log, shown
+from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from servofd.aircraft.schema import Aircraft
+    from servofd.discrepancy.explanation import Explanation
+    from servofd.feedback.flown import Log
+    from servofd.outputs.document import Document
+
+
+class Identified(Identification, Shown):
+    """A servo, how sure its numbers are, and the evidence."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    def report(self) -> Document:
+        """Numbers with their intervals, and figures."""
+        return identify_report(self, f"{len(self.runs)} {'test' if len(self.runs) == 1 else 'tests'}")
+
+    def plot(self) -> Figure:
+        """Figure of the frequency response, or of the motion where there is none."""
+        needs("matplotlib")
+        return identify_figures(self)[0].figure
+
+    def _rows(self) -> list[dict[str, Any]]:
+        (table,) = (part for part in self.report().parts if isinstance(part, Table))
+        return [dict(zip(map(str, table.head), row, strict=True)) for row in table.rows]
+
+
+identify = shown("identify", bench.identify, Identified)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Explained(Shown):
+    """What the model of a servo lacked, and how the gap shrinks."""
+
+    explanation: Explanation
+    aircraft: Aircraft
+    source: str
+    logs: tuple[FlightLog, ...]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        logs = [plain_log(log, log.channels) for log in self.logs]
+        return _explained_of, (self.explanation, self.aircraft, self.source, logs)
+
+    @property
+    def answer(self) -> str:
+        """What is missing, how much, whether that is a fault, and what to do next."""
+        return self.explanation.answer
+
+    def report(self) -> Document:
+        """What is missing in words, tables and figures."""
+        return explain_report([self.explanation], self.source)
+
+    @property
+    def steps(self) -> pd.DataFrame:
+        """One row for each effect, the one that helps most first: its size, and the error with it."""
+        return self.to_pandas()
+
+    def plot(self) -> Figure:
+        """Figure of the motion where the models differ most."""
+        needs("matplotlib")
+        return explain_figures(self.explanation, "explain")[0].figure
+
+    def save(self, path: str | Path) -> Path:
+        """Write the aircraft file with the better model, and give the path."""
+        text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
+        write_whole(path, text.encode())
+        return Path(path)
+
+    def _rows(self) -> list[dict[str, Any]]:
+        document = self.explanation.document()
+        first = {"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}
+        steps = [
+            {
+                "effect": step["effect"],
+                "form": step["form"],
+                "sizes": ", ".join(f"{name} = {each['value']:.4g}" for name, each in step["parameters"].items()),
+                "train_rms_deg": step["train_rms_deg"],
+                "held_out_rms_deg": step["held_out_rms_deg"],
+            }
+            for step in document["steps"]
+        ]
+        return [first, *steps]
+
+
+def _explained_of(explanation: Explanation, aircraft: Aircraft, source: str, logs: list[dict[str, Any]]) -> Explained:
+    return Explained(explanation, aircraft, source, tuple(FlightLog(**log) for log in logs))
+
+
+@in_words_of_python
+def explain(
+    logs: Log | Sequence[Log],
+    aircraft: str | Path | Aircraft | None = None,
+    *,
+    surface: str | None = None,
+    servo: str | None = None,
+) -> Explained:
+    """Explain where a servo and its model disagree; parameters as of `servofd.explain_logs`.
+
+    Examples
+    --------
+    >>> found = explain("sample_logs/hidden/hidden_11.csv", servo="hs225bb-eq31")
+    >>> found.answer.split(",")[0][:10]
+    'Play of 1.'
+    >>> found.steps["effect"].tolist()
+    ['as it was', 'backlash']
+    """
+    found = explain_logs(log_files(logs), aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
+    if found.failures:
+        raise NoMeasurement(found.failures[0])
+    return Explained(found.explanations[0], found.aircraft, found.source, found.logs)
+
+
+class Calibrated(Calibration, Shown):
+    """An aircraft calibrated from good flights."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    def to_toml(self) -> str:
+        """The aircraft file, with its comments."""
+        return calibration_to_toml(self)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the aircraft file, and give the path."""
+        write_whole(path, self.to_toml().encode())
+        return Path(path)
+
+    def report(self) -> Document:
+        """Tables of the surfaces, and the smallest faults."""
+        return calibrate_report(self)
+
+    def plot(self) -> Figure:
+        """Figure of the smallest faults that flights like these show."""
+        needs("matplotlib")
+        return calibrate_figure(self)
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "surface": one.surface,
+                "delay_ms": round(1e3 * one.estimates["delay_s"].value, 1),
+                "bandwidth_rad_s": round(one.bandwidth_rad_s.value, 1),
+                "held_out_rms_deg": round(one.held_out_rms_deg, 3),
+                **{f"smallest_{name}": size for name, size in one.detectable.document().items()},
+                "flights": ", ".join(one.flights),
+                "notes": "; ".join(one.notes),
+            }
+            for one in self.surfaces
+        ]
+
+
+calibrate = shown("calibrate", workflow.calibrate, Calibrated)
+
+
+class Trend(AircraftTrend, Shown):
+    """All surfaces of one aircraft over its flights."""
+
+    __slots__ = ()
+    __repr__ = Shown.__repr__
+
+    def report(self) -> Document:
+        """What changes over the flights, and since when."""
+        return trend_report(trend_document(self))
+
+    def plot(self, surface: str | None = None) -> Figure:
+        """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""
+        needs("matplotlib")
+        known = {one.surface: one for one in self.surfaces}
+        name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
+        if name not in known:
+            raise UnknownName(suggest("surface", name, known))
+        return trend_picture(name, trend_document(self)["surfaces"][name]).figure
+
+    def _rows(self) -> list[dict[str, Any]]:
+        names = ("quantity", "now", "per_flight", "limit", "forecast")
+        return [
+            {"surface": name} | dict(zip(names, quantity_row(one), strict=True))
+            for name, surface in trend_document(self)["surfaces"].items()
+            for one in surface["quantities"].values()
+        ]
+
+
+trend = shown("trend", trend_logs, Trend)
