@@ -27,10 +27,12 @@ from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.evidence import detectable, reported, status_of, too_short
 from servofd.detection.judge import judge
+from servofd.detection.known import crude_line
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, Residuals, prepared
 from servofd.detection.verdict import CommonCause, LogAudit, Statistics, SurfaceAudit, describe
 from servofd.detection.wiring import wiring_problem
+from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -284,6 +286,12 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
     if asked_deg < _HARDLY_ASKED_DEG:
         return f"its command stays within {asked_deg:.2g} deg, too little motion to tell how it would follow: {record}"
     if moved_deg < _HARDLY_MOVED * asked_deg:
+        line = crude_line(Record.of(segment))
+        if line is not None:
+            return (
+                f"its position is {line.gain:.2g}x the command throughout: check the scale of the calibration, or its "
+                "unit (radians are 0.017 times degrees)"
+            )
         return (
             f"its position stays within {moved_deg:.2g} deg while its command moves by {asked_deg:.2g} deg: jammed "
             "from the beginning, or no reading of this surface"

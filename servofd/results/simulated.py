@@ -72,6 +72,7 @@ def simulate(
 
     Examples
     --------
+    >>> from servofd import audit
     >>> flown = simulate(duration_s=40.0, fault="rudder:stuck@20", seed=1)
     >>> audit(flown, servo="hs225bb-eq31").rudder.faults[0].kind
     'stuck'

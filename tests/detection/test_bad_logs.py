@@ -84,9 +84,10 @@ def test_one_surface_alone_is_judged_as_among_others() -> None:
         (lambda asked, seen: (asked, 3.0 + noise_deg(seen)), "jammed from the beginning, or no reading"),
         (lambda asked, seen: (asked, 20.0 * np.sin(0.01 * np.arange(seen.size))), "no servo predicts this surface"),
         (lambda asked, seen: (asked, -seen), "check the sign"),
+        (lambda asked, seen: (asked, np.deg2rad(seen)), "x the command throughout: check the scale"),
         (lambda asked, seen: (asked, 0.4 * seen), "times its command"),
     ],
-    ids=["jammed", "floating", "reversed", "weak"],
+    ids=["jammed", "floating", "reversed", "radians", "weak"],
 )
 def test_what_was_so_from_the_beginning_is_told_and_no_fault_of_all_servos(
     change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], told: str
