@@ -122,8 +122,12 @@ def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     if flight.motion is not None:
         motion, axes = flight.motion, flight.axes
         parts.append(Figures(lambda: [_alone_chart(motion, axes)]))
-    sentence = flight.sentence[:1].upper() + flight.sentence[1:]
-    return Document(name, "unknown", f"{sentence}.", facts, parts, log=name)
+    sentence, rest = flight.sentence, flight.sentence
+    if any(check.status == "look" for check in flight.checks):  # what to look at heads the page; the rest follows
+        sentence, _, rest = flight.sentence.partition("; ")
+    return Document(
+        name, "unknown", f"{sentence[:1].upper()}{sentence[1:]}.", facts.replace(flight.sentence, rest), parts, log=name
+    )
 
 
 _LOOKS = {"ok": "nothing wrong", "look": "look", "unknown": "cannot tell"}
@@ -149,7 +153,9 @@ def _alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
                 Curve("distance", "residual", time_s, score),
                 Curve("limit", "threshold", time_s[[0, -1]], np.ones(2)),
             )
-            panels.append(Panel(f"{axis}: distance from its own past", "", curves, 0.0, max(1.2, float(score.max()))))
+            panels.append(
+                Panel(f"{axis}: distance from its own past", "limits", curves, 0.0, max(1.2, float(score.max())))
+            )
     marks = [Mark("onset", one.since_s, f"{one.axis} changed") for one in axes.values() if one.since_s is not None]
     text = "An axis whose distance from its own past exceeds 1 for three seconds no longer answers as it did."
     first_s, last_s = float(motion.time_s[0]), float(motion.time_s[-1])
