@@ -25,11 +25,12 @@ from servofd.aircraft.series import (
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.calibrated import audit_calibrated
+from servofd.detection.changes import detectable as shown_by_windows
 from servofd.detection.evidence import detectable, reported, status_of, too_short
-from servofd.detection.judge import judge
 from servofd.detection.known import crude_line
+from servofd.detection.named import judged_named, threshold_of, watched_named
 from servofd.detection.probability import false_alarms_per_hour
-from servofd.detection.residual import ResidualGenerator, Residuals, prepared
+from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo, prepared
 from servofd.detection.verdict import CommonCause, LogAudit, Statistics, SurfaceAudit, describe
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import Record
@@ -157,26 +158,24 @@ def audit_segment(
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment, residuals=residuals)
     statistics = Statistics.of(residuals.residual_deg[residuals.settled], residuals.error_deg[residuals.settled])
-    # Whoever names a level wants to know what reaches it.
-    judgement = judge(generator, segment, residuals, surface, dismiss=threshold_deg is None)
-    level, faults, suspicions = judgement.threshold, judgement.faults, judgement.suspicions
-    if judgement.unnamed:  # and why there are so many, if the threshold is to blame
-        level_deg, sigma_deg = level.typical_deg, float(np.median(level.sigma_deg))
-        within = f": the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
-        much = within if level_deg < _CLEAR_SIGMAS * sigma_deg else ""
-        notes = (f"{judgement.unnamed} smaller alarms not named{much}", *notes)
+    level = threshold_of(generator, segment, residuals, surface)
+    commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
+    flight = watched_named(generator, surface, residuals, level, commands, segment.period_s)
+    # Whoever names a level wants to know what reaches it, and that alone.
+    found = judged_named(flight, tells=surface.tells_small_faults, asked=threshold_deg is not None)
+    faults, suspicions = found.faults, found.suspicions
+    if level.typical_deg < _CLEAR_SIGMAS * (sigma_deg := float(np.median(level.sigma_deg))) and faults:
+        notes = (
+            f"the threshold of {level.typical_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg",
+            *notes,
+        )
     problem = wiring_problem(residuals) if faults or suspicions else ""
     if problem:
         faults = suspicions = ()
     shown = NOTHING_DETECTABLE
     if not problem:
-        shown = detectable(
-            generator,
-            residuals,
-            level,
-            suspicions=surface.tells_small_faults,
-            persistence=surface.persistence,
-        )
+        by_level = flight.alone and not surface.tells_small_faults
+        shown = detectable(generator, residuals, level, surface.persistence) if by_level else shown_by_windows([flight])
         above = np.abs(residuals.residual_deg[residuals.settled]) > level.level_deg[residuals.settled]
         passed = ", which single readings passed" if above.any() else ""
         well = f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"

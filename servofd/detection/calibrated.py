@@ -27,7 +27,6 @@ from servofd.detection.changes import (
     detectable,
     exceeded,
     follow,
-    no_sum,
     shown,
     thresholds_of,
     watched,
@@ -129,6 +128,7 @@ class _Window:
         self.sigma_deg = watched.noise_deg[self.rows]
         self.total_deg = watched.sigma_deg[self.rows]
         self.record, self.known, self.theta = record, known, known.theta
+        self.lacking_deg, self.ends_deg = watched.lacking_deg[self.rows], watched.ends_deg
         self.precision = np.linalg.inv(known.covariance)
         self.noise = watched.noise
         start_deg = record.start_deg[self.rows].copy()
@@ -150,7 +150,8 @@ class _Window:
             table, new_state(table.shape[0]), record.commands, self.time_s, record.load[self.rows],
             record.power[self.rows], self.start_deg,
         )  # fmt: skip
-        return sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
+        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
+        return reading_deg + self.lacking_deg, slopes
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
@@ -343,7 +344,7 @@ def _immobile(window: _Window) -> Iterator[_Guess]:
     value = float(np.median(measured_deg[used]))
     still = np.hypot(known.noise.still_deg, _LOOSE * known.parameters["play_deg"])
     ratio = float(np.median(window.sigma_deg[used])) / float(np.hypot(still, _LEAST_STILL_DEG))
-    low, high = known.reach_deg
+    low, high = window.ends_deg
     at_stop = value > high - _AT_STOP_DEG or value < low + _AT_STOP_DEG
     rest = window.whitened(measured_deg - value) * min(ratio, 1.0)
     moved = {"position_deg": Estimate.of(value, float(still) / np.sqrt(window.count) / window.noise.innovation)}
@@ -453,6 +454,8 @@ _MOST_FAULTS: Final = 20
 _RESIDUALS: Final = STATISTICS.index("left_2s")
 """So many statistics are of the residual over its total sigma, not of what is left of it."""
 _AGAIN_S: Final = 1.0
+_SOON_AFTER_S: Final = 5.0
+"""For so long after an alarm its size counts."""
 _STILL_FAST: Final = 0.69
 """Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
 _STILL_ALL: Final = 0.93
@@ -463,7 +466,7 @@ _NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
 _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_deg", 0.2)}
 """What the narrow-band test counts as an oscillation, and less play than any servo has."""
 _SHORTEST_WEAR_S: Final = 2.0
-_SAME_S: Final = 5.0
+SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 _LITTLE_KNOWN: Final = 5.0
 """Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
@@ -494,7 +497,6 @@ def audit_calibrated(
         np.isfinite(flight.record.start_deg),
         thresholds_of(known)[0],
         flight.sigma_deg,
-        no_sum(flight.record.period_s),
     )
     found = judged(flight)
     sizes = detectable([flight])
@@ -554,7 +556,10 @@ def judged(flight: Watched) -> Found:
     for _ in range(_MOST_FAULTS):
         rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
         _, triple, grid_s, statistics = follow(flight.tests, Memory(flight.tests), *rows)
-        raised_s, ratio, is_far = _alarm(limits, rows[0], triple, grid_s, statistics[:, : len(STATISTICS)])
+        passed = triple / limits[0] if flight.passed is None else flight.passed[begin:]
+        if flight.alone:
+            grid_s, statistics = grid_s[:0], statistics[:0]
+        raised_s, ratio, is_far = _alarm(limits, rows[0], passed, grid_s, statistics[:, : len(STATISTICS)])
         if not np.isfinite(raised_s):
             break
         fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s)
@@ -563,7 +568,7 @@ def judged(flight: Watched) -> Found:
             there = _Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
             explained = 1.0 / _SWINGS if guess.kind == "oscillation" else 1.0
             left_deg[there.rows][there.used] = explained * _error_deg(there, guess)[there.used]
-        if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < _SAME_S:
+        if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < SAME_S:
             fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
         if fault.end_s is None:
@@ -617,13 +622,14 @@ def _joined(first: Fault, then: Fault) -> Fault:
 
 
 def _alarm(
-    limits: FloatArray, time_s: FloatArray, triple: FloatArray, grid_s: FloatArray, statistics: FloatArray
+    limits: FloatArray, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray
 ) -> tuple[float, float, bool]:
     """When the first alarm is raised [s], infinite if never, and the largest statistic over its threshold then.
 
-    Last whether the residual itself passes a threshold, not only a test of what it may mean.
+    `passed` is the fast test over its threshold. Last whether the residual itself passes a threshold, not only a test
+    of what it may mean.
     """
-    direct = np.flatnonzero(triple >= limits[0])
+    direct = np.flatnonzero(passed >= 1.0)
     first_s = float(time_s[direct[0]]) if direct.size else np.inf
     ratios = exceeded(limits, np.zeros(limits.size), statistics)
     raised = np.flatnonzero(ratios >= 1.0)
@@ -631,8 +637,10 @@ def _alarm(
     at_s = min(first_s, second_s)
     if not np.isfinite(at_s):
         return np.inf, float(ratios.max(initial=0.0)), False
-    soon = statistics[(grid_s >= at_s) & (grid_s <= at_s + 5.0)] / limits
-    return at_s, float(max(soon.max(initial=1.0), 1.0)), bool(soon[:, :_RESIDUALS].max(initial=0.0) >= 1.0)
+    soon = statistics[(grid_s >= at_s) & (grid_s <= at_s + _SOON_AFTER_S)] / limits
+    fast = float(passed[(time_s >= at_s) & (time_s <= at_s + _SOON_AFTER_S)].max(initial=1.0))
+    is_far = fast > 1.0 or soon[:, :_RESIDUALS].max(initial=0.0) >= 1.0
+    return at_s, float(soon.max(initial=fast)), bool(is_far)
 
 
 def judge_stretch(

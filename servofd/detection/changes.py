@@ -11,7 +11,9 @@ covariance; A = sum s s', b = sum s e, both whitened by the noise):
     z_h = (b_h - A_hn M b_n) / sqrt(A_hh - A_hn M A_nh + 1),    M = (A_nn + Sigma^-1)^-1,
 
 beside the energy over the total sigma (E), what no parameter explains (U), and a narrow band between 1 Hz and a third
-of the sampling rate (L). All of them are sums over windows, hence differences of running sums.
+of the sampling rate (L), over the noise and what a servo that is late would leave in it. All of them are sums over windows, hence differences of running sums. Where the model is known
+to miss up to delta deg of how a sound servo moves, the size of a pattern of rms d scatters by delta / rms d, and its
+score by that times the information I that is left of it: z has sqrt(I + (delta / rms d)^2 I^2 + 1) below the line.
 
 Whole logs and streams are tested sample by sample the same; `servofd.detection.calibrated` makes faults of it.
 """
@@ -28,7 +30,6 @@ from logparsers.compiled import compiled
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.evidence import Detectable
 from servofd.detection.glitches import decide, new_glitch_memory
-from servofd.detection.probability import CusumDesign
 from servofd.detection.residual import Residuals
 from servofd.detection.threshold import Threshold
 from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
@@ -64,6 +65,7 @@ _BLOCKS: Final = 256
 _COLUMNS: Final = len(STATISTICS) + 6 * len(WINDOWS_S) + 2 * len(_BAND_S)
 _LARGEST, _LARGEST_LOSSY = 6.0, 4.0
 """Times its sigma that a residual counts for. A command that went and came back unseen is in several positions."""
+_DELAY: Final = NAMES.index("delay_s")
 _UNITS = np.array([*(prior.between for prior in PRIORS), 1.0, 1.0, 1.0, 1.0])
 
 
@@ -79,9 +81,13 @@ class Tests(NamedTuple):
     spectrum: FloatArray
     """Of the noise over its sigma, at each frequency of the narrow band."""
     period_s: float
+    missed_deg: float
+    """What the model is known to miss of how a sound servo moves."""
 
     @classmethod
-    def of(cls, noise: Noise, between: FloatArray, period_s: float, *, is_lossy: bool = False) -> Tests:
+    def of(
+        cls, noise: Noise, between: FloatArray, period_s: float, *, is_lossy: bool = False, missed_deg: float = 0.0
+    ) -> Tests:
         """From a calibration: its noise and its covariance between flights (13, 13); lossy: most commands are lost."""
         noise = noise.at(period_s)
         scaled = between / np.outer(_UNITS[:FITTED], _UNITS[:FITTED])
@@ -92,7 +98,7 @@ class Tests(NamedTuple):
         colour = np.array([first, second, noise.innovation, _LARGEST_LOSSY if is_lossy else _LARGEST])
         root = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
         inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
-        return cls(colour, root, inverse, spectrum, period_s)
+        return cls(colour, root, inverse, spectrum, period_s, missed_deg)
 
 
 class Memory:
@@ -102,7 +108,7 @@ class Memory:
         self.before = np.zeros((2, _WIDTH + 1))
         self.runs = np.zeros(8)
         self.runs[0], self.runs[3] = -np.inf, -1.0
-        self.sums = np.zeros(_MATRIX + _WIDTH + 4 + 2 * tests.spectrum.size)
+        self.sums = np.zeros(_MATRIX + _WIDTH + 4 + 4 * tests.spectrum.size + 1)
         self.ring = np.zeros((_BLOCKS, self.sums.size))
 
 
@@ -113,8 +119,8 @@ def follow(
 
     `slopes` (m, 17) are sensitivities and patterns. Gives the total sigma and the least of three residuals in a row on
     one side over it (m,); the times at which a block of a quarter second was complete (g,); and `STATISTICS` at these
-    times (g, 75), behind which stand what information each test had of a unit of its change, and of narrow bands the
-    number of samples and the sum of one over the total sigma.
+    times (g, 75), behind which stand the score that a unit of each change would have, and of narrow bands the number of
+    samples and the sum of one over the total sigma.
     """
     m = time_s.size
     if not m:
@@ -124,7 +130,7 @@ def follow(
     grid_s, statistics = np.empty(room), np.zeros((room, _COLUMNS))
     sigma_deg, triple = np.empty(m), np.empty(m)
     count = _follow(
-        *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, _UNITS, tests.period_s,
+        *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, _UNITS, tests.period_s, tests.missed_deg,
         time_s, error_deg, slopes, noise_deg, sigma_deg, triple, grid_s, statistics,
     )  # fmt: skip
     return sigma_deg, triple, grid_s[:count], statistics[:count]
@@ -133,7 +139,8 @@ def follow(
 @partial(compiled, error_model="numpy")
 def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     colour: FloatArray, root: FloatArray, precision: FloatArray, spectrum: FloatArray, before: FloatArray,
-    runs: FloatArray, sums: FloatArray, ring: FloatArray, units: FloatArray, period_s: float, time_s: FloatArray,
+    runs: FloatArray, sums: FloatArray, ring: FloatArray, units: FloatArray, period_s: float, missed_deg: float,
+    time_s: FloatArray,
     error_deg: FloatArray, slopes: FloatArray, noise_deg: FloatArray, sigma_deg: FloatArray, triple: FloatArray,
     grid_s: FloatArray, statistics: FloatArray,
 ) -> int:  # fmt: skip
@@ -199,14 +206,19 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
                 sums[after_a + j] += w[j] * w[width]
             sums[after_b] += w[width] ** 2
             sums[after_b + 1] += 1.0
+            sums[-1] += (missed_deg / (colour[2] * sigma)) ** 2
         u = min(colour[3], max(-colour[3], u))
         sums[after_b + 2] += u * u
         sums[after_b + 3] += 1.0 / total
         turn = np.exp(-2j * np.pi * 0.1 * t)
-        phase = np.exp(-2j * np.pi * 1.0 * t) * u
+        phase = np.exp(-2j * np.pi * 1.0 * t)
+        late = root[_DELAY, _DELAY] * units[_DELAY] * slopes[i, _DELAY] / total
         for k in range(bands):
-            sums[after_b + 4 + 2 * k] += phase.real
-            sums[after_b + 5 + 2 * k] += phase.imag
+            place = after_b + 4 + 4 * k
+            sums[place] += phase.real * u
+            sums[place + 1] += phase.imag * u
+            sums[place + 2] += phase.real * late
+            sums[place + 3] += phase.imag * late
             phase *= turn
         before[1] = before[0]
         before[0] = z
@@ -270,8 +282,9 @@ def _evaluate(  # noqa: C901, PLR0912, PLR0915 - all statistics at one time
                 score -= y[j] * x[j]
             own = end[h * width + h] - begin[h * width + h]
             free = max(own - known, 0.0)
-            value = score / np.sqrt(free + 1.0)
-            out[base + test + 32] = free
+            scatter = (end[-1] - begin[-1]) / max(own, 1e-12)
+            value = score / np.sqrt(free + scatter * free * free + 1.0)
+            out[base + test + 32] = free / np.sqrt(free + scatter * free * free + 1.0)
             out[base + test] = -value if test == 0 else abs(value) if test == 1 else value
         place += 1
     place = 39
@@ -283,11 +296,11 @@ def _evaluate(  # noqa: C901, PLR0912, PLR0915 - all statistics at one time
             energy = end[after_b + 2] - begin[after_b + 2]
             weight = end[after_b + 3] - begin[after_b + 3]
             for k in range(spectrum.shape[0]):
-                real = end[after_b + 4 + 2 * k] - begin[after_b + 4 + 2 * k]
-                imag = end[after_b + 5 + 2 * k] - begin[after_b + 5 + 2 * k]
-                power = real * real + imag * imag
+                at = after_b + 4 + 4 * k
+                power = (end[at] - begin[at]) ** 2 + (end[at + 1] - begin[at + 1]) ** 2
+                late = (end[at + 2] - begin[at + 2]) ** 2 + (end[at + 3] - begin[at + 3]) ** 2
                 if 2.0 * power > 0.2 * n * energy and 2.0 * np.sqrt(power) > 0.2 * weight:
-                    best = max(best, power / (n * spectrum[k]))
+                    best = max(best, power / (n * spectrum[k] + late))
         out[place] = np.sqrt(best)
         out[71 + 2 * (place - 39)] = n
         out[72 + 2 * (place - 39)] = end[after_b + 3] - begin[after_b + 3]
@@ -354,6 +367,19 @@ class Watched:
     sigma_deg: FloatArray
     """Total."""
     tests: Tests
+    lacking_deg: FloatArray
+    """By how much the servo's own model moves otherwise than its family; 0 where it is one of the family."""
+    passed: FloatArray | None = None
+    """Residual over the threshold that is shown, for a named servo; for others three in a row of the tests do."""
+    alone: bool = False
+    """Whether that threshold is the user's, and the only test."""
+
+    @property
+    def ends_deg(self) -> tuple[float, float]:
+        """Ends of the travel: those of the flights that it was fitted to, or as far as this one asked it to go."""
+        if self.passed is None or not self.reading_deg.size:
+            return self.known.reach_deg
+        return float(np.min(self.reading_deg)), float(np.max(self.reading_deg))
 
     @property
     def error_deg(self) -> FloatArray:
@@ -395,7 +421,8 @@ def watched(known: CalibratedServo, record: Record) -> Watched:
     noise_deg = np.hypot(noise.sigma_deg(peaks(speed_deg_s, record.time_s)), record.unknown_deg(theta))
     tests = Tests.of(known.noise.noise, known.covariance, record.period_s, is_lossy=record.sent is not None)
     sigma_deg, *_ = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, noise_deg)
-    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, sigma_deg, tests)
+    in_family = np.zeros(reading_deg.size)
+    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, sigma_deg, tests, in_family)
 
 
 def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
@@ -414,9 +441,7 @@ def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
 def detectable(flights: Sequence[Watched]) -> Detectable:
     """The smallest change of each kind that some window of these flights would have shown, 19 times in 20.
 
-    A change of size a has the score a (free), of variance free + 1, where `free` is the information that is left of
-    it once the other parameters have explained what they can; it shows where the score passes its threshold by
-    1.64 standard deviations.
+    A change shows where its score, of unit variance, passes its threshold by 1.64 standard deviations.
     """
     sizes: dict[str, float] = dict.fromkeys(("loss", "bias", "weak", "play", "dead", "band"), np.inf)
     for flight in flights:
@@ -429,8 +454,8 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
             continue
         for place, name in enumerate(STATISTICS[9:39]):
             kind = name.split("_")[0]
-            free = float(np.quantile(table[:, len(STATISTICS) + place], _OFTEN))
-            size = (limits[9 + place] + _POWER) * np.sqrt(free + 1.0) / free if free > 0.0 else np.inf
+            each = float(np.quantile(table[:, len(STATISTICS) + place], _OFTEN))
+            size = (limits[9 + place] + _POWER) / each if each > 0.0 else np.inf
             if kind == "weak":
                 size *= _BENT
             if kind in sizes:
@@ -456,18 +481,12 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
     return Detectable(**{name: float(f"{size:.2g}") if size <= most else None for name, (size, most) in found.items()})
 
 
-def no_sum(period_s: float) -> CusumDesign:
-    """The cumulative sum of a surface that has better tests: it never alarms."""
-    return CusumDesign(1.0, np.inf, 1.0, period_s)
-
-
 def shown(
     signals: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     judged: BoolArray,
     begins: BoolArray,
     limit: float,
     sigma_deg: FloatArray,
-    cusum: CusumDesign,
 ) -> tuple[Residuals, Threshold]:
     """Residual, and the level that three samples in a row would have to pass, for plots and streams; shape (m,) each.
 
@@ -476,4 +495,4 @@ def shown(
     time_s, reading_deg, measured_deg, error_deg = signals
     rest = np.zeros(time_s.size)
     residuals = Residuals(time_s, reading_deg, measured_deg, error_deg, judged, -reading_deg, begins.astype(np.int8))
-    return residuals, Threshold("interval", limit * sigma_deg, rest, rest, sigma_deg, cusum, rest)
+    return residuals, Threshold("interval", limit * sigma_deg, rest, rest, sigma_deg)

@@ -9,14 +9,12 @@ leaves, an oscillation a filtered wave; less speed adds a lag, and play what pla
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.series import outline
-from servofd.detection.threshold import MEMORY_S, SUSPICIOUS_DRIFT, suspicion
 from servofd.detection.verdict import describe
 from servofd.servo.loops import compiled, play
 
@@ -154,24 +152,13 @@ _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
 
 def detectable(
-    generator: ResidualGenerator,
-    residuals: Residuals,
-    threshold: Threshold,
-    *,
-    suspicions: bool = False,
-    persistence: int = 1,
+    generator: ResidualGenerator, residuals: Residuals, threshold: Threshold, persistence: int = 1
 ) -> Detectable:
-    """Smallest faults that this log would have shown, 19 times in 20.
-
-    With `suspicions` what stays below the threshold counts as well, if it lasts.
-    """
+    """Smallest faults that would have passed this threshold, 19 times in 20."""
     use = residuals.settled & np.isfinite(residuals.residual_deg)
     if np.count_nonzero(use) < 2:
         return NOTHING_DETECTABLE
     judge = _Judge(residuals, threshold.level_deg, use, persistence)
-    patient = _Judge(residuals, threshold.level_deg, use, persistence)
-    if suspicions:
-        patient.suspicious = threshold
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
     signals = {
         "bias_deg": [generator.filtered(residuals.time_s, ones, residuals.restart)],
@@ -186,10 +173,7 @@ def detectable(
     found: dict[str, float | None] = {}
     for name, ways in signals.items():
         signs = (1.0,) if name == "loss_share" else (1.0, -1.0)
-        by = patient if name == "oscillation_deg" else judge
-        size = float(np.percentile(np.concatenate([by.needed(s * way) for way in ways for s in signs]), _POWER))
-        if suspicions and name != "oscillation_deg":
-            size = min(size, _drift_size(residuals, threshold, ways[0], use))
+        size = float(np.percentile(np.concatenate([judge.needed(s * way) for way in ways for s in signs]), _POWER))
         found[name] = size if size <= _LARGEST[name] else None
     lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)
     start_deg = float(residuals.simulated_deg[use][0])
@@ -204,7 +188,7 @@ def detectable(
 
     def shows(moved: Callable[[float], FloatArray], size: float) -> bool:
         error_deg = ones * (moved(size) - residuals.simulated_deg)
-        return patient.shown(generator.filtered(residuals.time_s, error_deg, residuals.restart))
+        return judge.shown(generator.filtered(residuals.time_s, error_deg, residuals.restart))
 
     reach_deg = min(float(np.ptp(residuals.simulated_deg[use])), _WIDEST_DEG)
     found["slow_share"] = _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
@@ -217,13 +201,9 @@ def detectable(
 class _Judge:
     """Whether an addition to the residual raises an alarm, whenever it sets in."""
 
-    suspicious: Threshold | None
-    """If what stays below the threshold but lasts counts as well."""
-
     def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int) -> None:
         self.residual_deg, self.level_deg, self.use = residuals.residual_deg[use], level_deg[use], use
         self.persistence = persistence
-        self.residuals, self.suspicious = residuals, None
         time_s = residuals.time_s[use]
         share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
         self.onsets = share <= _LATEST_ONSET
@@ -246,9 +226,6 @@ class _Judge:
         residual_deg = self.residual_deg + np.nan_to_num(added[self.use])
         sides = (residual_deg > self.level_deg, residual_deg < -self.level_deg)
         beyond = np.logical_or(*(_in_a_row(side, self.persistence, np.logical_and, 0) for side in sides))
-        if self.suspicious is not None:
-            lasting = replace(self.residuals, residual_deg=self.residuals.residual_deg + np.nan_to_num(added))
-            beyond |= suspicion(lasting, self.suspicious)[self.use]
         after = np.logical_or.accumulate(beyond[::-1])[::-1][self.onsets]
         return bool(np.mean(after) >= _POWER / 100.0)
 
@@ -261,21 +238,6 @@ def _in_a_row(values: NDArray[Any], many: int, join: np.ufunc, beyond: float) ->
         joined = join(joined[:-step], joined[step:])
         width += step
     return joined
-
-
-def _drift_size(residuals: Residuals, threshold: Threshold, signal: FloatArray, use: BoolArray) -> float:
-    """Size from which on unusual deviations over ten seconds are suspicious."""
-    time_s, power = residuals.time_s[use], np.nan_to_num(signal[use]) ** 2
-    step_s = float(np.median(np.diff(time_s)))
-    samples = max(int(MEMORY_S / max(step_s, 1e-6)), 1)
-    total = np.cumsum(power)
-    seen = total - np.concatenate([np.zeros(min(samples, total.size)), total[: max(total.size - samples, 0)]])
-    noise = threshold.cusum.factor * float(np.median(threshold.sigma_deg)) ** 2
-    best = float(np.percentile(np.maximum.accumulate(seen[::-1]), 100.0 - _POWER))
-    offset_deg = abs(float(np.mean(residuals.residual_deg[use])))  # which the fault may take away
-    tolerated_deg = float(np.median(threshold.tolerance_deg[use])) + offset_deg
-    tolerated = tolerated_deg / max(float(np.sqrt(np.mean(power))), 1e-9)
-    return tolerated + (float(np.sqrt(SUSPICIOUS_DRIFT)) + _SURE) * float(np.sqrt(noise / max(_LEFT * best, 1e-12)))
 
 
 def _bisected(shows: Callable[[float], bool], large: float, none: float) -> float | None:

@@ -27,10 +27,10 @@ from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
 from servofd.detection.calibrated import judge_stretch
-from servofd.detection.judge import SETTLING_S, WINDOWS_S, judge_evaluated
+from servofd.detection.named import judged_named, watched_named
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import CalibratedStream, Stream
-from servofd.detection.threshold import QUIET_SHARE, SUSPICION_LASTS_S
+from servofd.detection.threshold import QUIET_SHARE
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.detection.wiring import wiring_problem
 from servofd.servo.context import NO_CONTEXT, Context
@@ -251,7 +251,6 @@ class SurfaceMonitor:
     _alarms: dict[float, Alarm] = field(default_factory=dict)
     _quiet: Quiet = field(default_factory=Quiet)
     _looks_s: list[float] = field(default_factory=list)
-    _suspected_s: float = -np.inf
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
     _paces_s: tuple[float, float] = (float("nan"), float("nan"))
@@ -507,8 +506,7 @@ class SurfaceMonitor:
             cleared = [at_s for at_s in self._alarms if at_s >= look.residuals.time_s[0]]
         events += self._taken_back(cleared, look.at_s, problem)
         self.problem = problem
-        latched = isinstance(self._stream, CalibratedStream) and self._stream.latched
-        if self._stream is not None and (is_over or ended or latched) and not self.standing:
+        if self._stream is not None and (is_over or ended or self._stream.latched) and not self.standing:
             self._stream.again()
         return events
 
@@ -569,8 +567,7 @@ class SurfaceMonitor:
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
-        wanted = self._alarms or np.isfinite(self._suspected_s)
-        look = self._look(whole=True) if wanted else None
+        look = self._look() if self._alarms or not self.surface.is_calibrated else None
         return events + (self.told(look, look.judge()) if look is not None else [])
 
     def restart(self) -> list[Event]:
@@ -714,22 +711,13 @@ class SurfaceMonitor:
             return []
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
         events = []
-        raised = np.flatnonzero(piece.alarm | piece.clear)
-        for k in raised.tolist():
+        for k in np.flatnonzero(piece.alarm).tolist():
             time_s = float(residuals.time_s[k])
+            self._alarms[time_s], self._quiet = Alarm(), Quiet()
             numbers = float(residuals.residual_deg[k]), float(level_deg[k])
-            if piece.clear[k]:
-                kind = self.standing or "unknown"
-                if self.standing:
-                    events.append(Event(time_s, self.name, "clear", kind, *numbers))
-                self._over()
-                self._looks_s = [time_s]
-            else:
-                self._alarms[time_s], self._quiet = Alarm(), Quiet()
-                events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
-                self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
+            events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
+            self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
         events += self._recovered(piece)
-        self._suspect(piece)
         valued = np.isfinite(residuals.measured_deg)
         if valued.any():
             valued_s = residuals.time_s[valued]
@@ -768,7 +756,7 @@ class SurfaceMonitor:
         stuck = alarm.fault.parameters.get("position_deg") if alarm.fault is not None else None
         self._quiet.follow(piece, np.nan if stuck is None else stuck.value)
         now_s = float(piece.residuals.time_s[-1])
-        obeys = isinstance(self._stream, CalibratedStream) and self._quiet.is_over(now_s)
+        obeys = self._quiet.is_over(now_s)
         if obeys or now_s - self._quiet.away_s >= _RECOVERED_S:
             self._over()
             self._looks_s = [now_s]
@@ -779,33 +767,23 @@ class SurfaceMonitor:
             self._looks_s = sorted([*self._looks_s, now_s])
         return []
 
-    def _suspect(self, piece: Piece) -> None:
-        """Have the bank look at a new suspicion, which is an alarm if it can be named for sure."""
-        tells = self.surface.tells_small_faults and self.surface.threshold != "constant"
-        if not tells or self.standing:
-            return
-        for time_s in piece.residuals.time_s[piece.suspicious & piece.residuals.settled].tolist():
-            if time_s - self._suspected_s > SUSPICION_LASTS_S:
-                self._looks_s = sorted([*self._looks_s, *(time_s + SETTLING_S + lasts_s for lasts_s in WINDOWS_S)])
-            self._suspected_s = time_s
-
-    def _look(self, *, whole: bool = False) -> Look | None:
+    def _look(self) -> Look | None:
         stream, surface, generator = self._stream, self.surface, self._generator
         if stream is None or generator is None or stream.history.size == 0:
             return None
         known = surface.calibrated if surface.is_calibrated else None
-        residuals, threshold, suspicious = stream.history.snapshot(surface.threshold, stream.cusum)
+        residuals, threshold = stream.history.snapshot(surface.threshold, stream.noise_gain)
         residuals, commands = replace(residuals, context=self._context), stream.effective.copied()
         sent_s = stream.sent_period_s if isinstance(stream, CalibratedStream) else None
-        quiet_s = self._quiet.quiet_s if self.standing and not whole else np.inf
+        quiet_s = self._quiet.quiet_s if self.standing else np.inf
+        period_s = self._period_s
 
         def find() -> tuple[tuple[Fault, ...], tuple[Fault, ...]]:
             if known is not None:
-                calibrated = judge_stretch(known, residuals, commands, sent_s)
-                return calibrated.faults, calibrated.suspicions
-            found = judge_evaluated(
-                generator, surface, residuals, threshold, suspicious, commands, is_report=whole, quiet_s=quiet_s
-            )
+                found = judge_stretch(known, residuals, commands, sent_s)
+            else:
+                flight = watched_named(generator, surface, residuals, threshold, commands, period_s)
+                found = judged_named(flight, tells=surface.tells_small_faults, asked=False)
             return found.faults, found.suspicions
 
         return Look(float(residuals.time_s[-1]), residuals, threshold, quiet_s, find, known is None)

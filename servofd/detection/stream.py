@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.series import settled_from_s
-from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, no_sum, shown, thresholds_of
+from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, shown, thresholds_of
 from servofd.detection.glitches import decide, new_glitch_memory
-from servofd.detection.probability import CusumDesign
+from servofd.detection.named import beside, in_a_row, named_servo, noise_of_named, own_slopes, tests_of_named
 from servofd.detection.residual import (
     PEAK_OF_LAGS,
     RECENT_COMMANDS,
+    RESTART_ALL,
     Commands,
     FilterMemory,
     Residuals,
@@ -29,14 +30,7 @@ from servofd.detection.residual import (
     new_starts_memory,
     unseen_deg,
 )
-from servofd.detection.threshold import (
-    Evaluation,
-    Threshold,
-    constant_threshold,
-    latch,
-    new_latch_memory,
-    suspicion,
-)
+from servofd.detection.threshold import Evaluation, Threshold, constant_threshold
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.record import (
@@ -59,7 +53,6 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.probability import CusumDesign
     from servofd.detection.residual import ResidualGenerator, Rhythm
     from servofd.detection.threshold import ThresholdKind
     from servofd.servo.context import Context
@@ -67,13 +60,13 @@ if TYPE_CHECKING:
 _DROPPED = 4
 """One part in so many is dropped when the room is full."""
 _OF_RESIDUALS = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled", "immobile_deg", "restart")
-_OF_LEVELS = ("level_deg", "tolerance_deg", "saturated_deg", "sigma_deg", "drift")
+_OF_LEVELS = ("level_deg", "tolerance_deg", "saturated_deg", "sigma_deg")
 
 
 class History:
     """Evaluated samples, the latest of them; `capacity` at most."""
 
-    ROWS = len(_OF_RESIDUALS) + len(_OF_LEVELS) + 1
+    ROWS = len(_OF_RESIDUALS) + len(_OF_LEVELS)
 
     def __init__(self, capacity: int) -> None:
         self._rows = np.zeros((self.ROWS, capacity))
@@ -96,18 +89,18 @@ class History:
         return float(self._rows[0, self.size - 1]) if self.size else float("nan")
 
     @staticmethod
-    def packed(residuals: Residuals, threshold: Threshold, suspicious: BoolArray) -> FloatArray:
+    def packed(residuals: Residuals, threshold: Threshold) -> FloatArray:
         """Rows of a piece, of shape (`ROWS`, n)."""
         rows = [getattr(residuals, name) for name in _OF_RESIDUALS] + [getattr(threshold, name) for name in _OF_LEVELS]
-        return np.array([*rows, suspicious], dtype=float)
+        return np.array(rows, dtype=float)
 
-    def snapshot(self, kind: ThresholdKind, cusum: CusumDesign) -> tuple[Residuals, Threshold, BoolArray]:
-        """Residuals, threshold and suspicious samples, copied."""
-        *rows, suspicious = self._rows[:, : self.size].copy()
+    def snapshot(self, kind: ThresholdKind, noise_gain: float) -> tuple[Residuals, Threshold]:
+        """Residuals and threshold, copied."""
+        rows = self._rows[:, : self.size].copy()
         known, levels = dict(zip(_OF_RESIDUALS, rows, strict=False)), rows[len(_OF_RESIDUALS) :]
         known |= {"settled": known["settled"] != 0.0, "restart": known["restart"].astype(np.int8)}
-        threshold = Threshold(kind, cusum=cusum, **dict(zip(_OF_LEVELS, levels, strict=True)))
-        return Residuals(**known), threshold, suspicious != 0.0
+        threshold = Threshold(kind, noise_gain=noise_gain, **dict(zip(_OF_LEVELS, levels, strict=True)))
+        return Residuals(**known), threshold
 
 
 class CommandBuffer:
@@ -162,18 +155,26 @@ class Piece(NamedTuple):
 
     residuals: Residuals
     threshold: Threshold
-    suspicious: BoolArray
     alarm: BoolArray
     """True where an alarm is raised."""
-    clear: BoolArray
-    """True where the alarm that stands has been disproved."""
 
 
 class _Waiting:
-    """What both kinds of surfaces do with positions until they are decided."""
+    """What both kinds of surfaces do: positions wait until they are decided, and then are tested."""
 
-    def __init__(self, surface: Surface, period_s: float, longest_gap_s: float, cusum: CusumDesign) -> None:
-        self.surface, self.longest_gap_s, self.cusum = surface, longest_gap_s, cusum
+    noise_gain = 1.0
+    """Of the residual's noise over the position's."""
+
+    def __init__(self, surface: Surface, known: CalibratedServo, period_s: float, longest_gap_s: float) -> None:
+        self.surface, self.longest_gap_s = surface, longest_gap_s
+        self._known_servo, self._period_s = known, period_s
+        self._limits = thresholds_of(known)
+        self._table = variants(known.theta)
+        self._state = new_state(self._table.shape[0])
+        self._context = NO_CONTEXT
+        self._begin_tests()
+        self._before = np.zeros(len(STATISTICS))
+        self.latched = False
         self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
         self.latest_s = -np.inf
         self._newest: tuple[float, float] = (-np.inf, 0.0)
@@ -187,6 +188,11 @@ class _Waiting:
         if time_s > self.latest_s:
             self.latest_s = time_s
             self._positions.append((time_s, measured_deg))
+
+    def again(self) -> None:
+        """Begin the tests anew, because the alarm that stood is over."""
+        self._memory, self.latched = Memory(self._tests), False
+        self._before = np.zeros(len(STATISTICS))
 
     @property
     def is_waiting(self) -> bool:
@@ -213,6 +219,26 @@ class _Waiting:
         self._pending = [rows[:, decided:]] if decided < rows.shape[1] else []
         return self._judged(rows[:, :decided], error_deg[:decided], glitch[:decided]) if decided else None
 
+    def _begin_tests(self) -> None:
+        """Make ready what tests a residual."""
+        self._tests = self._new_tests()
+        self._memory = Memory(self._tests)
+
+    def _new_tests(self) -> Tests:
+        raise NotImplementedError
+
+    def _alarms(self, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray) -> BoolArray:
+        """Where an alarm is raised, shape (n,), by the fast test over its threshold (n,) and the windows (g, k)."""
+        ratios = exceeded(self._limits, self._before, statistics)
+        if len(statistics):
+            self._before = statistics[-1]
+        over_s = np.concatenate([time_s[passed >= 1.0], grid_s[ratios >= 1.0]])
+        raised = np.zeros(time_s.size, dtype=bool)
+        if over_s.size and not self.latched:
+            raised[int(np.searchsorted(time_s, over_s.min()))] = True
+            self.latched = True
+        return raised
+
     def _known(self) -> tuple[float, float]:
         """Until when no command can come any more [s], and for how long one is waited for [s]."""
         raise NotImplementedError
@@ -230,23 +256,27 @@ class _Waiting:
 
 
 class Stream(_Waiting):
-    """A surface whose servo is named, or was fitted to a log."""
+    """A surface whose servo is named."""
 
     def __init__(self, generator: ResidualGenerator, surface: Surface, period_s: float, beat: Rhythm) -> None:
         self._evaluation = Evaluation(generator, surface.tolerances, period_s)
-        super().__init__(surface, period_s, generator.longest_gap_s_at(period_s), self._evaluation.cusum)
+        self.noise_gain = self._evaluation.noise_gain
+        known = named_servo(generator.model, surface.tolerances, period_s)
+        super().__init__(surface, known, period_s, generator.longest_gap_s_at(period_s))
         self._generator, self._beat = generator, beat
         self._filter = generator.filter_parameters()
         self._delay_s = generator.model.delay_s
-        slower = generator.model.weaker(surface.tolerances.rate)
-        models = (generator.model,) if slower is generator.model else (generator.model, slower)
-        self._motions = [Motion(model.servo()) for model in models]
+        servo = generator.model.servo()
+        self._motions = [Motion(each) for each in (servo, *beside(servo, surface.tolerances))]
         self._cursors = [np.zeros(1, dtype=np.int64) for _ in self._motions]
         self._passed = PEAK_OF_LAGS * generator.pole_rad_s * period_s
         room = int(MEMORY_S / max(min(period_s, beat.period_s), FASTEST_COMMANDS_S))
         self.logged, self.effective = CommandBuffer(4096), CommandBuffer(room)
-        self._starts, self._latch = new_starts_memory(), new_latch_memory()
-        self._sums = np.zeros(2)
+        self._starts = new_starts_memory()
+        self._last = np.array([np.nan, np.nan])
+        """The sample before, its time [s] and the healthy deflection [deg]."""
+        self._ratios = np.zeros(0)
+        """Residual over threshold of the judged samples before, as many as make an alarm together with one more."""
         self._lags = FilterMemory.of(self._filter, 3)
         self._unseen: list[tuple[float, float]] = []
         self._logged_s, self._begun_s, self._settled_s = np.inf, np.nan, np.inf
@@ -255,8 +285,12 @@ class Stream(_Waiting):
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now; effects of the servo may depend on them."""
+        self._context = context
         for motion in self._motions:
             motion.context = context
+
+    def _new_tests(self) -> Tests:
+        return tests_of_named(self._known_servo, self._period_s)
 
     def command(self, time_s: float, command_deg: float) -> None:
         """Add a command [deg]; one that is no later than the one before is left out."""
@@ -276,12 +310,9 @@ class Stream(_Waiting):
         dropped = self.logged.append(time_s, command_deg, 0.0)
         self._starts[4] = max(self._starts[4] - dropped, 0.0)
 
-    def again(self) -> None:
-        """The alarm that stood is over."""
-        self._latch.state[3:5] = 0.0
-
     def _add(self, effective_s: float, command_deg: float, slope_deg_s: float) -> None:
         dropped = self.effective.append(effective_s, command_deg, slope_deg_s)
+        self._state.forget(dropped)
         for cursor in self._cursors:
             cursor[0] = max(cursor[0] - dropped, 0)
 
@@ -306,7 +337,7 @@ class Stream(_Waiting):
         return np.ascontiguousarray(rows[2] - rows[1])
 
     def _simulated(self, ready: FloatArray) -> list[FloatArray]:
-        """What a healthy servo would have done; then the slowest one tolerated, and what lost commands may add."""
+        """What a healthy servo would have done, the slowest one tolerated, what lost commands may add; then slopes."""
         time_s, measured_deg = ready
         limits_s = self.longest_gap_s, self._beat.longest_s, self._generator.blanking_s
         starts = mark_starts(self._starts, self.logged.time_s, time_s, measured_deg, limits_s)
@@ -327,7 +358,17 @@ class Stream(_Waiting):
         while self._unseen and self._unseen[0][0] <= time_s[-1]:
             at_s, size_deg = self._unseen.pop(0)
             added_deg[np.searchsorted(time_s, at_s)] += size_deg
-        return [np.stack([time_s, moved[0], starts.measured_deg, starts.settled, starts.restart, moved[-1], added_deg])]
+        healthy_deg, *others_deg = moved
+        held = commands.effective_s - self._delay_s, commands.command_deg, commands.slope_deg_s
+        start_deg = np.where(starts.restart == RESTART_ALL, starts.measured_deg, np.nan)
+        position_deg, speed_deg_s = simulated(
+            self._table, self._state, held, time_s, loads(self._context, time_s), np.ones(time_s.size), start_deg
+        )
+        known = self._known_servo
+        _, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
+        slopes = own_slopes(slopes, time_s, (healthy_deg, *others_deg), self.surface.tolerances, self._last)
+        rows = time_s, healthy_deg, starts.measured_deg, starts.settled, starts.restart, others_deg[-1], added_deg
+        return [np.concatenate([np.stack(rows), slopes.T])]
 
     def _judged(self, rows: FloatArray, error_deg: FloatArray, glitch: BoolArray) -> Piece:
         time_s, simulated_deg, measured_deg = rows[0].copy(), rows[1].copy(), np.where(glitch, np.nan, rows[2])
@@ -337,25 +378,30 @@ class Stream(_Waiting):
         filter_in_place(self._filter, self._lags, time_s, residual_deg, restart, others_deg)
         settled = (rows[3] != 0.0) & ~glitch
         residuals = Residuals(time_s, simulated_deg, measured_deg, residual_deg, settled, others_deg[0], restart)
-        rate_error_deg = others_deg[1] if len(self._motions) > 1 else np.zeros(0)
+        limited = self._generator.model.weaker(self.surface.tolerances.rate) is not self._generator.model
+        rate_error_deg = others_deg[1] if limited else np.zeros(0)
         sigmas = self.surface.threshold_sigmas
         threshold = self._evaluation.threshold(residuals, rate_error_deg, rows[6].copy(), sigmas)
         if self.surface.threshold == "constant":
             threshold = constant_threshold(threshold, self.surface.threshold_deg)
-        suspicious = suspicion(residuals, threshold, self._sums)
+        tested_deg = np.where(settled, residuals.error_deg, np.nan)
+        slopes, noise_deg = rows[7:].T.copy(), noise_of_named(threshold)
+        _, _, grid_s, table = follow(self._tests, self._memory, time_s, tested_deg, slopes, noise_deg)
+        is_constant = self.surface.threshold == "constant"
+        table = table[:0] if is_constant else table[:, : len(STATISTICS)]
+        alarm = self._alarms(time_s, self._over(residuals, threshold), grid_s[: len(table)], table)
+        self.history.append(History.packed(residuals, threshold))
+        return Piece(residuals, threshold, alarm)
+
+    def _over(self, residuals: Residuals, threshold: Threshold) -> FloatArray:
+        """The residual over its threshold, as in `servofd.detection.named.over`, with the samples before."""
         judged = residuals.settled
-        found = latch(
-            self._latch,
-            residuals.residual_deg[judged],
-            threshold.level_deg[judged],
-            residuals.immobile_deg[judged],
-            self.surface.persistence,
-            self.surface.threshold_deg if self.surface.threshold == "constant" else np.nan,
-        )
-        alarm, clear = np.zeros(judged.size, dtype=bool), np.zeros(judged.size, dtype=bool)
-        alarm[judged], clear[judged] = found.alarm, found.clear
-        self.history.append(History.packed(residuals, threshold, suspicious))
-        return Piece(residuals, threshold, suspicious, alarm, clear)
+        ratios = residuals.residual_deg[judged] / threshold.level_deg[judged]
+        kept = self.surface.persistence - 1
+        before, self._ratios = self._ratios, np.append(self._ratios, ratios)[-kept:] if kept else self._ratios
+        out = np.zeros(judged.size)
+        out[judged] = in_a_row(np.append(before, ratios), kept + 1)[before.size :]
+        return out
 
 
 _BACK_S: Final = 3.0
@@ -378,14 +424,9 @@ class CalibratedStream(_Waiting):
         sent_period_s: float | None = None,
     ) -> None:
         longest_gap_s = gap_s(command_s) if sent_period_s is None else LONGEST_S
-        super().__init__(surface, period_s, longest_gap_s, no_sum(period_s))
-        self._known_servo, self.sent_period_s, self._period_s = known, sent_period_s, period_s
-        self._limits = thresholds_of(known)
+        self.sent_period_s = sent_period_s
+        super().__init__(surface, known, period_s, longest_gap_s)
         self._noise = known.noise.noise.at(period_s)
-        self._context = NO_CONTEXT
-        self._begin_tests()
-        self._table = variants(known.theta)
-        self._state = new_state(self._table.shape[0])
         self._peak = np.array([0.0, np.nan])
         fastest_s = FINE_S if surface.command_period_s is not None else FASTEST_COMMANDS_S
         self.logged = CommandBuffer(int(MEMORY_S / fastest_s))
@@ -394,8 +435,6 @@ class CalibratedStream(_Waiting):
         self._unknown = new_memory()
         self._seen = np.zeros((2, 0))
         self._begun_s = np.nan
-        self._before = np.zeros(len(STATISTICS))
-        self.latched = False
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now."""
@@ -404,12 +443,11 @@ class CalibratedStream(_Waiting):
         if began:
             self._begin_tests()
 
-    def _begin_tests(self) -> None:
+    def _new_tests(self) -> Tests:
         """Without airspeed more is unknown."""
         known = self._known_servo if self._context.airspeed_s.size else self._known_servo.without_airspeed()
         is_lossy = self.sent_period_s is not None
-        self._tests = Tests.of(known.noise.noise, known.covariance, self._period_s, is_lossy=is_lossy)
-        self._memory = Memory(self._tests)
+        return Tests.of(known.noise.noise, known.covariance, self._period_s, is_lossy=is_lossy)
 
     def command(self, time_s: float, command_deg: float) -> None:
         """Add a command [deg]; one that is no later than the one before is left out."""
@@ -430,11 +468,6 @@ class CalibratedStream(_Waiting):
         """Add a position [deg]; one that is no later than the one before, or none, is left out."""
         if np.isfinite(measured_deg):
             super().position(time_s, measured_deg)
-
-    def again(self) -> None:
-        """Begin the tests anew, because the alarm that stood is over."""
-        self._memory, self.latched = Memory(self._tests), False
-        self._before = np.zeros(len(STATISTICS))
 
     def _add(self, time_s: float, command_deg: float) -> None:
         dropped = self.logged.append(time_s, command_deg, 0.0)
@@ -472,7 +505,13 @@ class CalibratedStream(_Waiting):
         power = powers(self._context, time_s, known.supply_v)
         commands = self._filled.commands()
         position_deg, speed_deg_s = simulated(
-            self._table, self._state, (commands.effective_s, commands.command_deg), time_s, load, power, start_deg
+            self._table,
+            self._state,
+            (commands.effective_s, commands.command_deg, commands.slope_deg_s),
+            time_s,
+            load,
+            power,
+            start_deg,
         )
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
         noise_deg = self._noise.sigma_deg(peaks(speed_deg_s, time_s, self._peak))
@@ -515,17 +554,7 @@ class CalibratedStream(_Waiting):
             rows[4] != 0.0,
             self._limits[0],
             sigma_deg,
-            self.cusum,
         )
-        raised = np.zeros(time_s.size, dtype=bool)
-        table = table[:, : len(STATISTICS)]
-        ratios = exceeded(self._limits, self._before, table)
-        if len(table):
-            self._before = table[-1]
-        over_s = np.concatenate([time_s[triple >= self._limits[0]], grid_s[ratios >= 1.0]])
-        if over_s.size and not self.latched:
-            raised[int(np.searchsorted(time_s, over_s.min()))] = True
-            self.latched = True
-        quiet = np.zeros(time_s.size, dtype=bool)
-        self.history.append(History.packed(residuals, threshold, quiet))
-        return Piece(residuals, threshold, quiet, raised, quiet)
+        raised = self._alarms(time_s, triple / self._limits[0], grid_s, table[:, : len(STATISTICS)])
+        self.history.append(History.packed(residuals, threshold))
+        return Piece(residuals, threshold, raised)

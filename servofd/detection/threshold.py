@@ -32,15 +32,14 @@ from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
 from servofd.detection.glitches import RunningMedian, new_running_median, with_value
 from servofd.detection.residual import CURVATURE_TO_SIGMA, RESTART_ALL, unmodelled
-from servofd.servo.loops import compiled, inner
+from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servofd.aircraft.series import Series
     from servofd.core.tolerance import Tolerance
-    from servofd.core.types import BoolArray, FloatArray, IntArray
-    from servofd.detection.probability import CusumDesign
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import ResidualGenerator, Residuals
 
 _PEAK_HOLD_S = 0.15
@@ -51,35 +50,21 @@ _FASTEST_SAMPLES, _NOISE_MEMORY = 10.0, 1000.0
 """Samples that it takes to change the noise: a few at first, then as many as fill ten seconds."""
 _GLITCH = 5.0
 """Second differences count as no more than this many standard deviations."""
-MEMORY_S, _EVERY_S = 10.0, 0.5
-"""How far back a servo's deviations are remembered, and how often they are looked at."""
 _SMALLEST_NOISE_DEG = 1e-3
 _RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
-_TRIFLE = 0.1
-"""Unusual deviations that leave less than this share of the tolerated bias are of no interest, however sure."""
-_LARGEST = (1.0, 0.1, 1.0, 10.0)
-"""Deviations of gain, delay [s], bandwidth and bias [deg] that no fault exceeds by much."""
-_X, _PEAK, _MOMENT, _HEALTHY, _ANYTHING, _SOLVED, _GRAM, _FACTOR = 0, 1, 2, 3, 4, 5, 6, 10
 
 
-def new_state(tolerated: FloatArray, noise_deg: float) -> tuple[FloatArray, FloatArray]:
-    """Memory of `follow`: what it hands on from one piece to the next (12,), and rows of four (14, 4).
+def new_state(noise_deg: float) -> tuple[FloatArray, FloatArray]:
+    """Memory of `follow`: what it hands on from one piece to the next (10,), and rows of four (2, 4).
 
-    Those are what deviations of gain, delay, bandwidth and bias by one would add, their recent peaks, moments, prior
-    weights of healthy and of any deviations, room for a solution, and the normal equations and their factor.
+    Those are what deviations of gain, delay, bandwidth and bias by one would add, and their recent peaks.
     """
-    numbers = np.array(
-        [0.0, 0.0, *[np.nan] * 4, max(noise_deg, _SMALLEST_NOISE_DEG), 0.0, 0.0, -np.inf, np.nan, np.inf]
-    )
-    rows = np.zeros((14, 4))
-    rows[_X], rows[_PEAK] = 1.0, (0.0, 0.0, 0.0, 1.0)
-    # Uniform within its bounds, a deviation has a third of their square as variance.
-    rows[_HEALTHY], rows[_ANYTHING] = 3.0 / np.maximum(tolerated, 1e-9) ** 2, 1.0 / np.array(_LARGEST) ** 2
-    return numbers, rows
+    numbers = np.array([0.0, 0.0, *[np.nan] * 4, max(noise_deg, _SMALLEST_NOISE_DEG), 0.0, np.nan, np.inf])
+    return numbers, np.array([[1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 @compiled
-def follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time; functions of its own would take as long to compile
+def follow(
     signals: FloatArray,
     bounds: FloatArray,
     kept: FloatArray,
@@ -88,19 +73,18 @@ def follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time; functions of i
     decay_rad_s: ComplexArray,
     out: FloatArray,
 ) -> None:
-    """Fill the last array, of shape (4, n); call again with more samples to go on.
+    """Fill the last array, of shape (3, n); call again with more samples to go on.
 
-    It is the tolerance, the rate limit's part of it, the noise of the residual, and evidence of unusual deviations. The
-    smallest believable noise is that of the position's resolution, which is the smallest change of the position so far.
-    `signals` (8, n) are time, residual of an immobile surface, simulation error, position, residual where it is judged,
-    where it starts anew, what a rate limit at the edge of its tolerance would leave, what lost commands add; `bounds`
-    the tolerated gain, delay [s], bandwidth and bias [deg], noise [deg], its gain, and the sum of the residual's
-    autocorrelation over all lags. `slow` are low passes of the immobile residual, one for each mode.
+    It is the tolerance, the rate limit's part of it, and the noise of the residual. The smallest believable noise is
+    that of the position's resolution, which is the smallest change of the position so far. `signals` (7, n) are time,
+    residual of an immobile surface, simulation error, position, where the residual starts anew, what a rate limit at
+    the edge of its tolerance would leave, what lost commands add; `bounds` the tolerated gain, delay [s], bandwidth and
+    bias [deg], noise [deg], and its gain. `slow` are low passes of the immobile residual, one for each mode.
     """
-    x, peak, moment = rows[_X], rows[_PEAK], rows[_MOMENT]
-    noise_deg, noise_gain, colour = bounds[4], bounds[5], bounds[6]
+    x, peak = rows[0], rows[1]
+    noise_deg, noise_gain = bounds[4], bounds[5]
     peak_rate, unseen, last_s, last_deg, before, before_that = kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]
-    noise, seen, odds, next_s, last_measured, resolution = kept[6], kept[7], kept[8], kept[9], kept[10], kept[11]
+    noise, seen, last_measured, resolution = kept[6], kept[7], kept[8], kept[9]
     tolerated = 0.0
     for i in range(4):
         tolerated += bounds[i] * peak[i]
@@ -108,7 +92,7 @@ def follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time; functions of i
         value = signals[1, k]
         if not np.isnan(value):
             step_s = signals[0, k] - last_s
-            if np.isnan(last_deg) or signals[5, k] != 0.0:
+            if np.isnan(last_deg) or signals[4, k] != 0.0:
                 step_s, last_deg = 0.0, value
                 for i in range(slow.size):
                     slow[i] = value
@@ -129,8 +113,8 @@ def follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time; functions of i
             peak[1] = max(abs(x[1]) + ahead * abs(x[1] - last_speed), fade * peak[1])
             peak[2] = max(abs(x[2]) + ahead * abs(x[2] - last_quick), fade * peak[2])
             unseen *= fade
-            unseen += signals[7, k]
-            peak_rate = max(abs(signals[6, k]), fade * peak_rate)
+            unseen += signals[6, k]
+            peak_rate = max(abs(signals[5, k]), fade * peak_rate)
             change = abs(signals[3, k] - last_measured)
             if 0.0 < change < resolution:
                 resolution = change
@@ -141,52 +125,17 @@ def follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time; functions of i
                 shown = min(abs(curvature) * CURVATURE_TO_SIGMA, _GLITCH * noise)
                 noise += max(1.0 / (1.0 + seen / _FASTEST_SAMPLES), 1.0 / _NOISE_MEMORY) * (shown - noise)
                 noise = max(noise, _SMALLEST_NOISE_DEG)
-            believed = max(noise, _RESOLUTION_TO_SIGMA * resolution) if resolution < np.inf else noise
             before_that, before = before, signals[2, k]
             last_s, last_deg = signals[0, k], value
-            residual = signals[4, k]
-            # Neither made-up commands nor a saturated servo show deviations; what is beyond all tolerance is none.
             tolerated = 0.0
             for i in range(4):
                 tolerated += bounds[i] * peak[i]
-            allowed = tolerated + peak_rate + DEFAULT_SIGMAS * noise_gain * believed
-            if abs(residual) <= allowed and unseen + peak_rate < noise_gain * believed:
-                keep = 1.0 / (1.0 + step_s / MEMORY_S)  # normal equations of the residual on what deviations would add
-                for i in range(4):
-                    moment[i] = keep * moment[i] + x[i] * residual
-                    for j in range(i + 1):
-                        rows[_GRAM + i, j] = keep * rows[_GRAM + i, j] + x[i] * x[j]
-                if last_s >= next_s:
-                    power = colour * max(noise_gain * believed, _TRIFLE * bounds[3]) ** 2
-                    odds = _explained(rows, _ANYTHING, power) - _explained(rows, _HEALTHY, power)
-                    next_s = last_s + _EVERY_S
-        out[3, k] = odds
         out[0, k] = tolerated + peak_rate + unseen
         out[1, k] = peak_rate + unseen
         usual = noise if seen >= _NOISE_SAMPLES else max(noise, noise_deg)
         out[2, k] = noise_gain * max(usual, _RESOLUTION_TO_SIGMA * resolution if resolution < np.inf else 0.0)
     kept[0], kept[1], kept[2], kept[3], kept[4], kept[5] = peak_rate, unseen, last_s, last_deg, before, before_that
-    kept[6], kept[7], kept[8], kept[9], kept[10], kept[11] = noise, seen, odds, next_s, last_measured, resolution
-
-
-@inner
-def _explained(rows: FloatArray, prior: int, power: float) -> float:
-    """How much of the residual they explain, m' (G + p W)^-1 m / p of the normal equations, by Cholesky's factors."""
-    total = 0.0
-    for i in range(4):
-        for j in range(i + 1):
-            rest = rows[_GRAM + i, j]
-            if i == j:
-                rest += power * rows[prior, i]
-            for m in range(j):
-                rest -= rows[_FACTOR + i, m] * rows[_FACTOR + j, m]
-            rows[_FACTOR + i, j] = np.sqrt(max(rest, 1e-300)) if i == j else rest / rows[_FACTOR + j, j]
-        rest = rows[_MOMENT, i]
-        for m in range(i):
-            rest -= rows[_FACTOR + i, m] * rows[_SOLVED, m]
-        rows[_SOLVED, i] = rest / rows[_FACTOR + i, i]
-        total += rows[_SOLVED, i] ** 2
-    return total / power
+    kept[6], kept[7], kept[8], kept[9] = noise, seen, last_measured, resolution
 
 
 ThresholdKind = Literal["constant", "interval"]
@@ -194,9 +143,6 @@ Level = Literal["suspect", "fault"]
 
 _TAKEN_UP = 2.0
 """Half plays to move until it is known on which side of its play a surface lies."""
-SUSPICIOUS_DRIFT = 40.0
-"""In 400 flights of 120 s, healthy servos with parameters anywhere within their tolerances reached 22."""
-_SUSPICIONS_PER_HOUR = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,11 +158,8 @@ class Threshold:
     """What of it comes from running at the rate limit, and from commands that were lost, of shape (n,)."""
     sigma_deg: FloatArray
     """Standard deviation of the residual from noise, as known at each instant, of shape (n,)."""
-    cusum: CusumDesign
-    """Cumulative sum of what exceeds the tolerance."""
-    drift: FloatArray
-    """How much better gain, delay, bandwidth and bias beyond their tolerances explain the residual of the last ten
-    seconds than those within, as twice a logarithm of odds, of shape (n,)."""
+    noise_gain: float = 1.0
+    """Of the residual's noise over the position's."""
 
     @property
     def typical_deg(self) -> float:
@@ -230,15 +173,13 @@ class Evaluation:
     """The interval threshold of one surface, at the pace of its positions: for piece after piece of a flight."""
 
     def __init__(self, generator: ResidualGenerator, tolerance: Tolerance, period_s: float) -> None:
-        from servofd.detection.probability import KAPPA_SIGMA, Noise, design_cusum
         from servofd.detection.pulse import design_pulse_filter
 
         pulse = design_pulse_filter(generator.model.transfer, 0.0, period_s, generator.pole_rad_s)
-        self.cusum = design_cusum(KAPPA_SIGMA, _SUSPICIONS_PER_HOUR, Noise.designed(pulse, 1.0))
         self._generator, self._decay_rad_s = generator, generator.model.transfer.modes().decay_rad_s
         self.tolerated, self.noise_gain = tolerated_parameters(tolerance), pulse.noise_gain
-        self._bounds = np.array([*self.tolerated, tolerance.noise_deg, pulse.noise_gain, self.cusum.factor])
-        self._memory = new_state(self.tolerated, tolerance.noise_deg)
+        self._bounds = np.array([*self.tolerated, tolerance.noise_deg, pulse.noise_gain])
+        self._memory = new_state(tolerance.noise_deg)
         self._slow = np.zeros(self._decay_rad_s.size, dtype=np.complex128)
         self._loose = new_loose_memory()
 
@@ -250,18 +191,17 @@ class Evaluation:
         `rate_error_deg` is what a rate limit lower by its tolerance would leave, `added_deg` what lost commands
         may add; both (n,), or empty where there is nothing of it.
         """
-        signals = np.zeros((8, residuals.time_s.size))
+        signals = np.zeros((7, residuals.time_s.size))
         signals[:4] = residuals.time_s, residuals.immobile_deg, residuals.error_deg, residuals.measured_deg
-        signals[4] = np.where(residuals.settled, residuals.residual_deg, np.nan)
-        signals[5] = residuals.restart != 0
-        for place, added in ((6, rate_error_deg), (7, added_deg)):
+        signals[4] = residuals.restart != 0
+        for place, added in ((5, rate_error_deg), (6, added_deg)):
             if added.size:
                 signals[place] = added
-        out = np.zeros((4, residuals.time_s.size))
+        out = np.zeros((3, residuals.time_s.size))
         follow(signals, self._bounds, *self._memory, self._slow, self._decay_rad_s, out)
-        tolerated, saturated, sigma, drift = out
+        tolerated, saturated, sigma = out
         tolerated += loose_deg(self._generator, residuals.simulated_deg, residuals.restart, self._loose)
-        return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, self.cusum, drift)
+        return Threshold("interval", tolerated + sigmas * sigma, tolerated, saturated, sigma, self.noise_gain)
 
 
 def constant_threshold(interval: Threshold, level_deg: float) -> Threshold:
@@ -282,25 +222,6 @@ def interval_threshold(
     """
     added = unmodelled(generator, segment, residuals, tolerance.rate)
     return Evaluation(generator, tolerance, segment.period_s).threshold(residuals, *added, sigmas)
-
-
-def suspicion(residuals: Residuals, threshold: Threshold, memory: FloatArray | None = None) -> BoolArray:
-    """Samples, of shape (n,), at which something too small for the threshold has lasted too long for chance.
-
-    Either the cumulative sum of what exceeds the tolerance is beyond its limit, or its deviations of the last ten
-    seconds are not those of a healthy one. The memory is that of `cusum`, for piece after piece.
-    """
-    from servofd.detection.probability import cusum
-
-    excess_deg = np.abs(residuals.residual_deg) - threshold.tolerance_deg
-    drifted = threshold.drift >= SUSPICIOUS_DRIFT
-    if memory is None and not np.any(excess_deg > 0.0):
-        return drifted
-    # Of either sign, so that oscillations add up; less one sigma, so that the sum of noise alone falls.
-    beyond = np.maximum(excess_deg - threshold.sigma_deg, 0.0) / threshold.sigma_deg
-    judged = np.where(residuals.settled, beyond, np.nan)
-    sums = cusum(judged, threshold.cusum.kappa, residuals.restart != 0, memory)
-    return ((sums >= threshold.cusum.limit) & (excess_deg > 0.0)) | drifted
 
 
 def new_loose_memory() -> FloatArray:
@@ -424,82 +345,32 @@ def _latch(
 _ONSET_SIGMAS = 4.5
 _QUIET_BEFORE_ONSET_S = 0.5
 _SAMPLES_FOR_NOISE = 100
-SUSPICION_LASTS_S = MEMORY_S
-"""The cumulative sum and the deviations look back about that far."""
 _ONSET_MEMORY_S = 60.0
 """How far back an onset is looked for."""
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """A fault, or the suspicion of one, from its onset until the surface has proved to be well again."""
+    """A fault, from its onset until the surface has proved to be well again."""
 
     start_s: float
-    """First estimate of when it began to show [s]: the residual leaves its noise and does not come back. Of a
-    suspicion, when it was raised."""
+    """First estimate of when it began to show [s]: the residual leaves its noise and does not come back."""
     alarm_s: float
-    """First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for, or of a
-    suspicion, when it was raised [s]; uses no later sample."""
+    """First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for [s]; uses no
+    later sample."""
     end_s: float | None
     """When it was last seen [s]; None if it lasts to the end of the log."""
-    level: Level = "fault"
-    """Whether the threshold was crossed."""
-    suspected_s: float | None = None
-    """When a suspicion came before the alarm of a fault [s]."""
 
 
-def find_episodes(
-    residuals: Residuals, threshold: Threshold, *, persistence: int = 1, suspicion: BoolArray | None = None
-) -> tuple[Episode, ...]:
-    """Group threshold crossings into faults, and what lies between them into suspicions.
+def find_episodes(residuals: Residuals, threshold: Threshold, *, persistence: int = 1) -> tuple[Episode, ...]:
+    """Group threshold crossings into faults.
 
     The alarm latches. It clears only on evidence: |residual| stayed below half the threshold during manoeuvres in
     which that of an immobile surface would have made large moves (beyond a zone of twice the threshold, 20
     thresholds of travel in all). A stuck servo between two manoeuvres is quiet without being well, and stays
     one fault; so does one that is commanded faster than the filter can see.
-
-    Suspicions remember: they end when none was raised for 10 s, and what is raised within 10 s after a fault is an
-    echo of that.
     """
-    noticeable = np.abs(residuals.residual_deg) >= QUIET_SHARE * threshold.level_deg
-    if not np.any(residuals.settled & (noticeable if suspicion is None else noticeable | suspicion)):
-        return ()
     judged = np.flatnonzero(residuals.settled)
-    time_s = residuals.time_s[judged]
-    faults = _faults(residuals, threshold, judged, persistence)
-    if suspicion is None:
-        return faults
-    raised_s = time_s[suspicion[judged] & ~_echoes(time_s, faults)]
-    suspected = []
-    for stretch in (
-        np.split(raised_s, np.flatnonzero(np.diff(raised_s) > SUSPICION_LASTS_S) + 1) if raised_s.size else ()
-    ):
-        start_s, last_s = float(stretch[0]), float(stretch[-1])
-        end_s = last_s if time_s[-1] - last_s > SUSPICION_LASTS_S else None
-        suspected.append(Episode(start_s, start_s, end_s, "suspect"))
-    found, alone = [], list(suspected)
-    for fault in faults:
-        before = [  # that announced it
-            s
-            for s in suspected
-            if s.start_s < fault.alarm_s and (s.end_s is None or s.end_s + SUSPICION_LASTS_S >= fault.start_s)
-        ]
-        alone = [s for s in alone if s not in before]
-        found.append(replace(fault, suspected_s=before[-1].alarm_s) if before else fault)
-    return tuple(sorted([*found, *alone], key=lambda episode: episode.start_s))
-
-
-def _echoes(time_s: FloatArray, faults: tuple[Episode, ...]) -> BoolArray:
-    """Instants during a fault and shortly after it, when suspicion is no news."""
-    after_s = [np.inf if fault.end_s is None else fault.end_s + SUSPICION_LASTS_S for fault in faults]
-    steps = np.zeros(time_s.size + 1, dtype=np.int64)
-    np.add.at(steps, np.searchsorted(time_s, [fault.alarm_s for fault in faults]), 1)
-    np.add.at(steps, np.searchsorted(time_s, after_s, side="right"), -1)
-    echo: BoolArray = np.cumsum(steps[:-1]) > 0
-    return echo
-
-
-def _faults(residuals: Residuals, threshold: Threshold, judged: IntArray, persistence: int) -> tuple[Episode, ...]:
     size_deg, time_s = np.abs(residuals.residual_deg[judged]), residuals.time_s[judged]
     found = latch(
         new_latch_memory(),

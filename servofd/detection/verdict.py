@@ -45,8 +45,6 @@ class Fault:
     level: Level = "fault"
     named_s: float | None = None
     """When there were data enough for this name [s]."""
-    first_signs: tuple[str, ...] = ()
-    """What it could have been for all that was known within its first second."""
 
 
 @dataclass(frozen=True, slots=True)

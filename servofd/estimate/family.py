@@ -131,18 +131,19 @@ def _servo(row: FloatArray, furthest_deg: float) -> Physics:
 
 
 def simulated(
-    table: FloatArray, progress: Progress, commands: tuple[FloatArray, FloatArray], time_s: FloatArray,
+    table: FloatArray, progress: Progress, commands: tuple[FloatArray, FloatArray, FloatArray], time_s: FloatArray,
     load: FloatArray, power: FloatArray, start_deg: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Simulate all servos of a table to each of some times.
 
-    `table` (V, 14), commands of shape (n,); times, `load` (dynamic pressure over 300 Pa), `power` (torque over the
-    usual one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Gives positions (m, V) before bends of
-    the reading [deg], and speeds (m, 2) [deg/s]: of the first servo, and the one that its drive aims at.
+    `table` (V, 14), commands (n,): times, values and slopes; times, `load` (dynamic pressure over 300 Pa), `power`
+    (torque over the usual one) and `start_deg` (where to start anew; NaN: go on) of shape (m,). Gives positions (m, V)
+    before bends of the reading [deg], and speeds (m, 2) [deg/s]: of the first servo, and the one that its drive aims
+    at.
     """
     if not time_s.size or not commands[0].size:
         return np.empty((time_s.size, table.shape[0])), np.empty((time_s.size, 2))
-    base, (command_s, command_deg) = table[0], commands
+    base, (command_s, command_deg, slope_deg_s) = table[0], commands
     furthest_deg = _TURN_DEG + 2.0 ** math.ceil(math.log2(max(float(np.abs(command_deg).max()), _LEAST_ASKED_DEG)))
     machine = machine_of(_LOOP, [_servo(row, furthest_deg) for row in table], _FINER, _EFFECTS)
     effective_s = command_s + base[_DELAY]
@@ -154,7 +155,7 @@ def simulated(
     speed_deg_s = np.empty((time_s.size, 2))
     moving_deg_s = np.empty(time_s.size)
     position_deg, used = machine.run(
-        progress.state, (effective_s[new], command_deg[new], np.zeros(command_s.size)[new]), time_s,
+        progress.state, (effective_s[new], command_deg[new], slope_deg_s[new]), time_s,
         anew=anew, measured_deg=np.nan_to_num(start_deg), around=around, speed_deg_s=moving_deg_s,
     )  # fmt: skip
     progress.received += used

@@ -151,6 +151,8 @@ class Record:
     period_s: float
     sent: tuple[FloatArray, FloatArray, float] | None = None
     """Where most commands were lost: those that arrived, and the period of what was sent [s]."""
+    slope_deg_s: FloatArray | None = None
+    """How fast each command runs on; None: it holds until the next."""
 
     @classmethod
     def of(cls, segment: Series, supply_v: float | None = None, airspeed_m_s: float | None = None) -> Record:
@@ -193,9 +195,10 @@ class Record:
         return unknown_deg(commands, period_s, theta, self.time_s, new_memory())
 
     @property
-    def commands(self) -> tuple[FloatArray, FloatArray]:
-        """Times and values."""
-        return self.command_s, self.command_deg
+    def commands(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Times, values, and how fast each runs on."""
+        slope_deg_s = np.zeros(self.command_s.size) if self.slope_deg_s is None else self.slope_deg_s
+        return self.command_s, self.command_deg, slope_deg_s
 
 
 def straightened(

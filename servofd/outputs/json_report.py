@@ -169,7 +169,6 @@ def _fault(identity: str, fault: Fault) -> dict[str, Any]:
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
         "alternatives": list(fault.alternatives),
-        "first_signs": list(fault.first_signs),
     }
 
 

@@ -188,5 +188,4 @@ def _fault(entry: Mapping[str, Any]) -> Fault:
         tuple(entry["alternatives"]),
         entry["level"],
         entry["named_s"],
-        tuple(entry["first_signs"]),
     )
