@@ -23,28 +23,37 @@ flights give.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.detection.bank import Window
 
-__all__ = ["KNOWN_ONSET", "UNKNOWN_ONSET", "log_likelihood_ratio"]
+__all__ = ["KNOWN_ONSET", "UNKNOWN_ONSET", "Health", "log_likelihood_ratio"]
 
 _FLIGHTS_PER_FALSE_ALARM, _SAMPLES_PER_FLIGHT = 1000, 12_000
 KNOWN_ONSET = float(np.log(_FLIGHTS_PER_FALSE_ALARM))
 UNKNOWN_ONSET = float(np.log(_FLIGHTS_PER_FALSE_ALARM * _SAMPLES_PER_FLIGHT))
 
 
-def log_likelihood_ratio(window: Window, error_deg: FloatArray, signature_deg: FloatArray) -> FloatArray:
+class Health(NamedTuple):
+    """What a working servo may add to the error of its simulation, and the noise."""
+
+    noise_deg: float
+    spread: FloatArray
+    """Standard deviation of each nuisance, shape (k,)."""
+    nuisances: FloatArray
+    """What one unit of each adds, shape (n, k)."""
+
+
+def log_likelihood_ratio(health: Health, error_deg: FloatArray, signature_deg: FloatArray) -> FloatArray:
     """Evidence for a fault of known signature, up to and including each sample of a flight, shape (n,).
 
     Parameters
     ----------
-    window : Window
-        The whole flight: what a working servo may add, and the noise.
+    health : Health
+        Of the whole flight.
     error_deg : ndarray, shape (n,)
         Measured minus simulated deflection [deg].
     signature_deg : ndarray, shape (n,)
@@ -54,12 +63,11 @@ def log_likelihood_ratio(window: Window, error_deg: FloatArray, signature_deg: F
     --------
     Without nuisances that resemble it, a step of one sigma brings half a unit a sample:
 
-    >>> from types import SimpleNamespace
-    >>> window = SimpleNamespace(noise_deg=1.0, spread=np.array([1e-9]), nuisances=np.ones((3, 1)))
-    >>> log_likelihood_ratio(window, np.ones(3), np.ones(3)).round(6).tolist()
+    >>> health = Health(noise_deg=1.0, spread=np.array([1e-9]), nuisances=np.ones((3, 1)))
+    >>> log_likelihood_ratio(health, np.ones(3), np.ones(3)).round(6).tolist()
     [0.5, 1.0, 1.5]
     """
-    variance, regressors = window.noise_deg**2, window.nuisances / window.noise_deg * window.spread
+    variance, regressors = health.noise_deg**2, health.nuisances / health.noise_deg * health.spread
     gram = np.cumsum(regressors[:, :, None] * regressors[:, None, :], axis=0) + np.eye(regressors.shape[1])
     against = np.cumsum(regressors * signature_deg[:, None], axis=0)
     target_deg = error_deg - 0.5 * signature_deg

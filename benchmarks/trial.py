@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bound import log_likelihood_ratio
+from bound import Health, log_likelihood_ratio
 from fleet import FleetFlight, flight
+from servofd.aircraft.priors import FITTED
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
-from servofd.detection.bank import Window
-from servofd.detection.judge import Judgement, judge
-from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
+from servofd.detection.named import Judgement, judge
+from servofd.detection.residual import ResidualGenerator, Residuals
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
@@ -217,15 +217,17 @@ def _evidence(log: Judged, twin: FleetFlight) -> tuple[FloatArray, FloatArray, f
     truth, residuals = log.flight.truth, log.residuals
     assert truth is not None  # noqa: S101 - the caller has looked
     start_s = truth.start_s
-    commands = commands_at_servo(log.segment, log.generator.model.delay_s, log.generator.longest_gap_s(log.segment))
-    noise = float(np.hypot(log.flight.servo.noise_deg, log.flight.servo.step_deg / np.sqrt(12.0)))
-    known = slice(int(np.argmax(residuals.settled)), residuals.time_s.size)
-    window = Window.of(log.generator.model, _SURFACE.tolerances, noise, residuals, commands, known)
-    usable = np.isin(log.flight.time_s, window.time_s)
+    noise_deg = float(np.hypot(log.flight.servo.noise_deg, log.flight.servo.step_deg / np.sqrt(12.0)))
+    watched = log.judgement.flight
+    used = np.isfinite(residuals.measured_deg) & (residuals.time_s >= residuals.time_s[np.argmax(residuals.settled)])
+    spread = np.sqrt(np.diag(watched.known.covariance))
+    health = Health(noise_deg, spread, watched.slopes[used][:, :FITTED])
+    time_s = residuals.time_s[used]
+    usable = np.isin(log.flight.time_s, time_s)
     signature_deg = (log.flight.moved_deg - twin.moved_deg)[usable]
-    since = window.time_s >= start_s
+    since = time_s >= start_s
     faulty, healthy = (
-        log_likelihood_ratio(window, read_deg[usable] - window.healthy_deg, signature_deg)[since]
+        log_likelihood_ratio(health, read_deg[usable] - residuals.simulated_deg[used], signature_deg)[since]
         for read_deg in (log.flight.measured_deg, twin.measured_deg)
     )
-    return window.time_s[since] - start_s, np.maximum.accumulate(faulty), float(np.max(healthy, initial=0.0))
+    return time_s[since] - start_s, np.maximum.accumulate(faulty), float(np.max(healthy, initial=0.0))

@@ -138,7 +138,7 @@ def residuals(_: Path) -> Iterable[Row]:
 def naming(_: Path) -> Iterable[Row]:
     """The bank, beside servofd's own residual: no other program names faults of servos."""
     cost = bank_cost.measure(600.0)
-    remark = f"{cost.alarms} alarms on healthy flights; one naming {max(cost.classification_ms[2.0]):.0f} ms at most"
+    remark = f"{cost.alarms} alarms on healthy flights; one naming {max(cost.naming_ms):.0f} ms at most"
     what = f"threshold and bank, {cost.samples:,} samples"
     yield Row(what, "servofd, residual alone", cost.judged_s, cost.residual_s, remark)
 

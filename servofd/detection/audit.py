@@ -28,9 +28,9 @@ from servofd.detection.calibrated import audit_calibrated
 from servofd.detection.changes import detectable as shown_by_windows
 from servofd.detection.evidence import detectable, reported, status_of, too_short
 from servofd.detection.known import crude_line
-from servofd.detection.named import judged_named, threshold_of, watched_named
+from servofd.detection.named import judge
 from servofd.detection.probability import false_alarms_per_hour
-from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo, prepared
+from servofd.detection.residual import ResidualGenerator, Residuals, prepared
 from servofd.detection.verdict import CommonCause, LogAudit, Statistics, SurfaceAudit, describe
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import Record
@@ -158,12 +158,8 @@ def audit_segment(
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment, residuals=residuals)
     statistics = Statistics.of(residuals.residual_deg[residuals.settled], residuals.error_deg[residuals.settled])
-    level = threshold_of(generator, segment, residuals, surface)
-    commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
-    flight = watched_named(generator, surface, residuals, level, commands, segment.period_s)
     # Whoever names a level wants to know what reaches it, and that alone.
-    found = judged_named(flight, tells=surface.tells_small_faults, asked=threshold_deg is not None)
-    faults, suspicions = found.faults, found.suspicions
+    level, flight, faults, suspicions = judge(generator, segment, residuals, surface, asked=threshold_deg is not None)
     if level.typical_deg < _CLEAR_SIGMAS * (sigma_deg := float(np.median(level.sigma_deg))) and faults:
         notes = (
             f"the threshold of {level.typical_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg",

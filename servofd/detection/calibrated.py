@@ -555,7 +555,8 @@ def judged(flight: Watched) -> Found:
     begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
     for _ in range(_MOST_FAULTS):
         rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
-        _, triple, grid_s, statistics = follow(flight.tests, Memory(flight.tests), *rows)
+        tested = follow(flight.tests, Memory(flight.tests), *rows) if begin else flight.tested
+        _, triple, grid_s, statistics = tested
         passed = triple / limits[0] if flight.passed is None else flight.passed[begin:]
         if flight.alone:
             grid_s, statistics = grid_s[:0], statistics[:0]

@@ -11,9 +11,10 @@ covariance; A = sum s s', b = sum s e, both whitened by the noise):
     z_h = (b_h - A_hn M b_n) / sqrt(A_hh - A_hn M A_nh + 1),    M = (A_nn + Sigma^-1)^-1,
 
 beside the energy over the total sigma (E), what no parameter explains (U), and a narrow band between 1 Hz and a third
-of the sampling rate (L), over the noise and what a servo that is late would leave in it. All of them are sums over windows, hence differences of running sums. Where the model is known
-to miss up to delta deg of how a sound servo moves, the size of a pattern of rms d scatters by delta / rms d, and its
-score by that times the information I that is left of it: z has sqrt(I + (delta / rms d)^2 I^2 + 1) below the line.
+of the sampling rate (L), over the noise and what a servo that is late would leave in it. All of them are sums over
+windows, hence differences of running sums. Where the model is known to miss up to delta deg of how a sound servo moves,
+the size of a pattern of rms d scatters by delta / rms d, and its score by that times the information I that is left of
+it: z has sqrt(I + (delta / rms d)^2 I^2 + 1) below the line.
 
 Whole logs and streams are tested sample by sample the same; `servofd.detection.calibrated` makes faults of it.
 """
@@ -101,6 +102,20 @@ class Tests(NamedTuple):
         return cls(colour, root, inverse, spectrum, period_s, missed_deg)
 
 
+class Tested(NamedTuple):
+    """Samples after the tests."""
+
+    sigma_deg: FloatArray
+    """Total, shape (m,)."""
+    triple: FloatArray
+    """Least of three residuals in a row on one side, over their total sigma, shape (m,)."""
+    grid_s: FloatArray
+    """When a block of a quarter second was complete, shape (g,)."""
+    statistics: FloatArray
+    """`STATISTICS` at these times (g, 75), behind which stand the score that a unit of each change would have, and of
+    narrow bands the number of samples and the sum of one over the total sigma."""
+
+
 class Memory:
     """Running sums of one surface."""
 
@@ -114,17 +129,14 @@ class Memory:
 
 def follow(
     tests: Tests, memory: Memory, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray, noise_deg: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> Tested:
     """Take the next samples: times [s], residuals [deg], NaN where none is judged, and sigma of their noise, (m,) each.
 
-    `slopes` (m, 17) are sensitivities and patterns. Gives the total sigma and the least of three residuals in a row on
-    one side over it (m,); the times at which a block of a quarter second was complete (g,); and `STATISTICS` at these
-    times (g, 75), behind which stand the score that a unit of each change would have, and of narrow bands the number of
-    samples and the sum of one over the total sigma.
+    `slopes` (m, 17) are sensitivities and patterns.
     """
     m = time_s.size
     if not m:
-        return np.empty(0), np.empty(0), np.empty(0), np.empty((0, _COLUMNS))
+        return Tested(np.empty(0), np.empty(0), np.empty(0), np.empty((0, _COLUMNS)))
     since = memory.runs[0] if np.isfinite(memory.runs[0]) else time_s[0]
     room = int(min((time_s[-1] - since) / GRID_S + 3, m + 3))
     grid_s, statistics = np.empty(room), np.zeros((room, _COLUMNS))
@@ -133,7 +145,7 @@ def follow(
         *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, _UNITS, tests.period_s, tests.missed_deg,
         time_s, error_deg, slopes, noise_deg, sigma_deg, triple, grid_s, statistics,
     )  # fmt: skip
-    return sigma_deg, triple, grid_s[:count], statistics[:count]
+    return Tested(sigma_deg, triple, grid_s[:count], statistics[:count])
 
 
 @partial(compiled, error_model="numpy")
@@ -364,9 +376,8 @@ class Watched:
     judged: BoolArray
     noise_deg: FloatArray
     """Of the reading, and of the commands that were lost."""
-    sigma_deg: FloatArray
-    """Total."""
     tests: Tests
+    tested: Tested
     lacking_deg: FloatArray
     """By how much the servo's own model moves otherwise than its family; 0 where it is one of the family."""
     passed: FloatArray | None = None
@@ -380,6 +391,11 @@ class Watched:
         if self.passed is None or not self.reading_deg.size:
             return self.known.reach_deg
         return float(np.min(self.reading_deg)), float(np.max(self.reading_deg))
+
+    @property
+    def sigma_deg(self) -> FloatArray:
+        """Total."""
+        return self.tested.sigma_deg
 
     @property
     def error_deg(self) -> FloatArray:
@@ -420,9 +436,9 @@ def watched(known: CalibratedServo, record: Record) -> Watched:
     noise = known.noise.noise.at(record.period_s)
     noise_deg = np.hypot(noise.sigma_deg(peaks(speed_deg_s, record.time_s)), record.unknown_deg(theta))
     tests = Tests.of(known.noise.noise, known.covariance, record.period_s, is_lossy=record.sent is not None)
-    sigma_deg, *_ = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, noise_deg)
+    tested = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, noise_deg)
     in_family = np.zeros(reading_deg.size)
-    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, sigma_deg, tests, in_family)
+    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, tests, tested, in_family)
 
 
 def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
@@ -446,10 +462,7 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
     sizes: dict[str, float] = dict.fromkeys(("loss", "bias", "weak", "play", "dead", "band"), np.inf)
     for flight in flights:
         limits = thresholds_of(flight.known)
-        _, _, _, table = follow(
-            flight.tests, Memory(flight.tests), flight.record.time_s, flight.error_deg, flight.slopes,
-            flight.noise_deg,
-        )  # fmt: skip
+        table = flight.tested.statistics
         if not len(table):
             continue
         for place, name in enumerate(STATISTICS[9:39]):

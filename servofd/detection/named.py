@@ -2,15 +2,15 @@
 
 It moves as its own model does, with all effects that this has, and the sensitivities to its gain, delay, bandwidth and
 rate limit are those of that model; what a change of another parameter adds is that of the family
-(`servofd.estimate.family`) about the servo that is most like it. The residual of the nullspace filter over its threshold
-is the fast test (thesis Eq. 4.12); the windows of `servofd.detection.changes` see what is smaller and lasts.
+(`servofd.estimate.family`) about the servo that is most like it. The residual of the nullspace filter over its
+threshold is the fast test (thesis Eq. 4.12); the windows of `servofd.detection.changes` see what is smaller and lasts.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.series import Series
 from servofd.detection.calibrated import SAME_S, Found, judged
 from servofd.detection.changes import Memory, Tests, Watched, follow
-from servofd.detection.residual import RESTART_ALL, Commands, followed
+from servofd.detection.residual import RESTART_ALL, Commands, commands_at_servo, followed
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import fit
@@ -169,19 +169,50 @@ def watched_named(
     slopes = own_slopes(slopes, time_s, (healthy_deg, *moved), surface.tolerances, np.full(2, np.nan))
     noise_deg, tests = noise_of_named(threshold), tests_of_named(known, period_s)
     error_deg = np.where(record.usable, residuals.error_deg, np.nan)
-    sigma_deg, *_ = follow(tests, Memory(tests), time_s, error_deg, slopes, noise_deg)
+    tested = follow(tests, Memory(tests), time_s, error_deg, slopes, noise_deg)
     return Watched(
-        known, known.noise.noise, record, healthy_deg, slopes, record.usable, noise_deg, sigma_deg, tests,
+        known, known.noise.noise, record, healthy_deg, slopes, record.usable, noise_deg, tests, tested,
         healthy_deg - family_deg,
         passed=over(residuals, threshold, surface.persistence),
         alone=surface.threshold == "constant",
     )  # fmt: skip
 
 
-def threshold_of(generator: ResidualGenerator, segment: Series, residuals: Residuals, surface: Surface) -> Threshold:
-    """The threshold of a surface: the interval one, or a constant level where its file or the user names one."""
+class Judgement(NamedTuple):
+    """What was found of a named servo, and against which threshold."""
+
+    threshold: Threshold
+    flight: Watched
+    faults: tuple[Fault, ...]
+    suspicions: tuple[Fault, ...]
+
+
+def judge(
+    generator: ResidualGenerator, segment: Series, residuals: Residuals, surface: Surface, *, asked: bool = False
+) -> Judgement:
+    """Judge a segment whose residuals are known; `asked`: the user named the constant level, which alone counts then.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> from servofd.detection.residual import ResidualGenerator
+    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
+    >>> model, time_s = aircraft.model("rudder"), np.arange(0.0, 20.0, 0.02)
+    >>> command_deg = 10.0 * np.sin(2.0 * time_s)
+    >>> jammed_deg = np.where(time_s < 12.0, model.simulate(time_s, command_deg, time_s), 5.0)
+    >>> segment = Series("rudder", time_s, command_deg, time_s, jammed_deg)
+    >>> generator = ResidualGenerator.fitting(model, segment)
+    >>> judgement = judge(generator, segment, generator.run(segment), aircraft.surfaces["rudder"])
+    >>> [(fault.kind, round(fault.start_s, 1)) for fault in judgement.faults]
+    [('stuck', 12.0)]
+    """
     threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
-    return constant_threshold(threshold, surface.threshold_deg) if surface.threshold == "constant" else threshold
+    if surface.threshold == "constant":
+        threshold = constant_threshold(threshold, surface.threshold_deg)
+    commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
+    flight = watched_named(generator, surface, residuals, threshold, commands, segment.period_s)
+    found = judged_named(flight, tells=surface.tells_small_faults, asked=asked)
+    return Judgement(threshold, flight, found.faults, found.suspicions)
 
 
 def judged_named(flight: Watched, *, tells: bool, asked: bool) -> Found:

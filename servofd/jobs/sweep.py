@@ -7,29 +7,27 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.priors import NAMES
 from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import Estimate
-from servofd.detection.bank import Ridge, Window
-from servofd.detection.judge import judge
-from servofd.detection.residual import ResidualGenerator, commands_at_servo, noise_deg
+from servofd.detection.named import judge
+from servofd.detection.residual import ResidualGenerator
 from servofd.detection.verdict import describe
 from servofd.detection.wiring import wiring_problem
-from servofd.servo.loops import play
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.aircraft.series import Series
-    from servofd.core.tolerance import Tolerance
     from servofd.core.types import FloatArray
+    from servofd.detection.named import Judgement
     from servofd.detection.residual import Residuals
-    from servofd.detection.threshold import Threshold
     from servofd.servo.servo_model import ServoModel
 
+_FITTED = ("gain", "delay_s", "ln_bandwidth", "bias_deg", "play_deg")
 _WIDE = np.array([1.0, 0.1, 1.0, 30.0, 30.0])
-"""Prior standard deviations of gain, delay [s], bandwidth, bias [deg] and play [deg]: wide, a sweep is all motion."""
-_PLAY_NOISES, _SMALLEST_PLAY_DEG = 6.0, 0.5
+"""Prior standard deviations of these: wide, a sweep is all motion."""
 
 
 class SweepNumbers(NamedTuple):
@@ -57,28 +55,23 @@ class SweepNumbers(NamedTuple):
     """Median level [deg]."""
 
 
-def measure(
-    generator: ResidualGenerator, segment: Series, residuals: Residuals, threshold: Threshold, tolerance: Tolerance
-) -> SweepNumbers:
-    """Fit gain, delay, bandwidth, bias and play to a sweep.
-
-    Notes
-    -----
-    Play enters as the difference between the healthy motion and what is left of it after a zone of small width,
-    per degree of that width: linear in the true width as long as that is small against the motion.
-    """
+def measure(judgement: Judgement, segment: Series, residuals: Residuals) -> SweepNumbers:
+    """Fit gain, delay, bandwidth, bias and play to a sweep, by the sensitivities of the healthy servo."""
+    flight = judgement.flight
     judged = np.flatnonzero(residuals.settled)
-    noise = noise_deg(residuals.error_deg[judged])
-    commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
-    span = slice(int(judged[0]), int(judged[-1]) + 1)
-    window = Window.of(generator.model, tolerance, noise, residuals, commands, span)
-    healthy_deg = window.healthy_deg
-    width_deg = max(_PLAY_NOISES * noise, _SMALLEST_PLAY_DEG)
-    lost_deg = (play(healthy_deg, width_deg, float(healthy_deg[0])) - healthy_deg) / width_deg
-    ridge = Ridge(np.column_stack([window.nuisances, lost_deg]), _WIDE, window.noise_deg)
-    fit = ridge.fit(window.error_deg)
+    used = flight.judged
+    time_s, measured_deg, healthy_deg = (
+        values[used] for values in (residuals.time_s, residuals.measured_deg, flight.reading_deg)
+    )
+    slopes = flight.slopes[used][:, [NAMES.index(name) for name in _FITTED]]
+    noise_deg = float(np.median(flight.noise_deg[used]))
+    error_deg = measured_deg - healthy_deg
+    inverse = np.linalg.inv(slopes.T @ slopes + np.diag((noise_deg / _WIDE) ** 2))
+    change = inverse @ slopes.T @ error_deg
+    deviation = _misfit_deviation(error_deg - slopes @ change, noise_deg) * np.sqrt(np.diag(inverse))
     gain, delay, bandwidth, bias, width = (
-        ridge.estimate(fit, window.error_deg, k, offset) for k, offset in enumerate((1.0, 0.0, 1.0, 0.0, 0.0))
+        Estimate.of(offset + float(value), float(sure))
+        for offset, value, sure in zip((1.0, 0.0, 1.0, 0.0, 0.0), change, deviation, strict=True)
     )
     asked = segment.command_deg[
         (segment.command_s >= residuals.time_s[0]) & (segment.command_s <= residuals.time_s[-1])
@@ -86,16 +79,26 @@ def measure(
     return SweepNumbers(
         _ends(asked if asked.size else segment.command_deg),
         _ends(healthy_deg),
-        _ends(window.measured_deg),
+        _ends(measured_deg),
         gain,
         delay,
         bandwidth,
         bias,
         width,
-        _fastest_deg_s(window.time_s, window.measured_deg),
+        _fastest_deg_s(time_s, measured_deg),
         float(np.max(np.abs(residuals.residual_deg[judged]))),
-        threshold.typical_deg,
+        judgement.threshold.typical_deg,
     )
+
+
+def _misfit_deviation(misfit_deg: FloatArray, noise_deg: float) -> float:
+    """Deviation of the misfit, enlarged for its colour: neighbours that agree tell less than strangers."""
+    deviation = max(noise_deg, float(np.sqrt(np.mean(misfit_deg**2))))
+    if misfit_deg.size < 3:
+        return deviation
+    power = float(misfit_deg @ misfit_deg)
+    likeness = min(max(float(misfit_deg[1:] @ misfit_deg[:-1]) / max(power, 1e-300), 0.0), 0.98)
+    return deviation * float(np.sqrt((1.0 + likeness) / (1.0 - likeness)))
 
 
 def _ends(values_deg: FloatArray) -> tuple[float, float]:
@@ -178,7 +181,7 @@ def check_segment(segment: Series, surface: Surface, model: ServoModel) -> Surfa
         few = f"fewer than {_FEWEST_SAMPLES} positions while commands came"
         return SurfaceSweep(name, "unknown", (few,))
     judgement = judge(generator, segment, residuals, surface)
-    numbers = measure(generator, segment, residuals, judgement.threshold, surface.tolerances)
+    numbers = measure(judgement, segment, residuals)
     # What is named explains all numbers that are wrong, and a wrong sign explains any name.
     wrong = [describe(fault) for fault in judgement.faults] or _out_of_tolerance(numbers, surface, model)
     if wrong and wiring_problem(residuals):
