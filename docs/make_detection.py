@@ -16,10 +16,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from detection import calibration, delays, false_alarms, fly, limits, onsets, shares
 from detection_pictures import draw
+from servofd.aircraft.priors import FITTED, PRIORS
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.tolerance import Tolerance
-from servofd.detection import bank as hypotheses
-from servofd.detection import judge, probability, residual, threshold, verdict
+from servofd.detection import calibrated, changes, named, residual, threshold
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent
@@ -36,7 +36,7 @@ def main(folder: Path, seeds: int = 8, healthy: int = 1000) -> None:
 
 def page(results: str) -> str:
     """The whole page, around what was measured."""
-    text = "\n".join([introduction(), thresholds(), latching(), bank(), onsets_text(), results])
+    text = "\n".join([introduction(), thresholds(), windows(), bank(), onsets_text(), results])
     return re.sub(r"^(    .*?) +(\(D\d+\))$", lambda match: f"{match[1]:<110} {match[2]}", text, flags=re.MULTILINE)
 
 
@@ -108,107 +108,94 @@ does at the speed of a servo counts.
 The rate of false alarms under coloured noise is that of runs of at least n samples
 (`servofd.detection.probability.persistent_false_alarms_per_hour`).
 
-**Suspicion.** Some faults are too small for the threshold, but last. A cumulative sum gathers what exceeds the tolerance,
-on either side, so that oscillations add up, less one standard deviation, so that the sum of noise alone falls:
-
-    z(k) = max(|r| - T - sigma_r, 0) / sigma_r,     S(k) = max(0, S(k-1) + z(k) - {probability.KAPPA_SIGMA:g}),                         (D5)
-
-It is beyond its limit when it has gathered what noise without tolerance would {threshold._SUSPICIONS_PER_HOUR:g} times an hour (Siegmund's run
-length, multiplied by the long-run factor of the residual's colour). And the servo's deviations of the last {threshold.MEMORY_S:g} s are fitted
-to the residual by the terms x = [r0, dr0/dt, sum_i ..., 1] of D2, once with what tolerances allow and once freely:
-
-    H = min_tight - min_free,  min = min over theta of sum (r - x theta)² / (S sigma_r²) + sum theta_j² / s_j²,   (D6)
-
-S being the long-run factor, and sigma_r no less than {threshold._TRIFLE:g} of the tolerated bias; what is beyond all tolerance, or rests on lost commands, teaches no deviations.
-H >= {threshold.SUSPICIOUS_DRIFT:g} means that gain, delay, bandwidth or bias is not that of a healthy servo. Both raise a *suspicion*, which ends when
-none was raised for {threshold.SUSPICION_LASTS_S:g} s. It goes through the bank like an alarm; under an interval threshold it becomes a fault if the
-bank is sure of its name (P >= {verdict.SURE:g}), and its alarm is raised when the name is; else the surface is *suspect*. Rough models (drafts with a
-wider threshold and no tolerances of their own) raise none.
 """
 
 
-def latching() -> str:
-    return f"""## Latching
+def windows() -> str:
+    floors = {key: f"{changes.MARGIN * value:.3g}" for key, value in changes.FLOORS.items()}
+    lengths = ", ".join(f"{length_s:g}" for length_s in changes.WINDOWS_S)
+    return f"""## Windows
 
-An alarm lasts until the surface has *proved* to be well. A jammed servo between two manoeuvres has no residual. So an
-episode ends only if |r| stayed below {threshold.QUIET_SHARE:g} tau while the residual of an immobile surface would have travelled
+Some faults are too small for the threshold, but last. Whatever its origin, a healthy servo is a set of {FITTED} parameters and the
+covariance Sigma by which good servos of its kind differ:
 
-    sum |d play(r0, 2 tau)| >= {threshold._TRAVEL_TO_CLEAR:g} tau                                                           (D7)
+| | parameters | Sigma |
+|---|---|---|
+| **named** | the library's servo, or the file's: simulated by its own model, with all its effects | tolerance² / 3 of each |
+| **calibrated** | fitted to good flights (`servofd calibrate`) | between good flights, and what the fit leaves unknown |
+| **fitted** | fitted to a part of the very log | the same, of a part of one flight |
 
-(play: motion within a zone of twice the usual threshold so far, its median, does not count), and then at the last sample at which it was louder.
+With e the simulation error, s its sensitivities to the parameters, and noise sigma, a good servo has the variance
 
-Of more than {judge._MOST_EPISODES} alarms of one surface those with the largest |r| / tau and the last are named, and the others counted: so many come
-from a constant threshold within the noise, where a name for each would say nothing, or from a loose contact, which {judge._MOST_EPISODES} tell as well.
+    sigma_tot² = sigma² + s' Sigma s                                                                  (D5)
+
+so that at rest a small error counts, and in a brisk manoeuvre it does not. A change h of the servo (travel lost, an offset, half of
+the torque, half of the bandwidth, play, a dead band) is tested by what of its pattern the others cannot explain: with
+A = sum s s' and b = sum s e over a window, whitened by the noise,
+
+    z_h = (b_h - A_hn M b_n) / sqrt(I + (delta / rms d)² I² + 1),    M = (A_nn + Sigma^-1)^-1         (D6)
+
+I being the information A_hh - A_hn M A_nh that is left of it, and delta ({named.MISSED_DEG:g} deg for a named servo) what the model misses of
+how a sound servo moves. Windows of {lengths} s end every {changes.GRID_S:g} s. Beside these, the mean of (e / sigma_tot)², what no parameter
+explains of e, and a narrow band from 1 Hz on, over the noise and what a servo that is late would leave there.
+
+An alarm is raised where a statistic is beyond its limit twice in a row, or once by {changes._AT_ONCE:g} times; the limits are a table in
+`servofd/detection/changes.py` (loss of travel in 2 s {floors["loss_2s"]}, in 60 s {floors["loss_60s"]}; an offset {floors["bias_2s"]} and {floors["bias_60s"]}; energy in 0.5 s {floors["energy_0.5s"]}).
+A named servo's fast test is the residual over its threshold (D1, D3); a calibrated one's are three errors in a row over sigma_tot.
+Where the file or the user names a constant level, that alone makes a fault, and what the windows see beside it is *suspect*; with
+`--threshold-deg` nothing but the level counts.
 """
 
 
 def bank() -> str:
-    names = ", ".join(hypotheses.BANK)
+    scales = ", ".join(f"{scale:g}" for scale in calibrated._SCALES)
+    speeds = ", ".join(f"{speed:g}" for speed in calibrated._SPEEDS)
+    widths = ", ".join(f"{width:g}" for width in calibrated._WIDTHS_DEG)
+    friction = next(prior for prior in PRIORS if prior.name == "friction_deg")
     return f"""## The bank
 
-Each alarm is handed to a bank of hypotheses: {names}.
-Each explains the measured deflection y in a window after the onset as best it can. What a working servo may add is free in all that still follow the command: with the nuisances
-N = [ŷ, -dŷ/dt, dŷ/d(bandwidth), 1] and a normal prior of the tolerances' spread on their coefficients, theta minimises
+Each alarm is handed to a bank of hypotheses, each a change of the servo, or no servo at all. In the {calibrated._WINDOW_S:g} s from {calibrated._SETTLING_S:g} s after
+the alarm, or to the end of the fault, each explains the position as best it can, the {FITTED} parameters of the servo free as they are
+between good ones (J is the misfit that remains, Q how far they had to go: theta' Sigma^-1 theta).
 
-    |y - f - N theta|² / sigma² + sum theta_j² / s_j²,     s_j = tolerance_j / sqrt(3).               (D8)
-
-J is the sum of squared misfits that remains, and the second sum goes into the doubt D.
-
-| hypothesis | f, and what is free in it |
+| hypothesis | what changes |
 |---|---|
-| healthy | f = ŷ |
-| bias | the same, with a spread of {hypotheses._LARGEST_BIAS_DEG:g} deg for the constant, which stays or grows by up to about {hypotheses._FASTEST_GROWTH_DEG_S:g} deg/s; it must be beyond the tolerance |
-| loss_of_effectiveness | the same, with a spread of 1 for the gain, about zero or about another trim; gain between {hypotheses._STUCK_GAIN:g} and 1 less its tolerance |
-| oscillation | ŷ, or a constant, and a sine from {hypotheses._SLOWEST_HZ:g} Hz on, {hypotheses._FEWEST_CYCLES:g} cycles or more |
-| stuck | a constant where commands have led |
-| hardover | a constant where none has: at a stop, {hypotheses._OUT_OF_REACH_DEG:g} deg beyond the range of ŷ so far, or {hypotheses._UNCOMMANDED_RUN_DEG:g} deg away from where the onset and the command would have left it |
-| floating | cosines of up to {hypotheses._FASTEST_WIND_HZ:g} Hz, whose spread falls with the square of the frequency beyond {hypotheses._WIND_HZ:g} Hz |
-| deadband | play before or behind the servo, or stiction; its width on a grid, then by golden section |
-| slow | every pole scaled, or a lower rate limit; the same search |
-| unknown | whatever removes all but {judge._UNEXPLAINED_SHARE:.0%} of the simulation error, at the price of {judge._UNKNOWN_FREEDOM:g} parameters; or ŷ with a smooth error, by the same cosines as floating |
+| healthy | nothing |
+| bias | the offset |
+| loss_of_effectiveness | the gain, times {scales} and free around it |
+| slow | bandwidth and largest speed, or the torque, times {speeds} |
+| deadband | a dead band or play wider by {widths} deg and free around it, or friction (usually {friction.value:g} deg) |
+| oscillation | a sine at the strongest frequency, on the servo or on one that it keeps from sticking |
+| stuck, hardover | no servo: a constant, within the travel or at an end of it |
+| floating | no servo: a cubic in time, and the dynamic pressure |
 
-**Score.** With n samples, of which {hypotheses.COLOUR:g} in a row tell as much as one, p free parameters and a doubt D (twice the negative
-logarithm of how plausible the parameters are in themselves: a servo's deviations are within its tolerances, wide dead bands
-are rare, smooth wind is what the priors of its cosines expect),
+**Score.** With n samples, of which {calibrated._COUNTED:g} count, and p free sizes,
 
-    B = n/{hypotheses.COLOUR:g} ln(max(J/n, {hypotheses._FLOOR:g} sigma²)) + {hypotheses._PENALTY:g} p ln(n/{hypotheses.COLOUR:g}) + D                                        (D9)
+    B = n/2 ln(max(J/n, 1)) + Q + p ln n + 2 doubt                                                    (D7)
 
-after Schwarz; smaller is better. The probability of hypothesis i, all being equally likely before, is
+smaller is better; an alarm makes a good servo less likely by e^{calibrated._ALARMED:g}, and wide play and large offsets are rare. The probability of
+hypothesis i is
 
-    P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D10)
+    P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D8)
 
-**How long to look.** Windows begin {judge.SETTLING_S:g} s after the onset and last {", ".join(f"{length_s:g}" for length_s in judge.WINDOWS_S)} s; the first in which a hypothesis has
-P >= {verdict.SURE:g} *and* the healthy deflection covers {judge._ENOUGH_MOTION_DEG:g} deg decides. **Not enough motion**: a jam and a dead band, a bias and a jam,
-differ only in motion. If no window has enough of it the longest decides, with the probability that it gives, and names the
-alternatives of {verdict.WORTH_TELLING:.0%} and more; below {judge._LIKELY:g} the name is `unknown` and all that can be said is "at fault, with too little
-motion to tell which". If the winner is *healthy*, the tolerances of a working servo explain the alarm: it is dismissed
-and listed as a suspicion.
+What looks alike shares it: a geared servo without power stays where it is, and play that the air pushes is an offset. Below
+{calibrated._SURE:g}, or where the best hypothesis leaves most of what a good servo does not do, the name is `unknown`. If the winner is
+*healthy*, and no statistic is beyond {calibrated.LOUD:g} times its limit, the alarm is listed as a suspicion.
 
-**Floating and unknown** explain anything. Before they are believed, a window that begins {2.0 * judge.SETTLING_S:g} s after the alarm is named as well:
-the first may have held the transition, and if another hypothesis is sure of the second, it wins.
-
-**First signs.** What a fault could have been for all that was known within its first second: the hypotheses that are silent,
-each by a residual of its own, r_i = Qy (y - y_i), evaluated by Narendra's filter with Varga's defaults,
-
-    x(k+1) = {judge._GAMMA:g} x(k) + |r_i(k)|,     {1.0 - judge._GAMMA:.2g} x <= {judge._QUIET:g} sqrt(2/pi) sigma_r.                              (D11)
-
-**Faults that change.** The end of an episode is judged once more, in blocks of {judge._BLOCK_S:g} s (up to {judge._LONGEST_BLOCK_S:g} s until there is motion). If
-another hypothesis is sure of it, and of the block before, the instant of the change is found by bisection.
+**Its end** is where the healthy servo becomes the better explanation again, by {calibrated._ENDED:g} s of one standard deviation for {calibrated._AFTER_END_S:g} s, or by {calibrated._SURELY_ENDED:g} s
+of it at once. A jammed servo between two manoeuvres is quiet, and stays one fault. The tests begin anew {calibrated._AGAIN_S:g} s later.
 """
 
 
 def onsets_text() -> str:
     return f"""## Onset
 
-First estimate: the first sample with |r| beyond the tolerance T and {threshold._ONSET_SIGMAS:g} standard deviations after the last quiet
-{threshold._QUIET_BEFORE_ONSET_S:g} s before the alarm. Then, with the winner's prediction f, the split that makes the data most likely,
+The split that makes the data most likely: with the fault's prediction f and the healthy servo's ŷ,
 
-    k* = argmin sum_(j<k) min(e_j², 16 sigma²) + sum_(j>=k) min((y_j - f_j)², 16 sigma²),                (D12)
+    k* = argmax sum_(j>=k) min(((y_j - ŷ_j) / sigma_tot)², {calibrated._LOG_CLIP:g}) - min(((y_j - f_j) / sigma_tot)², {calibrated._LOG_CLIP:g}),          (D9)
 
-from {judge.BEFORE_S:g} s before that estimate ({judge._SUSPICION_LASTS_S:g} s for a suspicion) to the end of the window, e being the simulation
-error less the servo's deviations (N theta, fitted to what was surely healthy). Splits within {judge._UNDECIDED:g} sigma² of the best are
-equally good, for instance because the surface did not move; the last of them is taken, which is the first motion that the fault spoils. The onset of a jam can be no earlier than
-that: it is when the fault began to *show*.
+from {calibrated._BEFORE_S:g} s before the alarm, but not before the end of the last fault. The onset of a jam can be no earlier than the first motion that
+it spoils: it is when the fault began to *show*.
 """
 
 

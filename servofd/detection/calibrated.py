@@ -89,6 +89,8 @@ _LOOSE: Final = 0.3
 _LEAST_STILL_DEG: Final = 0.05
 _STRANGE, _UNEXPLAINED = 2.0, 0.55
 """Misfit for each sample, and the share of what a good servo does not do, that no hypothesis may leave."""
+_NOTHING: Final = 0.1
+"""A hypothesis that explains less of that is no name, however loud the alarm: readings that jump at random."""
 _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 3.0
@@ -392,7 +394,7 @@ def _verdict(
     excess = sum(healthy.cost) - window.count
     gained = sum(healthy.cost) - sum(best.cost)
     if kind != "healthy" and best.cost[0] > _STRANGE * window.count and gained < (1.0 - _UNEXPLAINED) * excess:
-        if ratio < LOUD:
+        if ratio < LOUD or gained < _NOTHING * excess:
             return "unknown", max(0.5, 1.0 - probability), (kind, *alternatives)[:3], {}
         probability = min(probability, 0.5)
     if kind == "healthy":

@@ -30,7 +30,6 @@ from servofd.detection.calibrated import judge_stretch
 from servofd.detection.named import judged_named, watched_named
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import CalibratedStream, Stream
-from servofd.detection.threshold import QUIET_SHARE
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.detection.wiring import wiring_problem
 from servofd.servo.context import NO_CONTEXT, Context
@@ -53,6 +52,8 @@ QUIET_S = 0.75
 _OVER_S, _AS_FAST = 1.25, 0.7
 """In flights of an ArduPlane alarms of faults that had ended were taken back after 0.8 to 1.5 s, but for two of eleven,
 in which the bank saw no end."""
+_QUIET_SHARE = 0.5
+"""Of its threshold: below it a residual is quiet."""
 _PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
 """and again after pauses that grow with each look in vain."""
 
@@ -76,7 +77,7 @@ class Quiet:
         """Take the next samples, and where the surface is said to be stuck [deg]; NaN if nowhere."""
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
         judged = residuals.settled
-        loud = judged & ~(np.abs(residuals.residual_deg) < QUIET_SHARE * level_deg)
+        loud = judged & ~(np.abs(residuals.residual_deg) < _QUIET_SHARE * level_deg)
         there = loud | (judged & ~(np.abs(residuals.measured_deg - stuck_deg) > level_deg))
         passed = judged & (np.abs(residuals.residual_deg) >= level_deg)
         speed_deg_s = np.abs(np.diff(residuals.simulated_deg, append=np.nan)) / np.diff(residuals.time_s, append=np.nan)

@@ -15,22 +15,18 @@ where :math:`[\cdot]` is a peak hold that decays within 0.15 s, and :math:`r_{sa
 is off by its tolerance, while it runs at it. A command that was lost from the log, and put back on a straight line,
 adds what half the recent curvature of the command would cause if it lasted one sample: at most :math:`0.224 |p| T` of
 it passes the filter's four or so lags (the peak of :math:`p\,(pt)^3 e^{-pt}/6`).
-
-An alarm latches until the surface has proved to be well, sample by sample, in flight and in audits alike.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servofd.aircraft.schema import DEFAULT_SIGMAS
-from servofd.core.statistics import MAD_TO_SIGMA
-from servofd.core.types import BoolArray, ComplexArray, FloatArray
-from servofd.detection.glitches import RunningMedian, new_running_median, with_value
+from servofd.core.types import ComplexArray, FloatArray
 from servofd.detection.residual import CURVATURE_TO_SIGMA, RESTART_ALL, unmodelled
 from servofd.servo.loops import compiled
 
@@ -39,7 +35,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.series import Series
     from servofd.core.tolerance import Tolerance
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import FloatArray
     from servofd.detection.residual import ResidualGenerator, Residuals
 
 _PEAK_HOLD_S = 0.15
@@ -258,149 +254,3 @@ def tolerated_parameters(tolerance: Tolerance) -> FloatArray:
     """
     lags = tolerance.bandwidth / (1.0 - tolerance.bandwidth)
     return np.array([tolerance.gain, tolerance.delay_s, lags, tolerance.bias_deg])
-
-
-QUIET_SHARE = 0.5
-_TRAVEL_TO_CLEAR = 20.0
-
-
-class LatchMemory(NamedTuple):
-    """What one piece of a stream leaves to the next."""
-
-    level: RunningMedian
-    state: FloatArray
-    """Of shape (6,): play of the immobile residual [deg], travel and travel at the last loud sample [thresholds],
-    samples in a row beyond the level with their sign, whether an alarm stands, and the group of loud samples."""
-
-
-class Latched(NamedTuple):
-    """All of shape (n,), one entry per judged sample."""
-
-    alarm: BoolArray
-    """True where an alarm is raised."""
-    clear: BoolArray
-    """True where the alarm that stands has been disproved."""
-    group: NDArray[np.int64]
-    """Number of the group of loud samples; -1 where it is quiet."""
-
-
-def new_latch_memory() -> LatchMemory:
-    """Memory before the first sample."""
-    return LatchMemory(new_running_median(), np.array([np.nan, 0.0, np.nan, 0.0, 0.0, 0.0]))
-
-
-def latch(
-    memory: LatchMemory,
-    residual_deg: FloatArray,
-    level_deg: FloatArray,
-    immobile_deg: FloatArray,
-    persistence: int,
-    fixed_deg: float,
-) -> Latched:
-    """Follow the next judged samples, each of shape (n,); `fixed_deg` is a constant level, NaN if it varies."""
-    size = residual_deg.size
-    result = Latched(np.zeros(size, dtype=bool), np.zeros(size, dtype=bool), np.full(size, -1, dtype=np.int64))
-    _latch(memory, residual_deg, level_deg, immobile_deg, float(persistence), fixed_deg, *result)
-    return result
-
-
-@compiled
-def _latch(
-    memory: LatchMemory,
-    residual_deg: FloatArray,
-    level_deg: FloatArray,
-    immobile_deg: FloatArray,
-    persistence: float,
-    fixed_deg: float,
-    alarm: BoolArray,
-    clear: BoolArray,
-    group: NDArray[np.int64],
-) -> None:
-    state = memory.state
-    held, travel, loud_travel, row, stands, number = state[0], state[1], state[2], state[3], state[4], state[5]
-    for k in range(residual_deg.size):
-        # What a large move is, is told by the usual level so far; and by this one, while the command is lively.
-        typical = fixed_deg if not np.isnan(fixed_deg) else with_value(memory.level, level_deg[k])
-        typical = max(typical, level_deg[k])
-        moved = held if not np.isnan(held) else immobile_deg[k]
-        moved = min(max(moved, immobile_deg[k] - typical), immobile_deg[k] + typical)
-        travel += abs(moved - held) / typical if not np.isnan(held) else 0.0
-        held = moved
-        size = abs(residual_deg[k])
-        proved = travel - loud_travel >= _TRAVEL_TO_CLEAR
-        if stands != 0.0 and proved:
-            clear[k], stands = True, 0.0
-        if size >= QUIET_SHARE * level_deg[k]:
-            if proved:
-                number += 1.0
-            loud_travel = travel
-            group[k] = int(number)
-        side = 0.0 if size < level_deg[k] else (1.0 if residual_deg[k] > 0.0 else -1.0)
-        row = row + side if row * side > 0.0 else side
-        if abs(row) >= persistence and stands == 0.0:
-            alarm[k], stands = True, 1.0
-    state[0], state[1], state[2], state[3], state[4], state[5] = held, travel, loud_travel, row, stands, number
-
-
-_ONSET_SIGMAS = 4.5
-_QUIET_BEFORE_ONSET_S = 0.5
-_SAMPLES_FOR_NOISE = 100
-_ONSET_MEMORY_S = 60.0
-"""How far back an onset is looked for."""
-
-
-@dataclass(frozen=True, slots=True)
-class Episode:
-    """A fault, from its onset until the surface has proved to be well again."""
-
-    start_s: float
-    """First estimate of when it began to show [s]: the residual leaves its noise and does not come back."""
-    alarm_s: float
-    """First instant at which |residual| >= threshold (thesis Eq. 4.12) for as many samples as asked for [s]; uses no
-    later sample."""
-    end_s: float | None
-    """When it was last seen [s]; None if it lasts to the end of the log."""
-
-
-def find_episodes(residuals: Residuals, threshold: Threshold, *, persistence: int = 1) -> tuple[Episode, ...]:
-    """Group threshold crossings into faults.
-
-    The alarm latches. It clears only on evidence: |residual| stayed below half the threshold during manoeuvres in
-    which that of an immobile surface would have made large moves (beyond a zone of twice the threshold, 20
-    thresholds of travel in all). A stuck servo between two manoeuvres is quiet without being well, and stays
-    one fault; so does one that is commanded faster than the filter can see.
-    """
-    judged = np.flatnonzero(residuals.settled)
-    size_deg, time_s = np.abs(residuals.residual_deg[judged]), residuals.time_s[judged]
-    found = latch(
-        new_latch_memory(),
-        residuals.residual_deg[judged],
-        threshold.level_deg[judged],
-        residuals.immobile_deg[judged],
-        persistence,
-        threshold.typical_deg if threshold.kind == "constant" else np.nan,
-    )
-    raised, tolerance_deg = np.flatnonzero(found.alarm), threshold.tolerance_deg[judged]
-    loud = np.flatnonzero(found.group >= 0)
-    first, behind = (np.searchsorted(found.group[loud], found.group[raised], side) for side in ("left", "right"))
-    last_cleared = int(np.flatnonzero(found.clear)[-1]) if found.clear.any() else -1
-    episodes = []
-    for alarm, begin, end in zip(raised.tolist(), first.tolist(), behind.tolist(), strict=True):
-        earliest = int(loud[begin - 1]) + 1 if begin else 0
-        onset = _onset(time_s, size_deg, tolerance_deg, earliest, alarm)
-        end_s = float(time_s[loud[end - 1]]) if last_cleared > alarm else None
-        episodes.append(Episode(float(time_s[onset]), float(time_s[alarm]), end_s))
-    return tuple(episodes)
-
-
-def _onset(time_s: FloatArray, size_deg: FloatArray, tolerance_deg: FloatArray, earliest: int, alarm: int) -> int:
-    """First sample beyond noise and tolerance after the last quiet half second before the alarm."""
-    earliest = max(earliest, int(np.searchsorted(time_s, time_s[alarm] - _ONSET_MEMORY_S)))
-    before = size_deg[earliest:alarm]
-    level_deg = tolerance_deg[earliest : alarm + 1]
-    if before.size >= _SAMPLES_FOR_NOISE:
-        level_deg = np.maximum(level_deg, _ONSET_SIGMAS * MAD_TO_SIGMA * float(np.median(before)))
-    level_deg = np.minimum(level_deg, size_deg[alarm])  # with no healthy time before it, the noise is the fault itself
-    outside = earliest + np.flatnonzero(size_deg[earliest : alarm + 1] >= level_deg)
-    pauses_s = np.diff(time_s[outside], prepend=-np.inf)
-    return int(outside[np.flatnonzero(pauses_s >= _QUIET_BEFORE_ONSET_S)[-1]])

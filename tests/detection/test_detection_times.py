@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
-from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
-from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.threshold import Episode, constant_threshold, find_episodes, interval_threshold
+from servofd.detection.named import judge
+from servofd.detection.residual import ResidualGenerator
+from servofd.detection.verdict import Fault as Found
 from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -20,21 +21,16 @@ TIME_S = np.arange(2000) / 100.0
 MANOEUVRE_S = 8.0
 
 
-def found(generator: ResidualGenerator, segment: Series) -> tuple[Episode, ...]:
-    residuals = generator.run(segment)
-    interval = interval_threshold(generator, segment, residuals, Tolerance())
-    return find_episodes(residuals, constant_threshold(interval, THRESHOLD_DEG))
-
-
-def episodes(command_deg: FloatArray, measured_deg: FloatArray) -> tuple[Episode, ...]:
-    segment = Series("x", TIME_S, command_deg, TIME_S, measured_deg)
+def faults(command_deg: FloatArray, measured_deg: FloatArray) -> tuple[Found, ...]:
+    segment = Series("x", TIME_S, command_deg, TIME_S[: measured_deg.size], measured_deg)
     generator = ResidualGenerator(MODEL, 50.0)
-    return found(generator, segment)
+    surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"]
+    return judge(generator, segment, generator.run(segment), surface).faults
 
 
 def delay_to_alarm(command_deg: FloatArray, fault: Fault) -> float:
-    (episode,) = episodes(command_deg, fault.deflection(MODEL, TIME_S, command_deg, TIME_S))
-    return episode.alarm_s - MANOEUVRE_S
+    first, *_ = faults(command_deg, fault.deflection(MODEL, TIME_S, command_deg, TIME_S))
+    return first.alarm_s - MANOEUVRE_S
 
 
 def ramp(size_deg: float, rate_deg_s: float) -> FloatArray:
@@ -66,15 +62,15 @@ def test_an_increased_dead_band_is_found_within_80_ms_of_a_brisk_manoeuvre(rate_
     assert delay_to_alarm(ramp(12.0, rate_deg_s), DeadBand(0.0, width_deg=8.0)) <= 0.08 + 1e-9
 
 
-def test_a_stuck_servo_that_is_asked_for_less_than_the_threshold_is_not_seen() -> None:
+def test_a_stuck_servo_that_is_asked_for_less_than_the_threshold_is_no_fault() -> None:
     command_deg = step(1.4)
-    assert episodes(command_deg, Stuck(5.0).deflection(MODEL, TIME_S, command_deg, TIME_S)) == ()
+    assert faults(command_deg, Stuck(5.0).deflection(MODEL, TIME_S, command_deg, TIME_S)) == ()
 
 
 def test_a_fault_between_two_manoeuvres_stays_one_fault() -> None:
     command_deg = step(6.0) - np.where(TIME_S > 10.0, 6.0, 0.0) + np.where(TIME_S > 15.0, 8.0, 0.0)
-    (episode,) = episodes(command_deg, Stuck(5.0).deflection(MODEL, TIME_S, command_deg, TIME_S))
-    assert episode.end_s is None
+    (fault,) = faults(command_deg, Stuck(5.0).deflection(MODEL, TIME_S, command_deg, TIME_S))
+    assert fault.end_s is None
 
 
 def test_a_fault_ends_when_the_surface_has_proved_to_be_well() -> None:
@@ -82,7 +78,7 @@ def test_a_fault_ends_when_the_surface_has_proved_to_be_well() -> None:
     measured_deg = MODEL.simulate(TIME_S, command_deg, TIME_S)
     measured_deg[500:700] = measured_deg[500]
     measured_deg[1500:1600] += 3.0
-    first, second = episodes(command_deg, measured_deg)
+    first, second = faults(command_deg, measured_deg)
     assert first.start_s == pytest.approx(5.0, abs=0.1)
     assert first.end_s == pytest.approx(7.0, abs=0.3)
     assert second.start_s == pytest.approx(15.0, abs=0.05)
@@ -94,20 +90,7 @@ def test_alarms_use_no_later_sample() -> None:
     command_deg = 8.0 * np.sin(2.0 * np.pi * 0.8 * TIME_S)
     measured_deg = MODEL.simulate(TIME_S, command_deg, TIME_S)
     measured_deg[500:] = measured_deg[500]
-    (whole,) = episodes(command_deg, measured_deg)
+    (whole,) = faults(command_deg, measured_deg)
     cut = int(np.searchsorted(TIME_S, whole.alarm_s)) + 1
-    segment = Series("x", TIME_S[:cut], command_deg[:cut], TIME_S[:cut], measured_deg[:cut])
-    generator = ResidualGenerator(MODEL, 50.0)
-    (early,) = found(generator, segment)
+    (early,) = faults(command_deg, measured_deg[:cut])
     assert early.alarm_s == whole.alarm_s
-    assert early.start_s == whole.start_s
-
-
-def test_nothing_is_found_in_nothing() -> None:
-    quiet = np.zeros(100)
-    settled, restart = np.ones(100, dtype=bool), np.zeros(100, dtype=np.int8)
-    residuals = Residuals(TIME_S[:100], quiet, quiet, quiet, settled, quiet, restart)
-    segment = Series("x", TIME_S[:100], quiet, TIME_S[:100], quiet)
-    interval = interval_threshold(ResidualGenerator(MODEL, 50.0), segment, residuals, Tolerance())
-    for threshold in (interval, constant_threshold(interval, THRESHOLD_DEG)):
-        assert find_episodes(residuals, threshold) == ()

@@ -37,7 +37,9 @@ def moved(sent_s: FloatArray, asked_deg: FloatArray, time_s: FloatArray) -> Floa
     """Where the calibrated servo goes, by commands each of which holds until the next."""
     table, still = variants(KNOWN.theta, patterns=False)[:1], np.zeros(time_s.size)
     start_deg = np.where(np.arange(time_s.size) == 0, asked_deg[0], np.nan)
-    position_deg, _ = simulated(table, new_state(1), (sent_s, asked_deg), time_s, still, still + 1.0, start_deg)
+    position_deg, _ = simulated(
+        table, new_state(1), (sent_s, asked_deg, 0.0 * sent_s), time_s, still, still + 1.0, start_deg
+    )
     return position_deg[:, 0]
 
 

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
 
 from servofd.aircraft.series import WARM_UP_STEPS
-from servofd.core.statistics import Estimate
 from servofd.detection.audit import _odds
-from servofd.detection.bank import BANK, COLOUR, Explanation, _cycle, _with_interval
-from servofd.detection.judge import _held
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.probability import (
     CusumDesign,
@@ -24,65 +19,12 @@ from servofd.detection.probability import (
     persistent_threshold_deg,
 )
 from servofd.detection.pulse import design_pulse_filter
-from servofd.detection.threshold import Level
-from servofd.detection.verdict import Fault
 from servofd.detection.wiring import wiring_problem
-from servofd.servo.faults import Oscillation
 from servofd.servo.library import servo_named
 from servofd.servo.transfer import TransferFunction
 from tests.detection.test_monitor import surface
-from tests.detection.test_numbers import FAULTS
 from tests.detection.tolerated import MODEL
-from tests.detection.windows import residuals_of, window
-
-
-@pytest.mark.parametrize(("seed", "frequency_hz", "amplitude_deg"), [(0, 0.5, 2.0), (0, 1.0, 1.0), (1, 1.0, 1.0)])
-def test_the_frequency_of_a_limit_cycle_minimizes_misfit_and_prior(
-    seed: int, frequency_hz: float, amplitude_deg: float
-) -> None:
-    """Misfit² + sigma² (coefficient / spread)², as least squares with a row for each prior; with another power of
-    sigma the minimum would move by 5e-6 Hz or more."""
-    seen = window(seed, Oscillation(2.0, amplitude_deg=amplitude_deg, frequency_hz=frequency_hz))
-    target_deg = seen.measured_deg - seen.healthy_deg
-    prior = np.diag(seen.noise_deg / np.append(seen.spread, [1e3, 1e3]))
-
-    def cost(tried_hz: float) -> float:
-        phase = 2.0 * np.pi * tried_hz * seen.time_s
-        rows = np.vstack([np.column_stack([seen.nuisances, np.sin(phase), np.cos(phase)]), prior])
-        wanted = np.append(target_deg, np.zeros(len(prior)))
-        left = wanted - rows @ np.linalg.lstsq(rows, wanted, rcond=None)[0]
-        return float(left @ left)
-
-    near_hz = (frequency_hz - 0.01, frequency_hz + 0.01)
-    best_hz = minimize_scalar(cost, bounds=near_hz, method="bounded", options={"xatol": 1e-9}).x
-    found = _cycle(seen, commanded=True)
-    assert found is not None
-    assert found.parameters["frequency_hz"].value == pytest.approx(best_hz, abs=5e-7)
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_what_a_hypothesis_says_of_its_own_window_is_what_it_predicts_for_any(fault: str) -> None:
-    seen = window(5, FAULTS[fault])
-    for explain in BANK.values():
-        found = explain(seen)
-        if found is not None and found.predict is not None:
-            np.testing.assert_allclose(found.predict(seen), found.predicted_deg, rtol=0.0, atol=1e-9)
-
-
-def test_a_perfect_explanation_is_as_good_as_half_the_power_of_the_noise() -> None:
-    """Else a window without noise would make any other explanation infinitely worse."""
-    seen = window(0, None)
-    perfect = Explanation("healthy", seen.measured_deg, 0.0, 0.0)
-    assert seen.score(perfect) == pytest.approx(seen.time_s.size / COLOUR * np.log(0.5 * seen.noise_deg**2))
-
-
-def test_the_interval_of_a_perfect_fit_is_that_of_its_noise() -> None:
-    """Where the parabola of the cost has risen by one variance of the noise is one deviation, times its colour."""
-    seen, bent = window(0, None), 7.0
-    tried = {v: Explanation("slow", seen.measured_deg, bent * (v - 0.5) ** 2, 1.0) for v in (0.3, 0.5, 0.8)}
-    best = replace(tried[0.5], parameters={"bandwidth_scale": Estimate(0.5, 0.5, 0.5)})
-    found = _with_interval(best, tried, seen, "bandwidth_scale").parameters["bandwidth_scale"]
-    assert found.deviation == pytest.approx(np.sqrt(COLOUR / bent) * seen.noise_deg)
+from tests.detection.windows import residuals_of
 
 
 def test_noise_without_a_sample_time_is_none() -> None:
@@ -121,16 +63,6 @@ def test_a_sum_waits_for_the_side_on_which_the_fault_settles(sign: float) -> Non
     assert 0.02 < at_once < 0.2
     turned = design.mean_delay_s(sign * np.concatenate([np.full(10, -0.1), np.full(400, 2.0)]))
     assert turned == pytest.approx(at_once + 10 * 0.02 + 10 * 0.6 / 1.5 * 0.02, abs=0.021)
-
-
-@pytest.mark.parametrize(
-    ("level", "kind", "held"),
-    [("fault", "healthy", "unknown"), ("suspect", "healthy", "healthy"), ("fault", "bias", "bias")],
-)
-def test_an_alarm_at_a_level_that_the_user_named_remains_one(level: Level, kind: str, held: str) -> None:
-    fault = _held(Fault(kind, 1.0, 1.0, None, {}, 0.75, (), level))
-    assert (fault.kind, fault.level) == (held, level)
-    assert fault.probability == (0.25 if kind != held else 0.75)
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(9.5, False), (10.5, True)])

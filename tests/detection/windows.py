@@ -1,4 +1,4 @@
-"""Flights and windows of known faults."""
+"""Flights of known faults."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ import numpy as np
 from servofd.aircraft.marks import Why
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
-from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
-from servofd.detection.bank import Window
-from servofd.detection.judge import Judgement, judge
-from servofd.detection.residual import ResidualGenerator, Residuals, commands_at_servo
+from servofd.detection.named import Judgement, judge
+from servofd.detection.residual import ResidualGenerator, Residuals
 from servofd.detection.threshold import ThresholdKind
 from servofd.servo.faults import Fault
 from servofd.servo.library import servo_named
@@ -19,7 +17,7 @@ from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL
 
-__all__ = ["NOISE_DEG", "command", "flown", "judged", "residuals_of", "troubled", "window"]
+__all__ = ["NOISE_DEG", "command", "flown", "judged", "residuals_of", "troubled"]
 
 GENERATOR = ResidualGenerator(MODEL, 50.0)
 NOISE_DEG = 0.1
@@ -36,14 +34,6 @@ def flown(seed: int, fault: Fault | None, time_s: FloatArray) -> FloatArray:
     faultless = MODEL.simulate(time_s, command_deg, time_s)
     deflection_deg = faultless if fault is None else fault.deflection(MODEL, time_s, command_deg, time_s)
     return deflection_deg + NOISE_DEG * np.random.default_rng([seed, 1]).standard_normal(time_s.size)
-
-
-def window(seed: int, fault: Fault | None) -> Window:
-    """Eight seconds that begin ten seconds after the fault, if that starts at 2 s."""
-    time_s = np.arange(2400) / 100.0
-    segment = Series("x", time_s, command(seed, time_s), time_s, flown(seed, fault, time_s))
-    commands = commands_at_servo(segment, MODEL.delay_s, GENERATOR.longest_gap_s(segment))
-    return Window.of(MODEL, Tolerance(), NOISE_DEG, GENERATOR.run(segment), commands, slice(1200, 2000))
 
 
 def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
@@ -71,10 +61,15 @@ def residuals_of(time_s: FloatArray, command_deg: FloatArray, measured_deg: Floa
 
 
 def judged(
-    time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray, threshold: ThresholdKind = "constant"
+    time_s: FloatArray,
+    command_deg: FloatArray,
+    measured_deg: FloatArray,
+    threshold: ThresholdKind = "constant",
+    persistence: int = 1,
 ) -> Judgement:
     """Faults of a surface; a constant threshold is at 1.5 deg."""
     segment = Series("x", time_s, command_deg, time_s, measured_deg)
     generator = ResidualGenerator.fitting(MODEL, segment, None)
-    surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update={"threshold": threshold})
+    changes = {"threshold": threshold, "persistence": persistence}
+    surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update=changes)
     return judge(generator, segment, generator.run(segment), surface)

@@ -60,7 +60,7 @@ def recordings(draw: st.DrawFn) -> Recording:
         start_s = float(trace.time_s[0])
         end_s = draw(st.none() | st.just(float(trace.time_s[-1])))
         estimate = Estimate(*draw(st.tuples(number, number, number)))
-        fault = Fault("bias", start_s, start_s, end_s, {"bias_deg": estimate}, 0.5, ("stuck",), first_signs=("a",))
+        fault = Fault("bias", start_s, start_s, end_s, {"bias_deg": estimate}, 0.5, ("stuck",))
         faults = (fault,) if draw(st.booleans()) else ()
         status: Status = "fault" if faults else "healthy"
         statistics = statistics_of(trace)

@@ -9,11 +9,11 @@ import pytest
 
 import servofd
 from servofd.aircraft.schema import load_aircraft
-from servofd.detection.threshold import find_episodes
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script
 from tests.onboard.autopilot import fly
 from tests.onboard.flights import flight_of, on_autopilot
+from tests.onboard.latch import alarms_s as latched_s
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 NAMES = {
@@ -60,8 +60,7 @@ def test_alarms_are_those_of_an_audit(tmp_path: Path, sample: str) -> None:
         assert one.threshold is not None
         surface = audit.aircraft.surfaces[planned.surface]
         # An audit may think better of an alarm where its servo was fitted to the log; the crossings are the same.
-        episodes = find_episodes(one.residuals, one.threshold, persistence=surface.persistence)
-        foreseen_s = [episode.alarm_s for episode in episodes]
+        foreseen_s = latched_s(one.residuals, one.threshold, surface.persistence)
         assert len(alarms_s) == len(foreseen_s)
         assert np.allclose(alarms_s, foreseen_s, atol=1.5 * period_s, rtol=0.0)
         said = [text.split()[1] for text in flown.said(planned.name)]

@@ -313,7 +313,7 @@ def test_an_overbalanced_surface_stays_a_number() -> None:
     command_deg = 10.0 * np.sin(time_s)
     table = variants(theta)
     position_deg, _ = simulated(
-        table, new_state(table.shape[0]), (time_s, command_deg), time_s, np.full(time_s.size, 3.0),
+        table, new_state(table.shape[0]), (time_s, command_deg, 0.0 * time_s), time_s, np.full(time_s.size, 3.0),
         np.ones(time_s.size), np.where(time_s == 0.0, 0.0, np.nan),
     )  # fmt: skip
     assert np.abs(position_deg).max() <= 400.0

@@ -16,7 +16,7 @@ from servofd.aircraft.series import Series
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
-from servofd.detection.judge import judge
+from servofd.detection.named import judge
 from servofd.detection.residual import ResidualGenerator, rhythm
 from servofd.detection.stream import Stream
 from servofd.detection.threshold import interval_threshold
