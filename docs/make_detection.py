@@ -169,7 +169,7 @@ between good ones (J is the misfit that remains, Q how far they had to go: theta
 | stuck, hardover | no servo: a constant, within the travel or at an end of it |
 | floating | no servo: a cubic in time, and the dynamic pressure |
 
-**Score.** With n samples, of which {calibrated._COUNTED:g} count, and p free sizes,
+**Score.** With n samples, a share of {calibrated._COUNTED:g} of all (neighbours are alike), and p free sizes,
 
     B = n/2 ln(max(J/n, 1)) + Q + p ln n + 2 doubt                                                    (D7)
 

@@ -105,7 +105,7 @@ def beside(servo: AnyServo, tolerance: Tolerance) -> tuple[AnyServo, ...]:
 def own_slopes(
     slopes: FloatArray, time_s: FloatArray, moved_deg: Sequence[FloatArray], tolerance: Tolerance, last: FloatArray
 ) -> FloatArray:
-    """Sensitivities (m, 17) with those of the named servo's own model: it and those of `beside` move so, (m,) each.
+    """Sensitivities (m, 15) with those of the named servo's own model: it and those of `beside` move so, (m,) each.
 
     `last` is when the sample before was [s], and where the servo was then [deg]; NaN before any, and carried on.
     """

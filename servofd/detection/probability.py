@@ -12,8 +12,7 @@ import numpy as np
 from logparsers.records import own
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.numeric import root
-from servofd.core.types import BoolArray, FloatArray
-from servofd.servo.loops import compiled, fixed
+from servofd.core.types import FloatArray
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -193,92 +192,6 @@ class Noise:
         white = np.random.default_rng(seed).standard_normal((shape[0], shape[1] + _WARM_UP))
         coloured: FloatArray = lfilter([self.sigma_deg * spread], np.append(1.0, -weights), white)[:, _WARM_UP:]
         return coloured
-
-
-_OVERSHOOT = 1.166
-"""Mean overshoot of a Gaussian random walk, twice 0.583 (D. Siegmund, Sequential Analysis, 1985)."""
-
-
-@dataclass(frozen=True, slots=True)
-class CusumDesign:
-    """A two-sided cumulative sum with its alarm limit."""
-
-    kappa: float
-    """Reference value [sigma]: what is taken off each sample. Shifts below it are never seen."""
-    limit: float
-    """Alarm limit h [sigma]."""
-    factor: float
-    """Long-run factor S of the noise, 1 if it is white."""
-    sample_time_s: float
-    """Sample time [s]."""
-
-    def mean_delay_s(self, shift_sigma: FloatArray) -> float:
-        r"""Expected time from the fault to the alarm [s].
-
-        Siegmund's formula for a drift :math:`\Delta = \delta - \kappa`, with the variance of the walk multiplied by S,
-
-        .. math:: N = S\,\frac{e^{-2\Delta b/S} + 2\Delta b/S - 1}{2\Delta^2}, \qquad b = h + 1.166\,\sqrt{S}
-
-        and the delay is the time by which the response has gathered as much as N samples of the settled shift would.
-        Within a fifth of simulated delays, or two samples.
-        """
-        drift = abs(float(shift_sigma[-1])) - self.kappa
-        if drift <= 0.0:
-            return float("inf")
-        barrier = self.limit + _OVERSHOOT * np.sqrt(self.factor)
-        x = 2.0 * drift * barrier / self.factor
-        needed = self.factor * (np.expm1(-x) + x) / (2.0 * drift)
-        gathered = np.cumsum(np.sign(shift_sigma[-1]) * shift_sigma - self.kappa)
-        reached = np.flatnonzero(gathered >= needed)
-        samples = float(reached[0]) if reached.size else shift_sigma.size - 1 + (needed - gathered[-1]) / drift
-        return float(samples * self.sample_time_s)
-
-
-def design_cusum(kappa: float, rate_per_hour: float, noise: Noise) -> CusumDesign:
-    r"""Alarm limit for a wanted rate of false alarms.
-
-    For white noise, Siegmund's run length of one side is
-    :math:`(e^{2\kappa b} - 2\kappa b - 1)/(2\kappa^2)`, :math:`b = h + 1.166`; two sides alarm twice as often.
-    """
-    samples = 2.0 * 3600.0 / (rate_per_hour * noise.sample_time_s)
-    wanted = 2.0 * kappa**2 * samples
-    # exp(x) - x - 1 = wanted; it lies below exp(x), and above it by no more than twice near the root.
-    top = float(np.log(wanted + 1.0)) * 2.0 + 4.0
-    x = root(lambda value: np.expm1(value) - value - wanted, 0.0, top)
-    white = max(float(x) / (2.0 * kappa) - _OVERSHOOT, 0.0)
-    return CusumDesign(kappa, noise.long_run_factor * white, noise.long_run_factor, noise.sample_time_s)
-
-
-def cusum(
-    normalised_residual: FloatArray,
-    kappa: float,
-    restart: BoolArray | None = None,
-    memory: FloatArray | None = None,
-) -> FloatArray:
-    """The larger sum [sigma] of a residual (n,) less its healthy mean [sigma], above and below, never below zero.
-
-    It begins anew before a sample of `restart`, holds over a NaN, and goes on from `memory` (2,), which is carried on.
-    """
-    values = np.asarray(normalised_residual, dtype=float)
-    restarts = np.zeros(values.size, dtype=bool) if restart is None else np.asarray(restart, dtype=bool)
-    if restarts.shape != values.shape:
-        raise ValueError(f"restart has shape {restarts.shape}, the residual {values.shape}")
-    result = np.empty(values.size)
-    _sums(fixed(values), kappa, fixed(restarts), np.zeros(2) if memory is None else memory, result)
-    return result
-
-
-@compiled
-def _sums(values: FloatArray, kappa: float, restart: BoolArray, memory: FloatArray, result: FloatArray) -> None:
-    high, low = memory[0], memory[1]
-    for k in range(values.size):
-        if restart[k]:
-            high = low = 0.0
-        if not np.isnan(values[k]):
-            high = max(0.0, high + values[k] - kappa)
-            low = max(0.0, low - values[k] - kappa)
-        result[k] = max(high, low)
-    memory[0], memory[1] = high, low
 
 
 _POINTS_LOG2 = 13
@@ -620,8 +533,6 @@ def peaks(size_deg: FloatArray, level_deg: float, apart_samples: int) -> FloatAr
 
 IN_A_ROW = (2, 3, 5)
 """Persistences that are shown beside the single sample."""
-KAPPA_SIGMA = 0.5
-"""Reference value of the cumulative sum: best for shifts of one standard deviation."""
 WITHIN_S = (0.2, 1.0)
 """Times within which a fault is to be seen [s]."""
 _SETTLED_TIME_CONSTANTS = 40.0
@@ -675,8 +586,6 @@ class SurfaceOdds:
     wished: Operating
     """At the tail's threshold if there is one, else at the Gaussian."""
     in_a_row_threshold_deg: dict[int, float]
-    cusum: CusumDesign
-    cusum_delay_s: float
 
 
 def surface_odds(
@@ -701,7 +610,6 @@ def surface_odds(
         wanted, noise.sigma_deg, noise.correlation, noise.sample_time_s
     )
     tail_deg = tail.threshold_deg(wanted) if tail else None
-    cusum = design_cusum(KAPPA_SIGMA, wanted, noise)
     response_deg = wish.fault_deg * settled_bias(design)
     rows = [n for n in IN_A_ROW if n <= noise.order]
     return SurfaceOdds(
@@ -718,8 +626,6 @@ def surface_odds(
         tail_threshold_deg=tail_deg,
         wished=_operating(tail_deg.value if tail_deg else gaussian_deg, design, noise, tail, response_deg),
         in_a_row_threshold_deg={n: persistent_threshold_deg(wanted, noise, n) for n in rows},
-        cusum=cusum,
-        cusum_delay_s=cusum.mean_delay_s(response_deg / noise.sigma_deg),
     )
 
 

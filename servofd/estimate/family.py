@@ -53,8 +53,8 @@ _GAIN, _BIAS, _DELAY, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HI
 _POWER = FITTED
 _SIMULATED: Final = (_GAIN, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0)
 """Parameters whose sensitivities need a simulation of their own; those of the others are known from the position."""
-PATTERNS: Final = ("weak", "poles", "play", "dead")
-"""Finite changes: half the torque, half of all poles, 2 deg of play, 1.5 deg of dead band."""
+PATTERNS: Final = ("weak", "play")
+"""Finite changes: half the torque, 2 deg of play."""
 _USUAL = np.append([prior.value for prior in PRIORS], 0.0)
 _TRACKS: Final = 1 + len(_SIMULATED)
 
@@ -66,7 +66,7 @@ def variants(theta: FloatArray, *, patterns: bool = True) -> FloatArray:
     --------
     >>> theta = np.array([prior.value for prior in PRIORS])
     >>> variants(theta).shape, variants(theta, patterns=False).shape
-    ((14, 14), (10, 14))
+    ((12, 14), (10, 14))
     """
     base = np.append(theta, 0.0)
     rows = [base]
@@ -81,13 +81,10 @@ def variants(theta: FloatArray, *, patterns: bool = True) -> FloatArray:
 
 def patterns_of(base: FloatArray) -> list[FloatArray]:
     """Servos with each of the finite changes."""
-    weak, poles, play, dead = (base.copy() for _ in PATTERNS)
+    weak, play = (base.copy() for _ in PATTERNS)
     weak[_POWER] += np.log(0.5)
-    poles[_OMEGA] += np.log(0.5)
-    poles[_RATE] += np.log(0.5)
     play[_PLAY] += 2.0
-    dead[_DEAD] += 1.5
-    return [weak, poles, play, dead]
+    return [weak, play]
 
 
 @dataclass(slots=True, eq=False)

@@ -112,9 +112,6 @@ def _draw_delays(axes: Axes, odds: SurfaceOdds) -> None:
     three = odds.in_a_row_threshold_deg.get(3)
     curves = {
         "threshold": [detect(x * response, odds.gaussian_threshold_deg, noise).mean_delay_s for x in sizes_deg],
-        f"CUSUM, kappa {odds.cusum.kappa:g}": [
-            odds.cusum.mean_delay_s(x * response / noise.sigma_deg) for x in sizes_deg
-        ],
     }
     if three is not None:
         curves["3 in a row"] = [persistent_delay_s(x * long_response, three, noise, 3) for x in sizes_deg]

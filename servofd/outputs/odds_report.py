@@ -66,7 +66,6 @@ def _surface(odds: SurfaceOdds) -> dict[str, Any]:
                 "tail": _quoted(odds.tail_threshold_deg),
                 "in_a_row": {str(n): value for n, value in odds.in_a_row_threshold_deg.items()},
             },
-            "cusum": {"kappa_sigma": odds.cusum.kappa, "limit_sigma": odds.cusum.limit, "delay_s": odds.cusum_delay_s},
         },
         "fault_deg": odds.wish.fault_deg,
         "at_threshold_in_force": _operating(odds.in_force),
@@ -114,8 +113,6 @@ def _column(odds: SurfaceOdds) -> dict[str, str]:
     for n, value in odds.in_a_row_threshold_deg.items():
         column[f"threshold for {rate} [deg], {n} in a row"] = f"{value:.3f}"
     column |= {f"{name}, then": text for name, text in _seen(then, wish.fault_deg).items()}
-    column[f"CUSUM limit for {rate} [sigma], kappa {odds.cusum.kappa:g}"] = f"{odds.cusum.limit:.1f}"
-    column[f"  delay for {wish.fault_deg:g} deg [s], CUSUM"] = _seconds(odds.cusum_delay_s)
     return column
 
 

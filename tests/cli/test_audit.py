@@ -67,11 +67,8 @@ def test_what_simulate_writes_audit_reads(
     assert main(["simulate", "-o", str(path), "--command", command, "--duration", "60"]) == 0
     capsys.readouterr()
     code, document = audited([str(path)], capsys)
-    # Of a chirp as the file of FASER's servo judges it: it ends in motion too small to show a jam in its second half.
-    is_dark = command == "chirp" and suffix == "mat"
-    assert code == (2 if is_dark else 0)
-    cleared = "unknown" if is_dark else "healthy"
-    assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {cleared, "no_data"}
+    assert code == 0
+    assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {"healthy", "no_data"}
 
 
 def test_a_noise_free_table_comes_back_to_the_nanodegree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,8 +16,6 @@ from servofd.detection.probability import (
     TailFit,
     Wish,
     bias_response,
-    cusum,
-    design_cusum,
     detect,
     false_alarms_per_hour,
     fit_tail,
@@ -268,47 +266,6 @@ def test_the_smallest_bias_is_seen_in_time() -> None:
     for within_s in (0.05, 0.2):
         size_deg = smallest_bias_deg(DESIGN, 5.0, NOISE, within_s)
         assert detect(size_deg * bias_response(DESIGN, within_s), 5.0, NOISE).least[-1] == pytest.approx(0.99, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_a_cusum_needs_the_colour() -> None:
-    """White-noise limits on the coloured residual alarm many times too often; the corrected ones less than asked."""
-    wanted_per_hour = 60.0
-    runs = NOISE.sample((200, 36_000), seed=10)
-    design = design_cusum(0.5, wanted_per_hour, NOISE)
-    textbook = design_cusum(0.5, wanted_per_hour, WHITE)
-    assert alarms_per_hour(runs[:10], 0.5, textbook.limit) > 5.0 * wanted_per_hour
-    assert 0.05 * wanted_per_hour < alarms_per_hour(runs, 0.5, design.limit) < wanted_per_hour
-
-
-def alarms_per_hour(runs: np.ndarray[tuple[int, ...], np.dtype[np.float64]], kappa: float, limit: float) -> float:
-    """Alarms, each followed by a restart."""
-    alarms = 0
-    for run in runs:
-        start = 0
-        while True:
-            over = np.flatnonzero(cusum(run[start : start + 36_000], kappa) >= limit)
-            if over.size == 0:
-                break
-            alarms, start = alarms + 1, start + int(over[0]) + 1
-    return alarms / (runs.size * 0.01 / 3600.0)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(st.one_of(st.floats(-10.0, 10.0), st.just(float("nan"))), max_size=60), st.floats(0.0, 2.0))
-def test_the_cusum_is_what_its_definition_says(values: list[float], kappa: float) -> None:
-    high = low = 0.0
-    expected = []
-    for k, value in enumerate(values):
-        if k % 7 == 3:
-            high = low = 0.0
-        if not np.isnan(value):
-            high, low = max(0.0, high + value - kappa), max(0.0, low - value - kappa)
-        expected.append(max(high, low))
-    ours = cusum(np.array(values), kappa, np.arange(len(values)) % 7 == 3)
-    np.testing.assert_array_equal(ours, np.array(expected))
-    with pytest.raises(ValueError, match="shape"):
-        cusum(np.zeros(3), kappa, np.zeros(2, dtype=bool))
 
 
 def part(record: np.ndarray[tuple[int, ...], np.dtype[np.float64]], servo: str = "hs225bb-eq31") -> Part:

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from servofd.detection.probability import (
-    CusumDesign,
     Noise,
     bias_response,
-    design_cusum,
     detect,
     false_alarms_per_hour,
     persistent_false_alarms_per_hour,
@@ -111,29 +109,6 @@ def stuck(size_deg: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 def test_long_run_factor() -> None:
     assert UNIT.long_run_factor == pytest.approx(5.71, abs=0.005)
     assert UNIT.long_run_factor == pytest.approx(1.0 / DESIGN.noise_gain**2, rel=1e-2)  # the same sum, from dc gain 1
-
-
-@pytest.mark.parametrize(("kappa", "needed", "rule"), [(0.5, 66.0, 79.0), (1.0, 34.0, 40.0), (2.0, 13.0, 19.0)])
-def test_the_cusum_limit_is_safe_and_not_much_too_high(kappa: float, needed: float, rule: float) -> None:
-    """`needed` is what simulation asks for at one false alarm in 10 h."""
-    design = design_cusum(kappa, 0.1, UNIT)
-    assert design.limit == pytest.approx(rule, abs=1.0)
-    assert needed <= design.limit <= 1.5 * needed
-
-
-@pytest.mark.parametrize(
-    ("kappa", "limit", "delays_s"),
-    [
-        (0.5, 66.3, {1.0: 1.30, 2.0: 0.46, 3.0: 0.277, 5.0: 0.153, 8.0: 0.094}),
-        (2.0, 12.9, {3.0: 0.157, 5.0: 0.051, 8.0: 0.027}),
-    ],
-)
-def test_cusum_delays(kappa: float, limit: float, delays_s: dict[float, float]) -> None:
-    """Simulated delays count the sample of the alarm as well: one more."""
-    cusum = CusumDesign(kappa, limit, UNIT.long_run_factor, T)
-    for shift, delay_s in delays_s.items():
-        assert cusum.mean_delay_s(np.full(200, shift)) == pytest.approx(delay_s - T, abs=0.1 * delay_s + 2.0 * T)
-    assert cusum.mean_delay_s(np.full(200, kappa)) == np.inf
 
 
 @pytest.mark.parametrize(("shift", "median_s"), [(3.0, 0.65), (5.0, 0.02)])
