@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from servofd.aircraft.calibrated import calibrated_to_toml
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
-from servofd.detection.calibrated import FALSE_ALARMS_PER_HOUR
+from servofd.detection.seen import FALSE_ALARMS_PER_HOUR
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -24,15 +24,10 @@ from servofd.aircraft.series import (
 )
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
-from servofd.detection.calibrated import audit_calibrated
-from servofd.detection.changes import detectable as shown_by_windows
-from servofd.detection.evidence import detectable, reported, status_of, too_short
+from servofd.detection.evidence import reported, status_of
 from servofd.detection.known import crude_line
-from servofd.detection.named import judge
-from servofd.detection.probability import false_alarms_per_hour
-from servofd.detection.residual import ResidualGenerator, Residuals, prepared
+from servofd.detection.seen import TooShortError, beside_good_flights, beside_its_model
 from servofd.detection.verdict import CommonCause, LogAudit, Statistics, SurfaceAudit, describe
-from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -42,7 +37,6 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import Fault
-    from servofd.servo.servo_model import ServoModel
 
 _SECONDS_FOR_ODDS = 10.0
 _FASTEST_RATE_HZ = 50_000.0
@@ -140,59 +134,43 @@ def audit_segment(
     problem = _too_little(segment, is_calibrated=surface.is_calibrated)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
-    if surface.is_calibrated:
-        return audit_calibrated(segment, surface, verdict, duration_s)
     if surface.model.origin == "none":
         asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
         reason, tried = _unpredicted(surface, segment, asked_deg), asked_deg >= _HARDLY_ASKED_DEG
         return verdict(status="unknown", reason=reason, segment=segment, tried=tried)
     try:
-        generator = ResidualGenerator.fitting(aircraft.model(name), segment, surface.filter_pole_rad_s)
-    except DesignError as error:
+        if surface.is_calibrated:
+            seen = beside_good_flights(segment, surface)
+        else:
+            # Whoever names a level wants to know what reaches it, and that alone.
+            seen = beside_its_model(segment, surface, aircraft.model(name), asked=threshold_deg is not None)
+    except (DesignError, TooShortError) as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
-    segment, residuals, notes = prepared(generator, segment)
-    notes = (*notes, *_reservations(generator.model, segment, surface))
-    judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
-    is_number = np.isfinite(residuals.residual_deg[residuals.settled]).all()
-    problem = too_short(judged_s) or ("" if is_number else "the residual is not a number: check model and units")
-    if problem:
-        return verdict(status="unknown", reason=problem, segment=segment, residuals=residuals)
-    statistics = Statistics.of(residuals.residual_deg[residuals.settled], residuals.error_deg[residuals.settled])
-    # Whoever names a level wants to know what reaches it, and that alone.
-    level, flight, faults, suspicions = judge(generator, segment, residuals, surface, asked=threshold_deg is not None)
-    if level.typical_deg < _CLEAR_SIGMAS * (sigma_deg := float(np.median(level.sigma_deg))) and faults:
-        notes = (
-            f"the threshold of {level.typical_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg",
-            *notes,
-        )
-    problem = wiring_problem(residuals) if faults or suspicions else ""
-    if problem:
-        faults = suspicions = ()
-    shown = NOTHING_DETECTABLE
-    if not problem:
-        by_level = flight.alone and not surface.tells_small_faults
-        shown = detectable(generator, residuals, level, surface.persistence) if by_level else shown_by_windows([flight])
-        above = np.abs(residuals.residual_deg[residuals.settled]) > level.level_deg[residuals.settled]
-        passed = ", which single readings passed" if above.any() else ""
-        well = f"followed its command as its servo should, within {statistics.max_abs_deg:.2f} deg"
-        well += f" (threshold {level.typical_deg:.2g} deg{passed})"
-        status, reason = status_of(residuals, level, faults, suspicions, shown, well)
-    else:
-        status, reason = "unknown", problem
-    judged_share = min(judged_s / max(duration_s, 1e-9), 1.0)
+    rows, residuals = seen.residuals.settled, seen.residuals
+    statistics = Statistics.of(residuals.residual_deg[rows], residuals.error_deg[rows])
+    faults, suspicions, shown = seen.found.faults, seen.found.suspicions, seen.detectable()
+    status, reason = status_of(residuals, seen.threshold, faults, suspicions, shown, seen.well(statistics.max_abs_deg))
+    if seen.against:
+        status, reason = "unknown", seen.against
+        faults, suspicions, shown = (), (), NOTHING_DETECTABLE
+    if seen.doubt:
+        status = "suspect" if status in ("healthy", "unknown") else status
+        reason = f"{seen.doubt}; {reason}"
+    if seen.beyond:
+        status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {seen.beyond}"
     return reported(
         verdict,
-        segment,
+        seen.segment,
         residuals,
-        level,
-        judged_share,
+        seen.threshold,
+        min(seen.judged_s / max(duration_s, 1e-9), 1.0),
         status,
         reason,
-        notes,
+        seen.notes,
         faults=faults,
         suspicions=suspicions,
         statistics=statistics,
-        false_alarms_per_hour=_odds(residuals, faults + suspicions, segment.period_s, level.typical_deg),
+        false_alarms_per_hour=seen.false_alarms_per_hour(),
         detectable=shown,
     )
 
@@ -217,22 +195,6 @@ def _verdict_on(name: str, surface: Surface, *, expected: bool) -> partial[Surfa
         model=surface.model,
         expected=expected,
     )
-
-
-_LACKING = {
-    "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
-    "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
-    "servo_load": "the log holds no load: the model takes nothing to push the servo from outside",
-    "servo_current_a": "the log holds no servo current: the reading is taken not to move with it",
-}
-
-
-def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[str]:
-    """What a reader has to know of the model: effects that want data, another scale, a calibration on other times."""
-    notes = [_LACKING[need] for need in sorted(model.needs - segment.context.logged)]
-    if surface.by_other_messages:
-        notes.append("calibrated on other messages than this log has: judged within wide tolerances")
-    return notes
 
 
 def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
@@ -298,27 +260,6 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
         f"no servo predicts this surface from its command, which stays within {asked_deg:.2g} deg (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
     )
-
-
-def _judged_s(residuals: Residuals, longest_gap_s: float) -> float:
-    """Time covered by judged samples, intervals that the filter bridges included [s]."""
-    step_s = np.diff(residuals.time_s[residuals.settled])
-    return float(step_s[step_s <= longest_gap_s].sum())
-
-
-def _odds(residuals: Residuals, found: tuple[Fault, ...], period_s: float, threshold_deg: float) -> float | None:
-    """False alarms per hour, from the residual before the first fault; None if that is too short."""
-    healthy = residuals.settled & (residuals.time_s < min((fault.start_s for fault in found), default=np.inf))
-    residual = residuals.residual_deg[healthy]
-    if residual.size * period_s < _SECONDS_FOR_ODDS:
-        return None
-    centred = residual - residual.mean()
-    power = float(np.mean(centred**2))
-    if power == 0.0:
-        return 0.0
-    correlation = float(np.mean(centred[1:] * centred[:-1])) / power
-    margin_deg = max(threshold_deg - abs(float(residual.mean())), 0.0)
-    return false_alarms_per_hour(margin_deg, float(np.sqrt(power)), correlation, period_s)
 
 
 _TOGETHER_S, _STILL_TOGETHER_S = 1.0, 0.5

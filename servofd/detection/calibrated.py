@@ -24,30 +24,25 @@ from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
     STATISTICS,
     Memory,
-    detectable,
     exceeded,
     follow,
-    shown,
     thresholds_of,
     watched,
 )
-from servofd.detection.evidence import reported, status_of, too_short
 from servofd.detection.residual import Residuals
-from servofd.detection.verdict import WORTH_TELLING, Fault, Statistics
+from servofd.detection.verdict import WORTH_TELLING, Fault
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
-from servofd.estimate.record import Record, load_at
+from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from functools import partial
 
     from servofd.aircraft.calibrated import CalibratedServo
-    from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.changes import Watched
     from servofd.detection.residual import Commands
-    from servofd.detection.verdict import Fault, SurfaceAudit
+    from servofd.detection.verdict import Fault
 
 _WINDOW_S: Final = 20.0
 _SETTLING_S: Final = 0.5
@@ -470,72 +465,6 @@ _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_
 _SHORTEST_WEAR_S: Final = 2.0
 SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
-_LITTLE_KNOWN: Final = 5.0
-"""Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
-_OFTEN_BEYOND: Final = 0.2
-FALSE_ALARMS_PER_HOUR: Final = 0.05
-"""Of one surface: 2 faults in 41 h of healthy flight of 31 simulated aircraft of even seed; 2 in 49 h of 37 of odd seed
-confirm it (`benchmarks/calibration_campaign.py`). The rate of a rarer alarm has not been measured."""
-
-
-def audit_calibrated(
-    segment: Series, surface: Surface, verdict: partial[SurfaceAudit], duration_s: float
-) -> SurfaceAudit:
-    """Judge one surface by what its good flights were like."""
-    known = surface.calibrated
-    if known is None:
-        raise ValueError(f"{segment.surface}: not calibrated")
-    flight = _watched(known, segment)
-    rows = flight.judged
-    steps_s = np.minimum(np.diff(flight.record.time_s, append=np.nan), 3.0 * segment.period_s)
-    judged_s = float(np.nansum(steps_s[rows]))
-    beyond = _beyond(flight)
-    short = too_short(judged_s)
-    if short:
-        return verdict(status="unknown", reason=beyond or short, segment=segment)
-    residuals, threshold = shown(
-        (flight.record.time_s, flight.reading_deg, flight.record.measured_deg, flight.error_deg),
-        rows,
-        np.isfinite(flight.record.start_deg),
-        thresholds_of(known)[0],
-        flight.sigma_deg,
-    )
-    found = judged(flight)
-    sizes = detectable([flight])
-    error_deg = flight.error_deg[rows]
-    statistics = Statistics.of(error_deg, (flight.record.measured_deg - flight.reading_deg)[rows])
-    peak = np.flatnonzero(rows)[np.argmax(np.abs(error_deg))]
-    is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
-    where = ", in motion faster than theirs" if is_unknown else ""
-    own_s = surface.model.fitted_between_s
-    like = "as in its good flights" if own_s is None else f"as from {own_s[0]:.0f} to {own_s[1]:.0f} s of this log"
-    well = f"{like} (largest residual {statistics.max_abs_deg:.2f} deg{where})"
-    status, reason = status_of(residuals, threshold, found.faults, found.suspicions, sizes, well)
-    if known.doubt:
-        status = "suspect" if status in ("healthy", "unknown") else status
-        reason = f"{known.doubt}; {reason}"
-    if beyond:
-        status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {beyond}"
-    after = []
-    if known.airspeed_m_s and not segment.context.airspeed_s.size:
-        after.append(f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights")
-    if not known.airspeed_m_s and segment.context.airspeed_s.size:
-        after.append("its good flights told no airspeed: calibrate it on logs that do, for fewer false alarms")
-    return reported(
-        verdict,
-        segment,
-        residuals,
-        threshold,
-        min(judged_s / max(duration_s, 1e-9), 1.0),
-        status,
-        reason,
-        after,
-        faults=found.faults,
-        suspicions=found.suspicions,
-        statistics=statistics,
-        false_alarms_per_hour=FALSE_ALARMS_PER_HOUR,
-        detectable=sizes,
-    )
 
 
 class Found(NamedTuple):
@@ -652,22 +581,11 @@ def judge_stretch(
     """Judge what a stream remembers of a surface."""
     segment = Series("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
     segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
-    return judged(_watched(known, segment))
+    return judged(watched_calibrated(known, segment))
 
 
-def _watched(known: CalibratedServo, segment: Series) -> Watched:
+def watched_calibrated(known: CalibratedServo, segment: Series) -> Watched:
+    """What the detector needs of a flight of a servo that was fitted to good flights."""
     has_airspeed = segment.context.airspeed_s.size > 0
     record = Record.of(segment, known.supply_v, known.airspeed_m_s)
     return watched(known if has_airspeed else known.without_airspeed(), record)
-
-
-def _beyond(flight: Watched) -> str:
-    """That much of a flight was faster than what was calibrated, and is not judged; nothing if little was."""
-    last_m_s = flight.known.last_judged_m_s
-    share = float(np.mean(flight.record.load > load_at(last_m_s))) if flight.record.load.size else 0.0
-    if share < _OFTEN_BEYOND:
-        return ""
-    return (
-        f"{share:.0%} of it flown at more than {last_m_s:.0f} m/s, of which the flights of its calibration (up to "
-        f"{flight.known.fastest_m_s:.0f} m/s) tell nothing: calibrate it on one that is as fast"
-    )

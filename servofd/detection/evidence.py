@@ -151,7 +151,7 @@ _WIDEST_DEG = 20.0
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
 
-def detectable(
+def passing(
     generator: ResidualGenerator, residuals: Residuals, threshold: Threshold, persistence: int = 1
 ) -> Detectable:
     """Smallest faults that would have passed this threshold, 19 times in 20."""

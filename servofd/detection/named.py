@@ -183,8 +183,17 @@ class Judgement(NamedTuple):
 
     threshold: Threshold
     flight: Watched
-    faults: tuple[Fault, ...]
-    suspicions: tuple[Fault, ...]
+    found: Found
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What was found."""
+        return self.found.faults
+
+    @property
+    def suspicions(self) -> tuple[Fault, ...]:
+        """What is suspect."""
+        return self.found.suspicions
 
 
 def judge(
@@ -212,7 +221,7 @@ def judge(
     commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
     flight = watched_named(generator, surface, residuals, threshold, commands, segment.period_s)
     found = judged_named(flight, tells=surface.tells_small_faults, asked=asked)
-    return Judgement(threshold, flight, found.faults, found.suspicions)
+    return Judgement(threshold, flight, found)
 
 
 def judged_named(flight: Watched, *, tells: bool, asked: bool) -> Found:

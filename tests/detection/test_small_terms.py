@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.series import WARM_UP_STEPS
-from servofd.detection.audit import _odds
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.probability import (
     Noise,
@@ -18,6 +17,7 @@ from servofd.detection.probability import (
     persistent_threshold_deg,
 )
 from servofd.detection.pulse import design_pulse_filter
+from servofd.detection.seen import odds
 from servofd.detection.wiring import wiring_problem
 from servofd.servo.library import servo_named
 from servofd.servo.transfer import TransferFunction
@@ -59,7 +59,7 @@ def test_odds_of_one_log_need_ten_seconds(seconds: float, told: bool) -> None:
     time_s = np.arange(0.0, seconds, 0.05)
     residual_deg = 0.1 * np.random.default_rng(0).standard_normal(time_s.size)
     residuals: Any = SimpleNamespace(settled=np.ones(time_s.size, bool), time_s=time_s, residual_deg=residual_deg)
-    assert (_odds(residuals, (), 0.05, 1.5) is not None) == told
+    assert (odds(residuals, np.inf, 0.05, 1.5) is not None) == told
 
 
 def test_a_gain_that_changes_in_flight_is_no_wrong_scale() -> None:
@@ -84,11 +84,10 @@ def test_the_odds_of_a_log_are_those_of_its_colour_offset_and_healthy_part(colou
     settled = time_s > 1.0
     residual_deg = np.where(settled & (time_s < 300.0), healthy_deg, 50.0)  # else, what must not count
     residuals: Any = SimpleNamespace(settled=settled, time_s=time_s, residual_deg=residual_deg)
-    fault: Any = SimpleNamespace(start_s=300.0)
     counted = healthy_deg[settled & (time_s < 300.0)]
     alike = float(np.corrcoef(counted[:-1], counted[1:])[0, 1])
     expected = false_alarms_per_hour(1.5 - abs(counted.mean()), float(np.std(counted)), alike, 0.02)
-    found = _odds(residuals, (fault,), 0.02, 1.5)
+    found = odds(residuals, 300.0, 0.02, 1.5)
     assert found == pytest.approx(expected, rel=5e-3)
     assert alike == pytest.approx(colour, abs=0.02)
     assert found != pytest.approx(false_alarms_per_hour(1.5, float(np.std(counted)), alike, 0.02), rel=0.5)

@@ -1,0 +1,199 @@
+"""One surface beside its healthy servo: what is shown of it, what was found, and what a reader has to know.
+
+A healthy servo is calibrated on good flights, fitted to a part of the log, or named. The first two are judged by the
+error of the prediction; a named one by the residual of the nullspace filter, and both by the same windows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.core.errors import ServofdError
+from servofd.detection.calibrated import judged, watched_calibrated
+from servofd.detection.changes import detectable, shown, thresholds_of
+from servofd.detection.evidence import passing, too_short
+from servofd.detection.named import judge
+from servofd.detection.probability import false_alarms_per_hour
+from servofd.detection.residual import ResidualGenerator, prepared
+from servofd.detection.wiring import wiring_problem
+from servofd.estimate.record import load_at
+
+if TYPE_CHECKING:
+    from servofd.aircraft.schema import Surface
+    from servofd.aircraft.series import Series
+    from servofd.core.evidence import Detectable
+    from servofd.detection.calibrated import Found
+    from servofd.detection.changes import Watched
+    from servofd.detection.residual import Residuals
+    from servofd.detection.threshold import Threshold
+    from servofd.servo.servo_model import ServoModel
+
+_LITTLE_KNOWN: Final = 5.0
+"""Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
+_OFTEN_BEYOND: Final = 0.2
+FALSE_ALARMS_PER_HOUR: Final = 0.05
+"""Of one surface: 2 faults in 41 h of healthy flight of 31 simulated aircraft of even seed; 2 in 49 h of 37 of odd seed
+confirm it (`benchmarks/calibration_campaign.py`). The rate of a rarer alarm has not been measured."""
+
+
+_SECONDS_FOR_ODDS: Final = 10.0
+_CLEAR_SIGMAS: Final = 4.0
+"""A threshold of less is crossed by noise alone, once in some thousand samples."""
+
+
+class TooShortError(ServofdError):
+    """So little of a log can be judged that there is no verdict."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """One surface of a log beside its healthy servo."""
+
+    segment: Series
+    residuals: Residuals
+    threshold: Threshold
+    flight: Watched
+    found: Found
+    judged_s: float
+    like: str
+    """As what it moved, if it is healthy."""
+    notes: tuple[str, ...] = ()
+    """What a reader has to know beside the verdict."""
+    against: str = ""
+    """Why nothing can be concluded from it."""
+    doubt: str = ""
+    """What about its servo is like no sound one."""
+    beyond: str = ""
+    """What part of the flight its good flights tell nothing of."""
+    level: tuple[ResidualGenerator, int] | None = None
+    """Filter and persistence, where the level that is shown is the only test."""
+
+    def detectable(self) -> Detectable:
+        """The smallest faults that would have shown."""
+        if self.level is not None:
+            generator, persistence = self.level
+            return passing(generator, self.residuals, self.threshold, persistence)
+        return detectable([self.flight])
+
+    def well(self, largest_deg: float) -> str:
+        """In which way it is healthy, if it is; by the largest residual [deg]."""
+        return self.like.format(largest=f"{largest_deg:.2f}")
+
+    def false_alarms_per_hour(self) -> float | None:
+        """How often a healthy residual alarms; None if the flight is too short to tell."""
+        if self.flight.passed is None:
+            return FALSE_ALARMS_PER_HOUR
+        first_s = min((fault.start_s for fault in (*self.found.faults, *self.found.suspicions)), default=np.inf)
+        return odds(self.residuals, first_s, self.segment.period_s, self.threshold.typical_deg)
+
+
+def beside_good_flights(segment: Series, surface: Surface) -> Seen:
+    """See a surface beside the servo that was fitted to good flights, or to a part of this log."""
+    known = surface.calibrated
+    if known is None:
+        raise ValueError(f"{segment.surface}: not calibrated")
+    flight = watched_calibrated(known, segment)
+    record, rows = flight.record, flight.judged
+    judged_s = float(np.nansum(np.minimum(np.diff(record.time_s, append=np.nan), 3.0 * segment.period_s)[rows]))
+    beyond = _beyond(flight)
+    if too_short(judged_s):
+        raise TooShortError(beyond or too_short(judged_s))
+    residuals, threshold = shown(
+        (record.time_s, flight.reading_deg, record.measured_deg, flight.error_deg),
+        rows,
+        np.isfinite(record.start_deg),
+        thresholds_of(known)[0],
+        flight.sigma_deg,
+    )
+    peak = np.flatnonzero(rows)[np.argmax(np.abs(flight.error_deg[rows]))]
+    is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
+    where = ", in motion faster than theirs" if is_unknown else ""
+    own_s = surface.model.fitted_between_s
+    like = "as in its good flights" if own_s is None else f"as from {own_s[0]:.0f} to {own_s[1]:.0f} s of this log"
+    notes = []
+    if known.airspeed_m_s and not segment.context.airspeed_s.size:
+        notes.append(f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights")
+    if not known.airspeed_m_s and segment.context.airspeed_s.size:
+        notes.append("its good flights told no airspeed: calibrate it on logs that do, for fewer false alarms")
+    like = f"{like} (largest residual {{largest}} deg{where})"
+    found = judged(flight)
+    return Seen(
+        segment, residuals, threshold, flight, found, judged_s, like, tuple(notes), doubt=known.doubt, beyond=beyond
+    )
+
+
+def beside_its_model(segment: Series, surface: Surface, model: ServoModel, *, asked: bool = False) -> Seen:
+    """See a surface beside the servo that is named; `asked`: the user named the level, which alone counts then."""
+    generator = ResidualGenerator.fitting(model, segment, surface.filter_pole_rad_s)
+    segment, residuals, notes = prepared(generator, segment)
+    judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
+    if too_short(judged_s):
+        raise TooShortError(too_short(judged_s))
+    rows = residuals.settled
+    if not np.isfinite(residuals.residual_deg[rows]).all():
+        raise TooShortError("the residual is not a number: check model and units")
+    threshold, flight, found = judge(generator, segment, residuals, surface, asked=asked)
+    notes = (*notes, *_reservations(model, segment, surface))
+    level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
+    if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
+        within = f"the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
+        notes = (within, *notes)
+    above = (np.abs(residuals.residual_deg[rows]) > threshold.level_deg[rows]).any()
+    passed = ", which single readings passed" if above else ""
+    like = f"followed its command as its servo should, within {{largest}} deg (threshold {level_deg:.2g} deg{passed})"
+    against = wiring_problem(residuals) if found.faults or found.suspicions else ""
+    by_level = flight.alone and not surface.tells_small_faults
+    level = (generator, surface.persistence) if by_level else None
+    return Seen(segment, residuals, threshold, flight, found, judged_s, like, notes, against=against, level=level)
+
+
+_LACKING = {
+    "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
+    "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
+    "servo_load": "the log holds no load: the model takes nothing to push the servo from outside",
+    "servo_current_a": "the log holds no servo current: the reading is taken not to move with it",
+}
+
+
+def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[str]:
+    """What a reader has to know of the model: effects that want data, another scale, a calibration on other times."""
+    notes = [_LACKING[need] for need in sorted(model.needs - segment.context.logged)]
+    if surface.by_other_messages:
+        notes.append("calibrated on other messages than this log has: judged within wide tolerances")
+    return notes
+
+
+def _judged_s(residuals: Residuals, longest_gap_s: float) -> float:
+    """Time covered by judged samples, intervals that the filter bridges included [s]."""
+    step_s = np.diff(residuals.time_s[residuals.settled])
+    return float(step_s[step_s <= longest_gap_s].sum())
+
+
+def odds(residuals: Residuals, first_s: float, period_s: float, threshold_deg: float) -> float | None:
+    """False alarms per hour, from the residual before the first fault [s]; None if that is too short."""
+    healthy = residuals.settled & (residuals.time_s < first_s)
+    residual = residuals.residual_deg[healthy]
+    if residual.size * period_s < _SECONDS_FOR_ODDS:
+        return None
+    centred = residual - residual.mean()
+    power = float(np.mean(centred**2))
+    if power == 0.0:
+        return 0.0
+    correlation = float(np.mean(centred[1:] * centred[:-1])) / power
+    margin_deg = max(threshold_deg - abs(float(residual.mean())), 0.0)
+    return false_alarms_per_hour(margin_deg, float(np.sqrt(power)), correlation, period_s)
+
+
+def _beyond(flight: Watched) -> str:
+    """That much of a flight was faster than what was calibrated, and is not judged; nothing if little was."""
+    last_m_s = flight.known.last_judged_m_s
+    share = float(np.mean(flight.record.load > load_at(last_m_s))) if flight.record.load.size else 0.0
+    if share < _OFTEN_BEYOND:
+        return ""
+    return (
+        f"{share:.0%} of it flown at more than {last_m_s:.0f} m/s, of which the flights of its calibration (up to "
+        f"{flight.known.fastest_m_s:.0f} m/s) tell nothing: calibrate it on one that is as fast"
+    )
