@@ -387,9 +387,9 @@ class Stream(_Waiting):
         tested_deg = np.where(settled, residuals.error_deg, np.nan)
         slopes, noise_deg = rows[7:].T.copy(), noise_of_named(threshold)
         _, _, grid_s, table = follow(self._tests, self._memory, time_s, tested_deg, slopes, noise_deg)
-        is_constant = self.surface.threshold == "constant"
-        table = table[:0] if is_constant else table[:, : len(STATISTICS)]
-        alarm = self._alarms(time_s, self._over(residuals, threshold), grid_s[: len(table)], table)
+        # A level that the file or the user names is the only test.
+        count = 0 if self.surface.threshold == "constant" else len(table)
+        alarm = self._alarms(time_s, self._over(residuals, threshold), grid_s[:count], table[:count, : len(STATISTICS)])
         self.history.append(History.packed(residuals, threshold))
         return Piece(residuals, threshold, alarm)
 

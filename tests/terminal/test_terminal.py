@@ -145,8 +145,7 @@ def test_whatever_ends_it_the_lines_of_json_are_whole(folder: Path, tmp_path: Pa
     run = [sys.executable, "-m", "servofd", *words]
     with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as monitor:
         assert monitor.stdout is not None
-        while b"stuck at" not in monitor.stdout.readline():
-            pass
+        assert any(b"stuck at" in line for line in iter(monitor.stdout.readline, b""))
         if how == "closed":
             monitor.stdout.close()
         else:
