@@ -130,7 +130,7 @@ With e the simulation error, s its sensitivities to the parameters, and noise si
     sigma_tot² = sigma² + s' Sigma s                                                                  (D5)
 
 so that at rest a small error counts, and in a brisk manoeuvre it does not. A change h of the servo (travel lost, an offset, half of
-the torque, half of the bandwidth, play, a dead band) is tested by what of its pattern the others cannot explain: with
+the torque, play) is tested by what of its pattern the others cannot explain: with
 A = sum s s' and b = sum s e over a window, whitened by the noise,
 
     z_h = (b_h - A_hn M b_n) / sqrt(I + (delta / rms d)² I² + 1),    M = (A_nn + Sigma^-1)^-1         (D6)
@@ -140,7 +140,7 @@ how a sound servo moves. Windows of {lengths} s end every {changes.GRID_S:g} s. 
 explains of e, and a narrow band from 1 Hz on, over the noise and what a servo that is late would leave there.
 
 An alarm is raised where a statistic is beyond its limit twice in a row, or once by {changes._AT_ONCE:g} times; the limits are a table in
-`servofd/detection/changes.py` (loss of travel in 2 s {floors["loss_2s"]}, in 60 s {floors["loss_60s"]}; an offset {floors["bias_2s"]} and {floors["bias_60s"]}; energy in 0.5 s {floors["energy_0.5s"]}).
+`servofd/detection/changes.py` (loss of travel in 2 s {floors["loss_2s"]}, in 30 s {floors["loss_30s"]}; an offset {floors["bias_10s"]}; energy in 0.5 s {floors["energy_0.5s"]}).
 A named servo's fast test is the residual over its threshold (D1, D3); a calibrated one's are three errors in a row over sigma_tot.
 Where the file or the user names a constant level, that alone makes a fault, and what the windows see beside it is *suspect*; with
 `--threshold-deg` nothing but the level counts.
@@ -155,7 +155,7 @@ def bank() -> str:
     return f"""## The bank
 
 Each alarm is handed to a bank of hypotheses, each a change of the servo, or no servo at all. In the {calibrated._WINDOW_S:g} s from {calibrated._SETTLING_S:g} s after
-the alarm, or to the end of the fault, each explains the position as best it can, the {FITTED} parameters of the servo free as they are
+the alarm, to the end of the fault, or in as many as one of them explains, each explains the position as best it can, the {FITTED} parameters of the servo free as they are
 between good ones (J is the misfit that remains, Q how far they had to go: theta' Sigma^-1 theta).
 
 | hypothesis | what changes |

@@ -32,7 +32,7 @@ from servofd.detection.changes import (
 from servofd.detection.residual import Residuals
 from servofd.detection.verdict import WORTH_TELLING, Fault
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
-from servofd.estimate.fit import residual
+from servofd.estimate.fit import peaks, residual
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -44,13 +44,14 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Commands
     from servofd.detection.verdict import Fault
 
-_WINDOW_S: Final = 20.0
+_WINDOW_S, _SHORTEST_WINDOW_S = 20.0, 2.5
 _SETTLING_S: Final = 0.5
 _LEAD_S: Final = 1.0
 _BEFORE_S: Final = 62.0
 _LATELY_S: Final = 1.5
 _FEWEST: Final = 12
 _COUNTED: Final = 0.5
+_LEAST_DEG_S: Final = 1e-3
 _ALARMED: Final = 3.0
 """Logarithm of how much less likely a good servo is to be looked at than a faulty one: an alarm was raised."""
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
@@ -125,7 +126,7 @@ class _Window:
         self.sigma_deg = watched.noise_deg[self.rows]
         self.total_deg = watched.sigma_deg[self.rows]
         self.record, self.known, self.theta = record, known, known.theta
-        self.lacking_deg, self.ends_deg = watched.lacking_deg[self.rows], watched.ends_deg
+        self.lacking, self.ends_deg = watched.lacking, watched.ends_deg
         self.precision = np.linalg.inv(known.covariance)
         self.noise = watched.noise
         start_deg = record.start_deg[self.rows].copy()
@@ -148,7 +149,11 @@ class _Window:
             record.power[self.rows], self.start_deg,
         )  # fmt: skip
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
-        return reading_deg + self.lacking_deg, slopes
+        if self.lacking is not None:  # as far as this one moves as the healthy one does
+            lacking_deg, pace_deg_s = (values[self.rows] for values in self.lacking)
+            share = peaks(speed_deg_s, self.time_s) / np.maximum(pace_deg_s, _LEAST_DEG_S)
+            reading_deg = reading_deg + np.minimum(share, 1.0) * lacking_deg
+        return reading_deg, slopes
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
@@ -194,7 +199,7 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
             window = since if since.count >= _FEWEST else window
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
-    guesses = _ranked(window)
+    window, guesses = _explained(watched, window, alarm_s)
     end_s = _end_s(watched, guesses[0], alarm_s)
     if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + _WINDOW_S - 2.0:
         shorter = _Window(watched, alarm_s + min(_SETTLING_S, 0.2 * (end_s - alarm_s)), end_s)
@@ -216,6 +221,30 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
         named_s=float(min(window.time_s[-1], alarm_s + _WINDOW_S)),
     )  # fmt: skip
     return fault, guesses[0]
+
+
+def _explained(watched: Watched, window: _Window, alarm_s: float) -> tuple[_Window, list[_Guess]]:
+    """The window, shorter by halves where it holds the end of a fault, so that no hypothesis explains it."""
+    guesses = _ranked(window)
+    length_s = _WINDOW_S
+    while _is_strange(window, guesses) and length_s > _SHORTEST_WINDOW_S:
+        length_s *= 0.5
+        shorter = _Window(watched, alarm_s + _SETTLING_S, alarm_s + length_s)
+        if shorter.count < _FEWEST:
+            break
+        tried = _ranked(shorter)
+        if not _is_strange(shorter, tried):
+            return shorter, tried
+    return window, guesses
+
+
+def _is_strange(window: _Window, guesses: list[_Guess]) -> bool:
+    """Whether even the best hypothesis leaves much, and most of what a good servo does not do."""
+    best = guesses[0]
+    healthy = next(guess for guess in guesses if guess.kind == "healthy")
+    excess, gained = sum(healthy.cost) - window.count, sum(healthy.cost) - sum(best.cost)
+    is_much = best.cost[0] > _STRANGE * window.count
+    return best.kind != "healthy" and is_much and gained < (1.0 - _UNEXPLAINED) * excess
 
 
 def _ranked(window: _Window) -> list[_Guess]:
@@ -388,7 +417,7 @@ def _verdict(
     probability = shares[kind]
     excess = sum(healthy.cost) - window.count
     gained = sum(healthy.cost) - sum(best.cost)
-    if kind != "healthy" and best.cost[0] > _STRANGE * window.count and gained < (1.0 - _UNEXPLAINED) * excess:
+    if _is_strange(window, guesses):
         if ratio < LOUD or gained < _NOTHING * excess:
             return "unknown", max(0.5, 1.0 - probability), (kind, *alternatives)[:3], {}
         probability = min(probability, 0.5)

@@ -379,8 +379,9 @@ class Watched:
     """Of the reading, and of the commands that were lost."""
     tests: Tests
     tested: Tested
-    lacking_deg: FloatArray
-    """By how much the servo's own model moves otherwise than its family; 0 where it is one of the family."""
+    lacking: tuple[FloatArray, FloatArray] | None = None
+    """By how much the servo's own model moves otherwise than its family [deg], and the largest speed lately of the
+    latter [deg/s]; None where it is one of the family."""
     passed: FloatArray | None = None
     """Residual over the threshold that is shown, for a named servo; for others three in a row of the tests do."""
     alone: bool = False
@@ -438,8 +439,7 @@ def watched(known: CalibratedServo, record: Record) -> Watched:
     noise_deg = np.hypot(noise.sigma_deg(peaks(speed_deg_s, record.time_s)), record.unknown_deg(theta))
     tests = Tests.of(known.noise.noise, known.covariance, record.period_s, is_lossy=record.sent is not None)
     tested = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, noise_deg)
-    in_family = np.zeros(reading_deg.size)
-    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, tests, tested, in_family)
+    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, tests, tested)
 
 
 def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:

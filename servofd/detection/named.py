@@ -22,7 +22,7 @@ from servofd.detection.changes import Memory, Tests, Watched, follow
 from servofd.detection.residual import RESTART_ALL, Commands, commands_at_servo, followed
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
-from servofd.estimate.fit import fit
+from servofd.estimate.fit import fit, peaks
 from servofd.estimate.record import Record, loads
 from servofd.servo.physics import rate_fields
 
@@ -172,7 +172,7 @@ def watched_named(
     tested = follow(tests, Memory(tests), time_s, error_deg, slopes, noise_deg)
     return Watched(
         known, known.noise.noise, record, healthy_deg, slopes, record.usable, noise_deg, tests, tested,
-        healthy_deg - family_deg,
+        lacking=(healthy_deg - family_deg, peaks(speed_deg_s, time_s)),
         passed=over(residuals, threshold, surface.persistence),
         alone=surface.threshold == "constant",
     )  # fmt: skip
