@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.priors import FITTED, NAMES
+from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.aircraft.series import Series
 from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
@@ -32,7 +32,7 @@ from servofd.detection.changes import (
 from servofd.detection.residual import Residuals
 from servofd.detection.verdict import WORTH_TELLING, Fault
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
-from servofd.estimate.fit import peaks, residual
+from servofd.estimate.fit import residual
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -51,7 +51,6 @@ _BEFORE_S: Final = 62.0
 _LATELY_S: Final = 1.5
 _FEWEST: Final = 12
 _COUNTED: Final = 0.5
-_LEAST_DEG_S: Final = 1e-3
 _ALARMED: Final = 3.0
 """Logarithm of how much less likely a good servo is to be looked at than a faulty one: an alarm was raised."""
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
@@ -126,7 +125,7 @@ class _Window:
         self.sigma_deg = watched.noise_deg[self.rows]
         self.total_deg = watched.sigma_deg[self.rows]
         self.record, self.known, self.theta = record, known, known.theta
-        self.lacking, self.ends_deg = watched.lacking, watched.ends_deg
+        self.own, self.ends_deg = watched.own, watched.ends_deg
         self.precision = np.linalg.inv(known.covariance)
         self.noise = watched.noise
         start_deg = record.start_deg[self.rows].copy()
@@ -149,11 +148,17 @@ class _Window:
             record.power[self.rows], self.start_deg,
         )  # fmt: skip
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
-        if self.lacking is not None:  # as far as this one moves as the healthy one does
-            lacking_deg, pace_deg_s = (values[self.rows] for values in self.lacking)
-            share = peaks(speed_deg_s, self.time_s) / np.maximum(pace_deg_s, _LEAST_DEG_S)
-            reading_deg = reading_deg + np.minimum(share, 1.0) * lacking_deg
+        if self.own is not None and self.time_s.size:
+            reading_deg = self.own(theta, self.rows, float(np.nan_to_num(self.start_deg[0])))
         return reading_deg, slopes
+
+    def slope(self, theta: FloatArray, place: int, reading_deg: FloatArray, slopes: FloatArray) -> FloatArray:
+        """What a unit of one parameter adds to a reading, shape (m, 1)."""
+        if self.own is None or not self.time_s.size:
+            return slopes[:, [place]]
+        other, step = theta.copy(), PRIORS[place].step
+        other[place] += step
+        return ((self.own(other, self.rows, float(np.nan_to_num(self.start_deg[0]))) - reading_deg) / step)[:, None]
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
@@ -315,7 +320,7 @@ def _sized(
     if place is None:
         cost, _, _ = window.reduced(error_deg, slopes)
         return _Guess(kind, cost, 1, {name: Estimate.of(reference, spread)}, theta, power)
-    cost, best, covariance = window.reduced(error_deg, slopes, slopes[:, [place]])
+    cost, best, covariance = window.reduced(error_deg, slopes, window.slope(theta, place, reading_deg, slopes))
     moved = theta.copy()
     allowed = 0.35 * abs(theta[place]) + 0.3 * (kind == "deadband")
     change = float(np.clip(best[FITTED], -allowed, allowed))

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -362,6 +362,14 @@ _PLAY_DEG: Final = 2.4
 (66 flights of even seed: 85 % found without it, 92 % with it)."""
 
 
+class OwnMotion(Protocol):
+    """Motion of a named servo, with parameters changed."""
+
+    def __call__(self, theta: FloatArray, rows: slice, start_deg: float) -> FloatArray:
+        """Where it is at some samples of a flight [deg], from a position on."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Watched:
     """A stretch of flight of a calibrated surface; arrays of shape (m,) unless said."""
@@ -379,9 +387,8 @@ class Watched:
     """Of the reading, and of the commands that were lost."""
     tests: Tests
     tested: Tested
-    lacking: tuple[FloatArray, FloatArray] | None = None
-    """By how much the servo's own model moves otherwise than its family [deg], and the largest speed lately of the
-    latter [deg/s]; None where it is one of the family."""
+    own: OwnMotion | None = None
+    """Of a named servo, by its own model; None for one of the family."""
     passed: FloatArray | None = None
     """Residual over the threshold that is shown, for a named servo; for others three in a row of the tests do."""
     alone: bool = False

@@ -22,7 +22,7 @@ from servofd.detection.changes import Memory, Tests, Watched, follow
 from servofd.detection.residual import RESTART_ALL, Commands, commands_at_servo, followed
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
-from servofd.estimate.fit import fit, peaks
+from servofd.estimate.fit import fit
 from servofd.estimate.record import Record, loads
 from servofd.servo.physics import rate_fields
 
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 _CHIRP_S, _STEP_S, _CHIRP_DEG, _LAST_HZ = 10.0, 0.01, 10.0, 5.0
 """Command by which the servo of the family that is most like a model is found."""
+_LEAD_S = 2.0
+"""Commands so long before a stretch of a flight are in force when it begins."""
 _ANYWHERE_DEG: Final = 1e4
 """Reach of a servo whose travel no flight has shown."""
 _UNIFORM: Final = float(np.sqrt(3.0))
@@ -162,7 +164,7 @@ def watched_named(
     position_deg, speed_deg_s = simulated(
         table, new_state(table.shape[0]), record.commands, time_s, record.load, record.power, start_deg
     )
-    family_deg, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
+    _, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
     others = beside(model.servo(context), surface.tolerances)
     moved = [followed(servo, commands, time_s, measured_deg, restart) for servo in others]
     healthy_deg = residuals.simulated_deg
@@ -172,10 +174,47 @@ def watched_named(
     tested = follow(tests, Memory(tests), time_s, error_deg, slopes, noise_deg)
     return Watched(
         known, known.noise.noise, record, healthy_deg, slopes, record.usable, noise_deg, tests, tested,
-        lacking=(healthy_deg - family_deg, peaks(speed_deg_s, time_s)),
+        own=_Own(model.servo(context), commands, time_s, known.theta),
         passed=over(residuals, threshold, surface.persistence),
         alone=surface.threshold == "constant",
     )  # fmt: skip
+
+
+class _Own(NamedTuple):
+    """The named servo in a flight, to be simulated with other parameters."""
+
+    servo: AnyServo
+    commands: Commands
+    time_s: FloatArray
+    theta: FloatArray
+    """Parameters of the family that is most like it."""
+
+    def __call__(self, theta: FloatArray, rows: slice, start_deg: float) -> FloatArray:
+        """Where it is at some samples [deg] if its parameters differ by as much as these do, from a position on."""
+        apart = dict(zip(NAMES, (theta - self.theta).tolist(), strict=True))
+        physics = self.servo.physics
+        rates = {name: float(np.exp(apart["ln_rate"])) * getattr(physics, name) for name in rate_fields()}
+        inside = {
+            name: getattr(physics, name) + apart[changed]
+            for name, changed in (("deadband_deg", "deadband_deg"), ("friction_deg", "friction_deg"))
+            if apart[changed]
+        }
+        physics = physics._replace(
+            command_gain=physics.command_gain * theta[_GAIN] / self.theta[_GAIN],
+            bias_deg=physics.bias_deg + apart["bias_deg"],
+            backlash_deg=physics.backlash_deg + apart["play_deg"],
+            **rates,
+            **inside,
+        )
+        servo = replace(self.servo, physics=physics).slower(float(np.exp(apart["ln_bandwidth"])))
+        time_s = self.time_s[rows]
+        span = slice(*np.searchsorted(self.commands.effective_s, (time_s[0] - _LEAD_S, time_s[-1] + _STEP_S)).tolist())
+        near = Commands(*(values[span] for values in (
+            self.commands.effective_s + apart["delay_s"], self.commands.command_deg, self.commands.slope_deg_s,
+        )))  # fmt: skip
+        anew = np.zeros(time_s.size, dtype=np.int8)
+        anew[0] = RESTART_ALL
+        return followed(servo, near, time_s, np.full(time_s.size, start_deg), anew)
 
 
 class Judgement(NamedTuple):
