@@ -111,8 +111,10 @@ def audit_log(
 
     # The kernel runs without the interpreter's lock.
     with ThreadPoolExecutor(max_workers=threads or os.cpu_count()) as pool:
-        judged, causes = with_common_causes(tuple(pool.map(one, chosen)))
-        return LogAudit(log, aircraft, judged, common_causes=causes)
+        found = tuple(pool.map(one, chosen))
+    # Whoever names a level wants to know what reaches it, whatever the reason is.
+    judged, causes = with_common_causes(found) if threshold_deg is None else (found, ())
+    return LogAudit(log, aircraft, judged, common_causes=causes)
 
 
 def audit_segment(

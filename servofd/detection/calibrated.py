@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Commands
     from servofd.detection.verdict import Fault
 
-_WINDOW_S, _SHORTEST_WINDOW_S = 20.0, 2.5
+_WINDOW_S, _SHORTEST_WINDOW_S = 20.0, 5.0
 _SETTLING_S: Final = 0.5
 _LEAD_S: Final = 1.0
 _BEFORE_S: Final = 62.0
@@ -110,6 +110,8 @@ class _Guess:
     theta: FloatArray | None = None
     power: float = 0.0
     added: tuple[str, FloatArray] | None = None
+    place: int | None = None
+    """Of the parameter that was changed, where its size is an estimate around the value tried."""
 
 
 class _Window:
@@ -253,8 +255,17 @@ def _is_strange(window: _Window, guesses: list[_Guess]) -> bool:
 
 
 def _ranked(window: _Window) -> list[_Guess]:
+    """The best guess of each kind, the likeliest first."""
     best: dict[str, _Guess] = {}
-    for guess in sorted(_guesses(window), key=lambda each: _score(window, each)):
+    guesses = sorted(_guesses(window), key=lambda each: _score(window, each))
+    first = guesses[0]
+    if first.place is not None and first.theta is not None:  # its size was estimated from another one: once more
+        size = {
+            name: (1.0 if first.kind == "deadband" else window.theta[first.place], 0.0) for name in first.parameters
+        }
+        again = _sized(window, first.kind, first.theta, first.place, size)
+        guesses = [again if _score(window, again) < _score(window, first) else first, *guesses[1:]]
+    for guess in guesses:
         best.setdefault(guess.kind, guess)
     return list(best.values())
 
@@ -333,8 +344,9 @@ def _sized(
     deviation = float(np.sqrt(covariance[FITTED, FITTED]))
     if kind == "deadband":
         value = moved[place] - window.theta[place]
-        return _Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved)
-    return _Guess(kind, cost, 1, {name: Estimate.of(moved[place] / reference, deviation / abs(reference))}, moved)
+        return _Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved, place=place)
+    estimate = Estimate.of(moved[place] / reference, deviation / abs(reference))
+    return _Guess(kind, cost, 1, {name: estimate}, moved, place=place)
 
 
 def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[_Guess]:

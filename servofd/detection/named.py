@@ -24,6 +24,7 @@ from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import fit
 from servofd.estimate.record import Record, loads
+from servofd.servo.loops import play
 from servofd.servo.physics import rate_fields
 
 if TYPE_CHECKING:
@@ -194,24 +195,24 @@ class _Own(NamedTuple):
         apart = dict(zip(NAMES, (theta - self.theta).tolist(), strict=True))
         physics = self.servo.physics
         rates = {name: float(np.exp(apart["ln_rate"])) * getattr(physics, name) for name in rate_fields()}
-        inside = {
-            name: getattr(physics, name) + apart[changed]
-            for name, changed in (("deadband_deg", "deadband_deg"), ("friction_deg", "friction_deg"))
-            if apart[changed]
-        }
         physics = physics._replace(
             command_gain=physics.command_gain * theta[_GAIN] / self.theta[_GAIN],
             bias_deg=physics.bias_deg + apart["bias_deg"],
             backlash_deg=physics.backlash_deg + apart["play_deg"],
             **rates,
-            **inside,
         )
+        if apart["friction_deg"]:
+            physics = physics._replace(friction_deg=physics.friction_deg + apart["friction_deg"])
         servo = replace(self.servo, physics=physics).slower(float(np.exp(apart["ln_bandwidth"])))
         time_s = self.time_s[rows]
         span = slice(*np.searchsorted(self.commands.effective_s, (time_s[0] - _LEAD_S, time_s[-1] + _STEP_S)).tolist())
-        near = Commands(*(values[span] for values in (
-            self.commands.effective_s + apart["delay_s"], self.commands.command_deg, self.commands.slope_deg_s,
-        )))  # fmt: skip
+        effective_s, command_deg, slope_deg_s = (
+            values[span] for values in (self.commands.effective_s, self.commands.command_deg, self.commands.slope_deg_s)
+        )
+        if apart["deadband_deg"] > 0.0 and command_deg.size:  # before the servo, whatever its order is
+            rest_deg = (start_deg - physics.bias_deg) / physics.command_gain
+            command_deg, slope_deg_s = play(command_deg, apart["deadband_deg"], rest_deg), 0.0 * slope_deg_s
+        near = Commands(effective_s + apart["delay_s"], command_deg, slope_deg_s)
         anew = np.zeros(time_s.size, dtype=np.int8)
         anew[0] = RESTART_ALL
         return followed(servo, near, time_s, np.full(time_s.size, start_deg), anew)
