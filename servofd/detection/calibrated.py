@@ -260,9 +260,7 @@ def _ranked(window: _Window) -> list[_Guess]:
     guesses = sorted(_guesses(window), key=lambda each: _score(window, each))
     first = guesses[0]
     if first.place is not None and first.theta is not None:  # its size was estimated from another one: once more
-        size = {
-            name: (1.0 if first.kind == "deadband" else window.theta[first.place], 0.0) for name in first.parameters
-        }
+        size = dict.fromkeys(first.parameters, (1.0 if first.kind == "deadband" else window.theta[first.place], 0.0))
         again = _sized(window, first.kind, first.theta, first.place, size)
         guesses = [again if _score(window, again) < _score(window, first) else first, *guesses[1:]]
     for guess in guesses:
