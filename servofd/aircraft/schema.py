@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from servofd.aircraft.axes import MotionModel
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.calibration import Calibration, DegreeCalibration
+from servofd.aircraft.current import CalibratedCurrent, CurrentSource, Rail
 from servofd.core.errors import ConfigError, DesignError, ServofdError, UnknownName, suggest
 from servofd.core.evidence import ModelOrigin
 from servofd.core.tolerance import Tolerance
@@ -148,6 +149,10 @@ class Surface(_Entry):
     """Where the servo's model comes from: a servo that a file names is ``named`` unless it says otherwise."""
     calibrated: CalibratedServo | None = None
     """What ``servofd calibrate`` fitted to good flights; judged by it unless a constant threshold is asked for."""
+    current: CurrentSource | None = None
+    """Channel of its current; left out, what its own telemetry or a column of its name holds."""
+    healthy_current: CalibratedCurrent | None = None
+    """The current of good flights."""
     by_other_messages: bool = False
     """Whether it was calibrated, on other messages than those that a log or link has of it."""
 
@@ -206,6 +211,8 @@ class Aircraft(_Entry):
     motion: MotionModel | None = None
     """What the aircraft's motion tells of its axes; the only thing known of one whose servos report nothing."""
     servos: dict[str, Servo] = {}
+    rails: dict[str, Rail] = {}
+    """Currents that several servos share."""
     table: Table | None = None
 
     @model_validator(mode="after")
@@ -213,6 +220,10 @@ class Aircraft(_Entry):
         if not self.surfaces and self.motion is None:
             raise ValueError("surfaces: at least one entry is needed, for example [surfaces.elevator]")
         known = {**library(), **self.servos}
+        for rail, entry in self.rails.items():
+            for name in entry.surfaces:
+                if name not in self.surfaces:
+                    raise ValueError(f"rails.{rail}.surfaces: {suggest('surface', name, self.surfaces)}")
         for name, surface in self.surfaces.items():
             if surface.servo == UNKNOWN_SERVO:
                 if surface.effects or surface.calibrated is not None:

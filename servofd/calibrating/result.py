@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.calibrated import calibrated_to_toml
+from servofd.aircraft.current import current_to_toml
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.detection.seen import FALSE_ALARMS_PER_HOUR
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.calibration import Calibration as Scale
+    from servofd.aircraft.current import CalibratedCurrent
     from servofd.aircraft.schema import Aircraft
     from servofd.core.statistics import Estimate
     from servofd.core.tolerance import Tolerance
@@ -64,6 +66,19 @@ class Calibration:
     kept: dict[str, str]
     """Surfaces left as they were, and why."""
 
+    currents: tuple[str, ...] = ()
+    """Surfaces whose current was calibrated."""
+
+    def with_currents(self, currents: Mapping[str, CalibratedCurrent]) -> Calibration:
+        """The same with the currents of good flights, by surface."""
+        surfaces = {
+            name: surface.model_copy(update={"healthy_current": currents.get(name, surface.healthy_current)})
+            for name, surface in self.aircraft.surfaces.items()
+        }
+        aircraft = self.aircraft.model_copy(update={"surfaces": surfaces})
+        kept = {name: reason for name, reason in self.kept.items() if name not in currents}
+        return replace(self, aircraft=aircraft, currents=tuple(currents), kept=kept)
+
     @property
     def false_alarms_per_hour(self) -> float:
         """Of all surfaces that were calibrated, in flights like those of simulated aircraft of other physics."""
@@ -87,16 +102,20 @@ def calibration_to_toml(calibration: Calibration) -> str:
         lines += ["", *_surface(calibration, name, found.get(name))]
     for name, servo in aircraft.servos.items():
         lines += ["", *[f"[servos.{toml_key(name)}]", *toml_lines(servo.model_dump(exclude_defaults=True))]]
+    for name, rail in aircraft.rails.items():
+        lines += ["", f"[rails.{toml_key(name)}]", *toml_lines(rail.model_dump(exclude_defaults=True))]
     return "\n".join(lines) + "\n"
 
 
 def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None) -> list[str]:
     entry = calibration.aircraft.surfaces[name].model_dump(exclude_defaults=True)
     entry = {"servo": calibration.aircraft.surfaces[name].servo, **entry}
-    known = entry.pop("calibrated", None)
+    known, drawn = entry.pop("calibrated", None), entry.pop("healthy_current", None)
     lines = [f"[surfaces.{toml_key(name)}]"]
     if one is None:
-        lines += [f"# not calibrated: {calibration.kept.get(name, 'not asked for')}", *toml_lines(entry)]
+        why = "judged by its current" if name in calibration.currents else "not calibrated"
+        reason = calibration.kept.get(name, "no position" if name in calibration.currents else "not asked for")
+        lines += [f"# {why}: {reason}", *toml_lines(entry)]
     else:
         lines += [f"# {effect}" for effect in one.effects]
         lines += [f"# note: {note}" for note in (*one.notes, one.sharper) if note]
@@ -107,6 +126,9 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
         }
         entry.setdefault("threshold_deg", one.threshold_deg)
         lines += toml_lines(entry, comments)
+    current = calibration.aircraft.surfaces[name].healthy_current
+    if drawn is not None and current is not None:
+        lines += current_to_toml(name, current)
     if known is None:
         return lines
     intervals = {} if one is None else {key: f"[{e.low:.4g}, {e.high:.4g}]" for key, e in one.estimates.items()}

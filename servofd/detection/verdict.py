@@ -45,6 +45,8 @@ class Fault:
     level: Level = "fault"
     named_s: float | None = None
     """When there were data enough for this name [s]."""
+    witness: Literal["position", "current", "motion"] = "position"
+    """What tells of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,36 @@ class Statistics:
 
 
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurrentAudit:
+    """What the current of one surface tells; arrays of shape (m,)."""
+
+    status: Status
+    reason: str
+    explained_share: float | None = None
+    """Of the current, by the motion that was asked for."""
+    ratio_to_good: float | None = None
+    """Current in motion over that of a good servo, since the first fault or throughout."""
+    faults: tuple[Fault, ...] = ()
+    suspicions: tuple[Fault, ...] = ()
+    time_s: FloatArray | None = None
+    current_a: FloatArray | None = None
+    healthy_a: FloatArray | None = None
+    """Of a good servo on the same commands."""
+    sigma_a: FloatArray | None = None
+    """By which good servos differ from it."""
+    command: tuple[FloatArray, FloatArray] | None = None
+    """What was asked: times [s] and deflections [deg], shape (n,) each."""
+    judged_share: float = 0.0
+    asked: bool = False
+    """Whether it was asked to move enough to show that it stands still."""
+
+    @property
+    def since_s(self) -> float | None:
+        """When the first fault or suspicion began [s]."""
+        return min((fault.start_s for fault in self.faults or self.suspicions), default=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +137,16 @@ class SurfaceAudit:
     """Largest residual over its threshold in each of equal parts of the flight; None where nothing was judged."""
     tried: bool = True
     """False if it was not asked to move enough to show a jam."""
+    current: CurrentAudit | None = None
+    """What its current tells, if the log holds it."""
+
+    @property
+    def feedback(self) -> Literal["position", "current", "both", "none"]:
+        """What the log holds of it beside its commands."""
+        by_current = self.current is not None and self.current.time_s is not None
+        if by_current:
+            return "current" if self.segment is None else "both"
+        return "position" if self.expected else "none"
 
     @property
     def is_judged(self) -> bool:
@@ -192,6 +234,10 @@ _NAMES = {
     "oscillation": "oscillates by ±{amplitude_deg:.1f} deg at {frequency_hz:.2f} Hz",
     "deadband": "dead band, stiction or play of {width_deg:.1f} deg",
     "loss_of_effectiveness": "moves by only {gain:.0%} of its command",
+    "blocked": "blocked: draws {current_a:.2g} A wherever it is asked to be elsewhere",
+    "unpowered": "without power: draws {current_a:.2g} A whatever it is asked",
+    "binding": "binding: draws {times:.1f} times as much for the same motion",
+    "worn": "worn: its current is {distance:.1f} times as far from that of good flights as good ones may be",
     "unknown": "left the model in a way that no known fault explains",
     "healthy": "away from its model for longer than chance allows, yet within the tolerances of a working servo,",
 }
@@ -202,6 +248,9 @@ _SLOW = {
 SURE, WORTH_TELLING = 0.95, 0.02
 """Probabilities from which a name counts as certain, and an alternative is worth mentioning."""
 _PERHAPS = {
+    "blocked": "blocked",
+    "unpowered": "without power",
+    "binding": "binding",
     "bias": "an offset",
     "hardover": "run to its stop",
     "oscillation": "oscillating",
@@ -273,6 +322,14 @@ _MEANING = {
     "slow": "The surface arrives late: low supply voltage, a binding hinge, too much load, or a worn motor.",
     "loss_of_effectiveness": "The surface moves less than asked: a slipping gear or horn, or a position channel of the "
     "wrong scale.",
+    "blocked": "The servo pushes with all it has and the surface does not move: something blocks the linkage or the "
+    "gear, and it will overheat.",
+    "unpowered": "The servo draws no current for what it is asked: a broken wire or plug, a blown fuse, or dead "
+    "electronics.",
+    "binding": "The servo needs more current for the same motion: a hinge or gear that binds, ice, or a linkage that "
+    "rubs.",
+    "worn": "The current is further from that of good days than these are from each other: bearings, gears or "
+    "lubrication wear.",
     "unknown": "The surface left its model, and no single fault explains how, or there was too little motion to tell "
     "which one it is.",
     "healthy": "The surface is further from its model than chance allows, yet within what a working servo may be: the "
@@ -287,6 +344,12 @@ _CHECK = {
     "deadband": "move it in steps of 0.5 deg and look for steps it does not follow",
     "slow": "measure the supply at the servo while it moves, and the time from stop to stop",
     "loss_of_effectiveness": "compare its travel with the commanded one, in degrees",
+}
+_CHECK |= {
+    "blocked": "take the linkage off and move surface and servo apart from each other",
+    "unpowered": "measure the supply at its plug, and move it",
+    "binding": "take the linkage off and compare its current with and without it",
+    "worn": "compare its current with and without its linkage, and look at gears and bearings",
 }
 _ANYHOW = "move it from stop to stop, slowly and fast, and compare with its command"
 

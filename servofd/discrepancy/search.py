@@ -334,6 +334,13 @@ class Search:
         loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
         if loose and self.fitter.record.free_poles:
             self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
+        if fits and self.fitter.record.free_poles:
+            best = min(fits, key=lambda fit: fit.misfit)
+            if best.effects[-1].name in LIMITS:  # what limits the speed, and how, passes for one another at each place
+                limited = [fit for fit in fits if fit.effects[-1].name == best.effects[-1].name]
+                for place in {fit.place for fit in limited}:
+                    there = [fit for fit in limited if fit.place == place]
+                    self.exchange(min(there, key=lambda fit: fit.misfit), enough, len(base.effects))
         if framed and PwmFrame in self.able and PwmFrame.name not in base.names:
             fits += self._framed(base, fits)
         return fits
@@ -386,6 +393,8 @@ class Search:
                 if other.name in excluded(rest) or not (_is_like(effect, other) or (is_loose and other is effect)):
                     continue
                 into = [size * _half(other) / _half(effect), *(p.grid[0] for p in other.parameters[1:])]
+                if other.name in LIMITS:  # as fast in either direction
+                    into = [size] * len(other.parameters)
                 for place in (common_places((*rest, other)) or (INSIDE,)) if is_placed and is_loose else (fit.place,):
                     start = installed(without._replace(slow_place=place), [other], into)
                     self._fitted((*rest, other), self._as_fast(start, fit.physics), enough)
@@ -474,8 +483,7 @@ def _is_like(effect: type[Effect], other: type[Effect]) -> bool:
     """Whether two effects are ways of sticking, being dead or loose, or of limiting one speed, of one size."""
     if effect.family == "hysteresis" or other.family == "hysteresis":
         return effect is not other and effect.family == other.family
-    same = effect.parameters[0].name == other.parameters[0].name
-    return effect is not other and same and effect.name == other.name and effect.name in LIMITS
+    return effect is not other and effect.name == other.name and effect.name in LIMITS
 
 
 def hanging(record: Record, fit: Fit) -> float:

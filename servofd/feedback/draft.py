@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.aircraft.calibrated import calibrated_to_toml
-from servofd.aircraft.outputs import WITHOUT_SURFACES, Pair, find_pairs, pulse_channel
+from servofd.aircraft.current_source import hub_outputs
+from servofd.aircraft.outputs import (
+    WITHOUT_SURFACES,
+    LoggedOutput,
+    Pair,
+    Position,
+    find_pairs,
+    named_outputs,
+    outputs_of,
+    pulse_channel,
+)
 from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.series import bus_of
 from servofd.core.errors import NoMeasurement
@@ -17,7 +27,7 @@ from servofd.detection.known import Line
 from servofd.feedback.fitted import Found, at_once, found_in, with_own_servo
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from logparsers.records import FlightLog
     from servofd.core.types import Marks
@@ -86,12 +96,14 @@ class Draft:
 
     log: FlightLog
     surfaces: tuple[DraftedSurface, ...]
+    by_current: dict[str, Surface]
+    """Surfaces whose servos tell what they draw, and not where they are."""
 
     def aircraft(self) -> Aircraft:
         """The aircraft, ready for an audit."""
         return Aircraft(
             name=self.log.vehicle or self.log.format,
-            surfaces={one.pair.surface: one.surface for one in self.surfaces},
+            surfaces={one.pair.surface: one.surface for one in self.surfaces} | self.by_current,
             servos={name: servo for one in self.surfaces for name, servo in one.servos.items()},
         )
 
@@ -103,11 +115,35 @@ def draft_aircraft(log: FlightLog) -> Draft:
     formula, or by a straight line fitted to the position where the servo itself does not repeat its command.
     """
     pairs = find_pairs(log)
+    by_current = _by_current(log, pairs)
+    if not pairs and by_current:
+        return Draft(log, (), by_current)
     if not pairs:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
     plain = Aircraft.model_validate({"surfaces": {pair.surface: surface_entry(log, pair) for pair in pairs}})
     bus = bus_of(log, plain)
-    return Draft(log, tuple(at_once(lambda pair: _draft(log, pair, plain, bus), pairs)))
+    return Draft(log, tuple(at_once(lambda pair: _draft(log, pair, plain, bus), pairs)), by_current)
+
+
+def _by_current(log: FlightLog, pairs: Sequence[Pair]) -> dict[str, Surface]:
+    """Surfaces on outputs of which a log holds the current and no position."""
+    outputs = outputs_of(log.parameters)
+    measured = {pair.output.number for pair in pairs}
+    numbers = [
+        number
+        for number in sorted(hub_outputs(log))
+        if number not in measured
+        and (outputs.get(number) or LoggedOutput(number)).turns_something
+        and pulse_channel(log.channels, number)
+    ]
+    names = named_outputs(outputs, sorted({*numbers, *measured}))
+    found = {}
+    for number in numbers:
+        output = outputs.get(number, LoggedOutput(number))
+        pair = Pair(names[number], output, pulse_channel(log.channels, number), Position("", 0, "", ()))
+        command = _command_entry(pair, log[pair.command].unit, is_angle=False)
+        found[pair.surface] = Surface.model_validate({"command": command, "output": number})
+    return found
 
 
 def _draft(log: FlightLog, pair: Pair, plain: Aircraft, bus: Mapping[str, Marks]) -> DraftedSurface:

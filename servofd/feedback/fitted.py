@@ -13,7 +13,7 @@ from servofd.core.evidence import ModelOrigin
 from servofd.detection.known import Line, crude_line
 from servofd.detection.own import OwnServo, own_servo, parts_of
 from servofd.estimate.record import Record
-from servofd.servo.library import Servo
+from servofd.servo.library import ORDINARY, Servo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -31,15 +31,6 @@ _SCALES: Final = (0.005, 200.0)
 _PARTS: Final = 3
 _SAME_SLOPE: Final = 0.3
 """Share by which the slopes of two parts differ that are one."""
-_ORDINARY: Final = Servo(
-    title="an ordinary servo, for want of a better one",
-    bandwidth_hz=6.0,
-    damping=0.8,
-    delay_s=0.02,
-    hold="zoh",
-    source="no servo explains the log",
-)
-
 
 Asked = TypeVar("Asked")
 Given = TypeVar("Given")
@@ -120,7 +111,7 @@ def with_own_servo(surface: Surface, name: str, found: Found) -> tuple[Surface, 
     key = f"{name}-fitted"
     plain = surface.model_copy(update={"effects": {}, "calibrated": None})
     if isinstance(own, ModelOrigin):
-        return plain.model_copy(update={"model": own, "servo": key}), {key: _ORDINARY}
+        return plain.model_copy(update={"model": own, "servo": key}), {key: ORDINARY}
     change: dict[str, object] = {
         "servo": key,
         "threshold": "interval",

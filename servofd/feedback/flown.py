@@ -84,9 +84,10 @@ def each_once(logs: Iterable[FlightLog]) -> Iterator[FlightLog]:
     seen: dict[tuple[object, ...], str] = {}
     for log in logs:
         sizes = {name: channel.time_s.size for name, channel in log.channels.items()}
-        longest = log.channels[max(sizes, key=lambda name: sizes[name])] if sizes else None
-        content = b"" if longest is None else longest.time_s.tobytes() + longest.values.tobytes()
-        key = (log.start_utc, frozenset(sizes.items()), hashlib.blake2b(content).digest())
+        content = hashlib.blake2b()
+        for name in sorted(log.channels):  # all of them: cycles of a bench share their commands
+            content.update(log.channels[name].time_s.tobytes() + log.channels[name].values.tobytes())
+        key = (log.start_utc, frozenset(sizes.items()), content.digest())
         if key in seen:
             raise CalibrationError(
                 f"{log.label}: the same flight as {seen[key]}, which would count twice; give each flight once"

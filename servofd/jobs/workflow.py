@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from logparsers import EmptyLog, LogError, MissingChannel, UnknownFormat
 from servofd.aircraft.series import bus_of, cut
 from servofd.batch.key import Job
-from servofd.core.errors import NoMeasurement, ServofdError, UnknownName, suggest
+from servofd.core.errors import CalibrationError, NoMeasurement, ServofdError, UnknownName, suggest
+from servofd.current.audit import healthy_currents, with_currents
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import STANDS_STILL
 from servofd.feedback.flown import each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.axes.verdict import AxisAudit
     from servofd.calibrating.result import Calibration
+    from servofd.core.types import FloatArray
     from servofd.detection.flights import Flight, Span
     from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
     from servofd.feedback.flown import Log
@@ -49,6 +51,7 @@ def audit(
 ) -> Iterator[LogAudit]:
     """Judge every surface of a log; one result for each run that the file holds, as `servofd.audit` describes it."""
     nothing = None
+    cycles: dict[str, list[FloatArray]] = {}
     for run in logs_of(log, job.aircraft):
         try:
             flown = flown_aircraft(run, job.aircraft, job.servo)
@@ -65,6 +68,7 @@ def audit(
             threads=threads,
             progress=progress,
         )
+        result = with_currents(result, cycles)
         yield result if flown.motion is None else _with_axes(result, flown.motion)
     if nothing is not None:
         raise nothing
@@ -229,11 +233,21 @@ def calibrate(
     (True, True)
     """
     from servofd.calibrating.calibrate import calibrate_aircraft
+    from servofd.calibrating.result import Calibration
 
     known = known_aircraft(aircraft) or drafted_aircraft(logs)
     known.check_names(surfaces)
-    flights = flights_of(logs, known, surfaces=surfaces, spans=spans, runs=runs)
-    return calibrate_aircraft(known, flights, force=force, progress=progress)
+    try:
+        flights = flights_of(logs, known, surfaces=surfaces, spans=spans, runs=runs)
+        found = calibrate_aircraft(known, flights, force=force, progress=progress)
+    except (NoMeasurement, CalibrationError) as error:
+        found = Calibration(known, (), dict.fromkeys(surfaces or known.surfaces, str(error)))
+    good = (log for log in each_once(logs_of(logs, known)) if not runs or log.run in runs)
+    currents, _ = healthy_currents(((log, surfaces_of(log, found.aircraft)) for log in good), spans)
+    currents = {name: current for name, current in currents.items() if name in (surfaces or known.surfaces)}
+    if not found.surfaces and not currents:
+        raise CalibrationError(next(iter(found.kept.values())))
+    return found.with_currents(currents)
 
 
 def drafted_aircraft(paths: Log | Sequence[Log]) -> Aircraft:

@@ -15,7 +15,18 @@ from servofd.axes.motion import LIFT_MOTORS
 from servofd.axes.verdict import named, shown
 from servofd.detection.verdict import meaning, next_step
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.chart import MOST_FAULTS, Chart, Curve, Mark, Panel, Span, fault_charts, flight_chart, kind_of
+from servofd.outputs.chart import (
+    MOST_FAULTS,
+    Chart,
+    Curve,
+    Mark,
+    Panel,
+    Span,
+    current_charts,
+    fault_charts,
+    flight_chart,
+    kind_of,
+)
 from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Section, Table, Words
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.lanes import lanes_of
@@ -55,6 +66,10 @@ _BY_MOTION = """An axis without measured deflections is judged by the motion of 
 healthy flights says which part of the motion the command should cause. What the motion shows instead is a share of
 the command that was lost, and an offset; the alarm is raised when both together are further from those of healthy
 flights than any of these ever was from the others."""
+_BY_CURRENT = """A current is judged beside what a good servo draws for the motion that was asked for: what its
+electronics take, holding against the air, friction either way, and acceleration. A servo that pushes with all it has
+wherever it is asked to be elsewhere is blocked; one that draws nothing for its motion has no power; one that draws more
+than good flights differ by binds."""
 
 
 def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
@@ -66,7 +81,9 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     data = audit_document(results)
     moved = any(not isinstance(one, FailedLog) and one.axes for one in results)
     measured = any(not isinstance(one, FailedLog) and one.surfaces for one in results) or not moved
-    said = [Words(text) for text, is_used in ((_BY_POSITION, measured), (_BY_MOTION, moved)) if is_used]
+    drawn = any(s.current is not None for one in results if not isinstance(one, FailedLog) for s in one.surfaces)
+    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_CURRENT, drawn))
+    said = [Words(text) for text, is_used in methods if is_used]
     method = Section("How this was found", said, folded=True)
     if len(logs) == 1:
         return replace(logs[0], evidence=[method], data=data)
@@ -194,6 +211,8 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
     parts: list[Part] = []
     if surface.residuals is not None and surface.threshold is not None and surface.residuals.time_s.size > 1:
         parts.append(Figures(lambda: [*fault_charts(surface), flight_chart(surface)]))
+    elif surface.current is not None:
+        parts.append(Figures(lambda: current_charts(surface)))
     rows = [
         (
             kind_of(fault),
@@ -215,6 +234,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
         Table("Faults and suspicions", head, rows),
         Table("Residual and threshold", ("quantity", "value"), _statistics(surface)),
         Table("Quality of the data", ("quantity", "value"), quality_rows(surface)),
+        Table("Current", ("quantity", "value"), _current(surface)),
     ]
     if len(found) > MOST_FAULTS:
         numbers.insert(1, Words(f"{MOST_FAULTS} of {len(found)} are shown from near.", style="soft"))
@@ -231,7 +251,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
         ]
         meanings = [Words(meaning(fault), name, style="soft") for name, fault in zip(lead, found, strict=True)]
         parts = [*meanings, *parts, Section("Details: numbers, quality of the data", numbers, folded=True)]
-    elif surface.segment is not None:
+    elif surface.segment is not None or surface.current is not None:
         parts += numbers
     sizes = seen(surface.detectable) if surface.status == "healthy" else ""
     return Item(
@@ -309,6 +329,18 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
     if surface.false_alarms_per_hour is not None:
         told = "as measured on simulated aircraft" if model.origin == "calibrated" else "were the residual Gaussian"
         rows.append((f"false alarms, {told}", plain_rate(surface.false_alarms_per_hour)))
+    return rows
+
+
+def _current(surface: SurfaceAudit) -> list[tuple[str, str]]:
+    current = surface.current
+    if current is None:
+        return []
+    rows = [("what it tells", current.reason)]
+    if current.explained_share is not None:
+        rows.append(("explained by the motion that was asked for", f"{current.explained_share:.0%}"))
+    if current.ratio_to_good is not None:
+        rows.append(("in motion, over that of a good servo", f"{current.ratio_to_good:.2f}"))
     return rows
 
 

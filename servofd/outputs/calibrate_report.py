@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from servofd.aircraft.axes import MotionModel
+    from servofd.aircraft.current import CalibratedCurrent
     from servofd.calibrating.result import CalibratedSurface, Calibration
 
 _NOT_REACHED = 0.5
@@ -48,22 +49,52 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
     if wanted_per_hour is not None and wanted_per_hour < per_hour:
         rate += f"; {wanted_per_hour:g} cannot be promised"
     kept = f"; left as they were: {', '.join(map(spoken, found.kept))}" if found.kept else ""
-    calibrated = ", ".join(spoken(one.surface) for one in found.surfaces) or "nothing"
+    by_position = [spoken(one.surface) for one in found.surfaces]
+    by_current = [spoken(name) for name in found.currents]
+    told = [", ".join(by_position)] * bool(by_position) + [f"current of {', '.join(by_current)}"] * bool(by_current)
+    calibrated = "; ".join(told) or "nothing"
+    drawn = [_drawn(name, current) for name in found.currents if (current := _current(found, name)) is not None]
     return Document(
         title="Calibration",
         status="unknown" if found.kept else "healthy",
-        sentence=f"Calibrated: {calibrated}{kept}; about {per_hour:.2g} false alarms an hour to expect",
+        sentence=f"Calibrated: {calibrated}{kept}"
+        + (f"; about {per_hour:.2g} false alarms an hour to expect" if found.surfaces else ""),
         facts=", ".join(dict.fromkeys(flight for one in found.surfaces for flight in one.flights)),
         parts=[
             Table("Fitted, with 95% intervals; error on what the fit had not seen", _HEAD, fitted),
             Table("Smallest faults that flights like these show, 19 times in 20", _SMALLEST, sizes),
-            Figures(lambda: [Picture("smallest", "Smallest faults", _CAPTION, calibrate_figure(found))]),
-            Bullets([*notes, rate]),
+            *(
+                [Figures(lambda: [Picture("smallest", "Smallest faults", _CAPTION, calibrate_figure(found))])]
+                if found.surfaces
+                else []
+            ),
+            Table("Currents", _DRAWN, drawn),
+            Bullets([*notes, *([rate] if found.surfaces else [])]),
         ],
     )
 
 
 _CAPTION = "Bars of the smallest faults that 19 of 20 flights like the good ones show; none where none would show."
+
+
+_DRAWN = ("surface", "idle (A)", "most in motion (A)", "noise at rest (A)", "explained", "late (s)", "wear")
+
+
+def _current(found: Calibration, name: str) -> CalibratedCurrent | None:
+    return found.aircraft.surfaces[name].healthy_current
+
+
+def _drawn(name: str, current: CalibratedCurrent) -> list[str]:
+    wear = current.wear
+    return [
+        name,
+        f"{current.parameters['idle']:.3g}",
+        f"{current.most_a:.3g}",
+        f"{current.noise.still_a:.2g}",
+        f"{current.explained_share:.0%}",
+        f"{current.lag_s:g}",
+        "four good flights or cycles tell it" if wear is None else f"known from {wear.flights}",
+    ]
 
 
 def _row(one: CalibratedSurface) -> list[str]:

@@ -295,7 +295,64 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
     panels = (
         Panel("deflection", "deg", curves, low - slack, high + slack),
         Panel("residual", "deg", tuple(left), -limit, limit),
+        *_current_panel(surface, from_s, to_s),
     )
+    spans, marks = _found(surface, end_s)
+    return Chart(title, text, from_s, to_s, panels, spans, marks)
+
+
+def current_charts(surface: SurfaceAudit) -> list[Chart]:
+    """What was asked and what was drawn, of a surface without a position: the gravest fault from near, and all."""
+    current = surface.current
+    if current is None or current.time_s is None or current.command is None or current.time_s.size < 2:
+        return []
+    asked_s, asked_deg = current.command
+    begin_s, end_s = float(current.time_s[0]), float(current.time_s[-1])
+    spans, marks = _found(surface, end_s)
+    low, high = float(asked_deg.min()) - 0.5, float(asked_deg.max()) + 0.5
+    asked = Panel("deflection", "deg", (Curve("asked", "command", asked_s, asked_deg, holds=True),), low, high)
+    text = f"Above, what {spoken(surface.surface)} was asked; below, what it drew, and what a good servo draws."
+
+    def drawn(title: str, from_s: float, to_s: float) -> Chart:
+        return Chart(title, text, from_s, to_s, (asked, *_current_panel(surface, from_s, to_s)), spans, marks)
+
+    found = surface.faults or surface.suspicions
+    charts = [drawn("Whole flight", begin_s, end_s)]
+    if found:
+        first = gravest(found)
+        from_s, to_s = max(first.start_s - _NEAR_S, begin_s), min(first.alarm_s + _NEAR_S, end_s)
+        charts.insert(0, drawn(f"{kind_of(first).capitalize()} at {clock(first.start_s)}, from near", from_s, to_s))
+    return charts
+
+
+_NEAR_S = 10.0
+_WITHIN_SIGMAS = 3.0
+
+
+def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Panel]:
+    """What was drawn, what a good servo draws, and what good ones differ by; nothing without a current."""
+    current = surface.current
+    if current is None or current.time_s is None or current.current_a is None:
+        return []
+    healthy_a, sigma_a, time_s = current.healthy_a, current.sigma_a, current.time_s
+    if healthy_a is None or sigma_a is None:
+        return []
+    inside = slice(*np.searchsorted(time_s, (from_s, np.nextafter(to_s, np.inf))))
+    known = np.concatenate([current.current_a[inside], healthy_a[inside], [0.0]])
+    low, high = float(known.min()), float(known.max())
+    slack = max(_SLACK * (high - low), 1e-3)
+    width_a = _WITHIN_SIGMAS * sigma_a
+    curves = (
+        Curve("good servo", "simulated", time_s, healthy_a),
+        Curve("drawn", "measured", time_s, current.current_a),
+        Curve("good ones differ by", "threshold", *thinned(time_s, healthy_a + width_a, 600)),
+        Curve("", "threshold", *thinned(time_s, healthy_a - width_a, 600)),
+    )
+    return [Panel("current", "A", curves, low - slack, high + slack)]
+
+
+def _found(surface: SurfaceAudit, end_s: float) -> tuple[tuple[Span, ...], tuple[Mark, ...]]:
+    """Times to shade, and alarms to mark."""
     found = [
         (role, fault)
         for role, all_of in (("fault", surface.faults), ("suspect", surface.suspicions))
@@ -305,8 +362,7 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
         Span(role, fault.start_s, end_s if fault.end_s is None else fault.end_s, kind_of(fault))
         for role, fault in found
     )
-    marks = tuple(Mark(role, fault.alarm_s, f"alarm {clock(fault.alarm_s)}") for role, fault in found)
-    return Chart(title, text, from_s, to_s, panels, spans, marks)
+    return spans, tuple(Mark(role, fault.alarm_s, f"alarm {clock(fault.alarm_s)}") for role, fault in found)
 
 
 def kind_of(fault: Fault) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.axes.verdict import AxisAudit
-    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
+    from servofd.detection.verdict import CurrentAudit, Fault, LogAudit, SurfaceAudit
     from servofd.flight.judge import FlightAlone
 
 
@@ -149,11 +149,17 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
         },
         "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
         "false_alarms_per_hour": surface.false_alarms_per_hour,
-        "feedback": "position" if surface.expected else "none",
+        "feedback": surface.feedback,
         "tried": surface.tried,
+        **({} if surface.current is None else {"current": _current(surface.current)}),
         "faults": _faults(surface.surface, surface.faults),
         "suspicions": _faults(f"{surface.surface}-suspected", surface.suspicions),
     }
+
+
+def _current(current: CurrentAudit) -> dict[str, Any]:
+    names = ("status", "reason", "explained_share", "ratio_to_good", "since_s", "judged_share")
+    return {name: getattr(current, name) for name in names}
 
 
 def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
@@ -165,7 +171,7 @@ def _fault(identity: str, fault: Fault) -> dict[str, Any]:
     plain = {name: getattr(fault, name) for name in _OF_FAULT}
     return plain | {
         "id": identity,
-        "witness": "position",
+        "witness": fault.witness,
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
         "alternatives": list(fault.alternatives),

@@ -24,6 +24,9 @@ _WHAT = {
     "deadband": "IGNORES SMALL COMMANDS since {since} (play or dead band of {width_deg:.1f} deg)",
     "slow": "TOO SLOW since {since}",
     "loss_of_effectiveness": "MOVES ONLY {gain:.0%} of its command since {since}",
+    "blocked": "BLOCKED since {since}, by its current ({current_a:.1f} A)",
+    "unpowered": "WITHOUT POWER since {since}, by its current",
+    "binding": "BINDS since {since}, by its current ({times:.1f} times as much)",
     "unknown": "NOT WHERE IT SHOULD BE since {since}",
 }
 _CAUSES = {
@@ -74,7 +77,11 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
         told = "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in faulty)
         return f"{told}. Do not fly."
     if suspect:
-        return f"{_surfaces(suspect).upper()} SUSPECT: look at it before the next flight."
+        by_current = all(s.suspicions and all(f.witness == "current" for f in s.suspicions) for s in suspect)
+        witness = (
+            ", by its current" if by_current and len(suspect) == 1 else ", by their currents" if by_current else ""
+        )
+        return f"{_surfaces(suspect).upper()} SUSPECT{witness}: look at it before the next flight."
     return _cleared(healthy, [s for s in surfaces if s.expected and not s.is_judged])
 
 
@@ -87,11 +94,14 @@ def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> s
     missing = f"No verdict on {_surfaces(dark)}{why}." if dark else ""
     if not healthy:
         return f"Could not tell. {missing or 'No surface could be judged.'}"
+    by_current = [s for s in healthy if s.feedback == "current"]
     if len(healthy) == 1:
-        text = f"{spoken(healthy[0].surface).capitalize()} followed its command."
+        did = "drew the current of a healthy servo" if by_current else "followed its command"
+        text = f"{spoken(healthy[0].surface).capitalize()} {did}."
     else:
         told = "that could be judged " if missing or untried else ""
-        text = f"All {len(healthy)} surfaces {told}followed their commands."
+        text = f"All {len(healthy)} surfaces {told}followed their commands"
+        text += f" ({_surfaces(by_current)} by current alone)." if by_current else "."
     verb = "was" if len(untried) == 1 else "were"
     not_moved = f"{_surfaces(untried).capitalize()} {verb} not tried." if untried else ""
     return " ".join(part for part in (text, missing, not_moved) if part)

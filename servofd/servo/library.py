@@ -6,7 +6,7 @@ import tomllib
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -203,3 +203,14 @@ def _checked(kind: type[_Model], entry: object, name: str, place: tuple[str, ...
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in (*place, *first["loc"]))
         raise ConfigError(f"{name}: {where}: {first['msg'].removeprefix('Value error, ')}") from None
+
+
+ORDINARY: Final = Servo(
+    title="an ordinary servo, for want of a better one",
+    bandwidth_hz=6.0,
+    damping=0.8,
+    delay_s=0.02,
+    hold="zoh",
+    source="no servo explains the log",
+)
+"""What is drawn where no servo is known."""

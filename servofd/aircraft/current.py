@@ -1,0 +1,184 @@
+"""What an aircraft file says of currents: where they are logged, which servos share one, and what a healthy one is."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from servofd.core.toml_text import toml_key, toml_lines, toml_value
+from servofd.core.types import FloatArray
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+REGRESSORS: Final = {
+    "idle": "A, whatever it does",
+    "hold": "A for each 10 deg to either side in the usual air",
+    "side": "A for each 10 deg to the positive side in the usual air",
+    "up": "A of friction while the deflection grows",
+    "down": "A of friction while it falls",
+    "speed": "A for each 100 deg/s",
+    "against": "A for each 10 deg while it moves away from its middle in the usual air",
+    "acceleration": "A for each 1000 deg/s^2 along the motion",
+    "up_1": "A of friction at the upper end of its reach more than in the middle, growing",
+    "up_2": "A of friction at both ends more than in the middle, growing",
+    "down_1": "A of friction at the upper end of its reach more than in the middle, falling",
+    "down_2": "A of friction at both ends more than in the middle, falling",
+    "supply": "A for each volt above the usual supply",
+}
+"""Terms of a healthy current, and what each is in."""
+NAMES: Final = tuple(REGRESSORS)
+FEATURES: Final = ("more_up", "more_down", "spread_up", "spread_down", "rough_up", "rough_down")
+"""What wear changes: by how much more is left of the current in motion than at rest [A], and the logarithms of its
+spread and of its steps from reading to reading."""
+
+
+class CurrentSource(BaseModel):
+    """A channel that holds a current, and the one that holds the supply beside it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    channel: Annotated[str, Field(min_length=1)]
+    unit: Literal["A", "mA"]
+    voltage: str = ""
+    """Channel of the supply [V]; left out, what the log holds for all servos."""
+
+    @property
+    def scale(self) -> float:
+        """Amperes for each unit."""
+        return 1.0 if self.unit == "A" else 1e-3
+
+
+class Rail(CurrentSource):
+    """A current that several servos share."""
+
+    surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+class CurrentNoise(BaseModel):
+    """What a healthy current does beside its model: ``sigma^2 = still_a^2 + (share * current of motion)^2``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    still_a: _Positive
+    share: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    colour: Annotated[float, Field(ge=0.0, lt=1.0)]
+    """Correlation of neighbouring samples."""
+    period_s: _Positive
+
+
+class Wear(BaseModel):
+    """`FEATURES` of good flights or cycles, and what they differ by."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    mean: tuple[_Finite, ...]
+    between: tuple[tuple[_Finite, ...], ...]
+    """Covariance of one more flight: lower triangle."""
+    limit: _Positive
+    """Squared distance, over the number of features, that a good flight stays below."""
+    flights: Annotated[int, Field(ge=1)]
+    """Or cycles, from which this is known."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if len(self.mean) != len(FEATURES) or [len(row) for row in self.between] != list(range(1, len(FEATURES) + 1)):
+            raise ValueError(f"mean and the lower triangle of between are needed for {len(FEATURES)} features")
+        return self
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Shape (6, 6)."""
+        return _symmetric(self.between)
+
+
+class CalibratedCurrent(BaseModel):
+    """The current of a healthy servo, how far it may differ between flights, and what wear changes.
+
+    Examples
+    --------
+    >>> current = CalibratedCurrent(
+    ...     parameters=dict.fromkeys(NAMES, 0.1), between=[[1e-4 * (i == k) for k in range(i + 1)] for i in range(13)],
+    ...     noise={"still_a": 0.02, "share": 0.3, "colour": 0.2, "period_s": 0.1}, lag_s=0.02, width_s=0.0,
+    ...     reach_deg=(-20.0, 20.0), explained_share=0.8, most_a=0.5,
+    ... )
+    >>> current.theta.shape, current.covariance.shape
+    ((13,), (13, 13))
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    parameters: dict[str, _Finite]
+    """Of `REGRESSORS`, all of them."""
+    between: tuple[tuple[_Finite, ...], ...]
+    """Covariance between good flights, in their order: lower triangle, row by row."""
+    noise: CurrentNoise
+    lag_s: Annotated[float, Field(ge=0.0, le=2.0)]
+    """By which a reading comes after the motion that it belongs to."""
+    width_s: Annotated[float, Field(ge=0.0, le=60.0)]
+    """Over which a reading averages."""
+    reach_deg: tuple[_Finite, _Finite]
+    explained_share: _Finite
+    most_a: _Positive
+    """What it draws in motion, but for a reading in a thousand."""
+    supply_v: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    """Usual supply; 0 where it was not logged."""
+    airspeed_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    """Usual airspeed; 0 where it was not logged."""
+    fitted_between_s: tuple[_Finite, _Finite] | None = None
+    """The part of a log that it was fitted to, where nobody calibrated it."""
+    wear: Wear | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        wrong = sorted(set(NAMES) ^ set(self.parameters))
+        if wrong:
+            raise ValueError(f"parameters: {', '.join(NAMES)} are needed, all of them and no other; see {wrong[0]}")
+        if [len(row) for row in self.between] != list(range(1, len(NAMES) + 1)):
+            raise ValueError(f"between: the lower triangle of a matrix of {len(NAMES)} rows is needed")
+        if np.linalg.eigvalsh(self.covariance)[0] <= 0.0:
+            raise ValueError("between: not a covariance, as it is not positive definite")
+        return self
+
+    @property
+    def theta(self) -> FloatArray:
+        """Parameters in order, shape (13,)."""
+        return np.array([self.parameters[name] for name in NAMES])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Between good flights, shape (13, 13)."""
+        return _symmetric(self.between)
+
+
+def _symmetric(rows: tuple[tuple[float, ...], ...]) -> FloatArray:
+    out = np.zeros((len(rows), len(rows)))
+    for i, row in enumerate(rows):
+        out[i, : i + 1] = out[: i + 1, i] = row
+    return out
+
+
+def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:
+    """Lines of an aircraft file that hold a healthy current.
+
+    Examples
+    --------
+    >>> current = CalibratedCurrent.model_construct(
+    ...     parameters={"idle": 0.1}, between=((1.0,),), lag_s=0.02, wear=None,
+    ...     noise=CurrentNoise(still_a=0.02, share=0.3, colour=0.2, period_s=0.1),
+    ... )
+    >>> current_to_toml("rudder", current)[:3]
+    ['', '[surfaces.rudder.healthy_current]', 'lag_s = 0.02']
+    """
+    heading = f"surfaces.{toml_key(name)}.healthy_current"
+    tables = known.model_dump(exclude_none=True, exclude_defaults=True)
+    matrix, parameters = tables.pop("between"), tables.pop("parameters")
+    parts = {key: tables.pop(key) for key in ("noise", "wear") if key in tables}
+    lines = ["", f"[{heading}]", *toml_lines(tables), "between = [  # covariance between good flights, lower triangle"]
+    lines += [*(f"    {toml_value(row)}," for row in matrix), "]", "", f"[{heading}.parameters]"]
+    lines += toml_lines(parameters, REGRESSORS)
+    for key, part in parts.items():
+        lines += ["", f"[{heading}.{key}]", *toml_lines(part)]
+    return lines

@@ -1,0 +1,146 @@
+"""Which channel of a log holds the current of which servo, or of the rail that several share."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+import numpy as np
+
+from servofd.aircraft.current import CurrentSource
+from servofd.aircraft.outputs import output_of
+from servofd.core.errors import NoMeasurement
+
+if TYPE_CHECKING:
+    from logparsers.records import FlightLog
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
+
+_BESIDE = {"CSRV": ("A", "V"), "VOLZ": ("pc", "pv"), "CVOL": ("Cur", "V"), "UMSV": ("Curr", "")}
+"""Fields of the messages with which servos report themselves: current [A] and supply [V]."""
+_HUB = re.compile(r"CSRV\[(\d+)\]\.A")
+"""What hubs report of ordinary servos as well, which have no position."""
+_UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
+_REVERSED, _OFTEN = 0.5, 0.05
+"""Share of readings that are below zero of a sensor that is wired the wrong way round, and at one end of a range."""
+
+
+class CurrentChannel(NamedTuple):
+    """Readings of a current that are numbers."""
+
+    time_s: FloatArray
+    current_a: FloatArray
+    voltage_s: FloatArray
+    voltage_v: FloatArray
+    notes: tuple[str, ...]
+
+
+def hub_outputs(log: FlightLog) -> dict[int, str]:
+    """Channels of currents by the number of the output that they belong to, from 1.
+
+    Ids start at 0 on one bus and at 1 on another: the bit mask of the driver tells which.
+    """
+    told = [(match, name) for name in log.channels if (match := _HUB.fullmatch(name)) and _has_numbers(log, name)]
+    found = {int(match[1]): name for match, name in told}
+    mask = 0
+    for name, value in log.parameters.items():
+        if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and np.isfinite(value):
+            mask |= int(value)
+    base = 0 if mask and 0 not in found and all(mask >> (number - 1) & 1 for number in found) else 1
+    return {number + base: name for number, name in found.items()}
+
+
+def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSource]:
+    """Where a log holds the current of each surface, for those whose it does.
+
+    What the aircraft file names comes first, then a column of the surface's name, then what the servo, or a hub,
+    reports of its output; of a table with one surface, the current of the servo.
+
+    Raises
+    ------
+    NoMeasurement
+        If a column is a current in no unit.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> from servofd.aircraft.schema import load_aircraft
+    >>> log = logparsers.read("sample_logs/ardupilot_volz_stuck.bin")
+    >>> current_sources(log, load_aircraft("simulated"))["rudder"].channel
+    'CSRV[3].A'
+    """
+    found = {}
+    hubs = hub_outputs(log)
+    for name, surface in aircraft.surfaces.items():
+        stem, dot, _ = ("" if surface.measured is None else surface.measured.channel).rpartition(".")
+        fields = _BESIDE.get(stem.partition("[")[0], ("", ""))
+        own = {f"{name}{end}": unit for end, unit in _UNITS.items()}
+        if len(aircraft.surfaces) == 1 and not any(each in log.channels for each in own):
+            own |= {f"servo{end}": unit for end, unit in _UNITS.items()}
+        column = next((each for each in own if each in log.channels), "")
+        number = output_of(surface)
+        if surface.current is not None:
+            found[name] = surface.current
+        elif column:
+            volts = f"{column.rpartition('_current_')[0]}_voltage_v"
+            found[name] = CurrentSource(
+                channel=column, unit=own[column], voltage=volts if volts in log.channels else ""
+            )
+        elif dot and fields[0] and _has_numbers(log, f"{stem}.{fields[0]}"):
+            volts = f"{stem}.{fields[1]}"
+            found[name] = CurrentSource(
+                channel=f"{stem}.{fields[0]}", unit="A", voltage=volts if volts in log.channels else ""
+            )
+        elif number is not None and number in hubs:
+            volts = f"{hubs[number].removesuffix('.A')}.V"
+            found[name] = CurrentSource(
+                channel=hubs[number], unit="A", voltage=volts if _has_numbers(log, volts) else ""
+            )
+        elif f"{name}_current" in log.channels:
+            raise NoMeasurement(
+                f"column {name}_current tells no unit: call it {name}_current_a or {name}_current_ma, or name channel "
+                f"and unit in [surfaces.{name}.current] of the aircraft file"
+            )
+    return found
+
+
+def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
+    """Read a current and the supply beside it.
+
+    Raises
+    ------
+    NoMeasurement
+        If the channel is none, in words.
+    """
+    if source.channel not in log.channels:
+        raise NoMeasurement(f"no current: the log has no channel {source.channel!r}")
+    channel = log[source.channel]
+    good = np.isfinite(channel.values)
+    if np.count_nonzero(good) < 2:
+        raise NoMeasurement(f"current channel {source.channel!r} holds no value")
+    time_s, current_a = channel.time_s[good], source.scale * channel.values[good]
+    if np.ptp(current_a) == 0.0:
+        raise NoMeasurement(
+            f"current channel {source.channel!r} never changes (always {current_a[0]:g} A): not a measurement, or a "
+            "servo that had no power throughout"
+        )
+    below = float(np.mean(current_a < 0.0))
+    if below > _REVERSED and float(np.mean(current_a)) < -float(np.std(current_a)):
+        raise NoMeasurement(
+            f"current channel {source.channel!r} is negative in {below:.0%} of its readings: its sensor is wired the "
+            "wrong way round"
+        )
+    notes = []
+    at_end = float(np.mean(current_a == current_a.max()))
+    if at_end > _OFTEN and np.unique(current_a).size > 2 / _OFTEN:
+        notes.append(f"its current reads {current_a.max():.3g} A in {at_end:.0%} of its readings: the end of its range")
+    volts_s = volts_v = np.zeros(0)
+    if source.voltage and source.voltage in log.channels:
+        volts = log[source.voltage]
+        told = np.isfinite(volts.values)
+        volts_s, volts_v = volts.time_s[told], volts.values[told]
+    return CurrentChannel(time_s, current_a, volts_s, volts_v, tuple(notes))
+
+
+def _has_numbers(log: FlightLog, name: str) -> bool:
+    return name in log.channels and bool(np.count_nonzero(np.isfinite(log[name].values)) > 1)

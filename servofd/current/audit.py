@@ -1,0 +1,208 @@
+"""Currents of a log laid beside the verdicts on its positions: one witness more for each surface that has one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.aircraft.current_source import current_sources, read_current
+from servofd.aircraft.schema import UNKNOWN_SERVO
+from servofd.aircraft.series import SURROUNDINGS
+from servofd.core.errors import CalibrationError, NoMeasurement
+from servofd.current.judge import judge_current, tells_motion
+from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
+from servofd.current.own import own_current
+from servofd.current.wear import features_of, wear_of
+from servofd.detection.verdict import STANDS_STILL, CurrentAudit, SurfaceAudit
+from servofd.servo.context import Context
+from servofd.servo.library import ORDINARY
+from servofd.servo.servo_model import ServoModel
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from logparsers.records import FlightLog
+    from servofd.aircraft.current import CalibratedCurrent, CurrentSource
+    from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import FloatArray
+    from servofd.detection.verdict import LogAudit
+
+_GRAVEST: Final = ("fault", "suspect", "healthy", "unknown", "no_data")
+_AGREE_S: Final = 15.0
+"""Two witnesses tell of one event if they notice it within so much of each other."""
+
+
+def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAudit:
+    """The same audit with what the currents of its log tell.
+
+    `cycles` keeps for each surface what the runs before it in the same file told of wear.
+    """
+    log, aircraft = audit.log, audit.aircraft
+    try:
+        sources = current_sources(log, aircraft)
+    except NoMeasurement as error:
+        name = next(s.surface for s in audit.surfaces if f"column {s.surface}_current " in str(error))
+        told = {name: CurrentAudit("unknown", str(error))}
+        return replace(audit, surfaces=tuple(_joined(s, told.get(s.surface)) for s in audit.surfaces))
+    shared = [source.channel for source in sources.values()]
+    surfaces = []
+    for surface in audit.surfaces:
+        source = sources.get(surface.surface)
+        current = None
+        if source is not None and shared.count(source.channel) > 1:
+            current = CurrentAudit(
+                "unknown",
+                f"channel {source.channel!r} is the current of several surfaces: name it as a rail ([rails.NAME] with "
+                "channel, unit and surfaces)",
+            )
+        elif source is not None:
+            current = _judged(log, aircraft, surface, source, cycles.setdefault(surface.surface, []))
+        surfaces.append(_joined(surface, current))
+    return replace(audit, surfaces=tuple(surfaces))
+
+
+def healthy_currents(
+    flown: Iterable[tuple[FlightLog, Aircraft]], spans: Sequence[tuple[float, float]] = ()
+) -> tuple[dict[str, CalibratedCurrent], dict[str, str]]:
+    """Currents of good flights by surface, and why there is none of others.
+
+    Parameters
+    ----------
+    flown : iterable of (FlightLog, Aircraft)
+        Flights, or cycles of a bench, in their order, and the aircraft in the channels of each, with the servos whose
+        motion the currents belong to.
+    spans : sequence of (from_s, to_s)
+        Which parts of each log are good [s]; all of it if empty.
+    """
+    parts: dict[str, list[CurrentSeries]] = {}
+    reasons: dict[str, str] = {}
+    for log, known in flown:
+        for name, source in current_sources(log, known).items():
+            try:
+                whole = current_series(log, name, known, source)
+            except NoMeasurement as error:
+                reasons[name] = str(error)
+                continue
+            pieces = [whole.within(*span) for span in spans] or [whole]
+            parts.setdefault(name, []).extend(piece for piece in pieces if piece.time_s.size > 1)
+    found = {}
+    for name, flights in parts.items():
+        try:
+            fitted = fit_current(flights)
+        except CalibrationError as error:
+            reasons[name] = str(error)
+            continue
+        current = widened(fitted, flights)
+        usual_a = float(np.mean([np.mean(each.current_a) for each in flights]))
+        wear = wear_of([features_of(see(each, current)) for each in flights], usual_a)
+        found[name] = current.model_copy(update={"wear": wear})
+    return found, {name: reason for name, reason in reasons.items() if name not in found}
+
+
+def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: CurrentSource) -> CurrentSeries:
+    """What a log holds of the current of a surface, beside the motion that its commands ask for.
+
+    Raises
+    ------
+    NoMeasurement
+        If it holds none, or no command.
+    """
+    read = read_current(log, source)
+    command_s, command_deg = commands(log, name, aircraft)
+    model = ServoModel.of(ORDINARY) if aircraft.surfaces[name].servo == UNKNOWN_SERVO else aircraft.model(name)
+    airspeed_s, airspeed_m_s = _first_of(log, SURROUNDINGS["airspeed_m_s"])
+    volts_s, volts_v = (read.voltage_s, read.voltage_v)
+    if not volts_s.size:
+        volts_s, volts_v = _first_of(log, SURROUNDINGS["servo_voltage_v"])
+    context = Context(airspeed_s=airspeed_s, airspeed_m_s=airspeed_m_s, voltage_s=volts_s, voltage_v=volts_v)
+    motion = Motion.of(model, command_s, command_deg, float(read.time_s[-1]))
+    return CurrentSeries(name, read.time_s, read.current_a, motion, context, read.notes)
+
+
+def commands(log: FlightLog, name: str, aircraft: Aircraft) -> tuple[FloatArray, FloatArray]:
+    """What a surface was asked: times [s] and deflections [deg], shape (n,) each.
+
+    Raises
+    ------
+    NoMeasurement
+        If the log does not tell.
+    """
+    surface = aircraft.surfaces[name]
+    if surface.command.channel not in log.channels:
+        raise NoMeasurement(f"no command: the log has no channel {surface.command.channel!r}")
+    channel = log[surface.command.channel]
+    asked_deg = surface.command.to_deg(channel.values)
+    given = np.isfinite(asked_deg)
+    if np.count_nonzero(given) < 2:
+        raise NoMeasurement(f"command channel {channel.name!r} holds no command")
+    if surface.command_saturation_deg is not None:
+        asked_deg = np.clip(asked_deg, *surface.command_saturation_deg)
+    return channel.time_s[given], asked_deg[given]
+
+
+def _first_of(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    for name, scale in sources.items():
+        if name in log.channels:
+            good = np.isfinite(log[name].values)
+            if np.count_nonzero(good) > 1:
+                return log[name].time_s[good], scale * log[name].values[good]
+    return np.zeros(0), np.zeros(0)
+
+
+def _judged(
+    log: FlightLog, aircraft: Aircraft, surface: SurfaceAudit, source: CurrentSource, before: list[FloatArray]
+) -> CurrentAudit:
+    """What the current of one surface tells, and of its position."""
+    name = surface.surface
+    try:
+        series = current_series(log, name, aircraft, source)
+        known = aircraft.surfaces[name].healthy_current or own_current(series)
+    except (NoMeasurement, CalibrationError) as error:
+        return CurrentAudit("unknown", f"by its current: {error}")
+    found = judge_current(series, known, before)
+    before.append(features_of(see(series, known)))
+    still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]
+    if still and not found.faults:
+        to_s = np.inf if still[0].end_s is None else still[0].end_s
+        if tells_motion(series, known, still[0].start_s, to_s):
+            found = replace(found, reason=f"{found.reason}; {_SENSOR}")
+    return found
+
+
+_SENSOR: Final = "the position stands still, the current says that it moves: its sensor is at fault"
+
+
+def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit:
+    """The verdict of two witnesses."""
+    if current is None:
+        return surface
+    joined = replace(surface, current=current)
+    if current.time_s is None:  # it could not be judged, which takes nothing from what the position says
+        return joined if surface.is_judged else replace(joined, reason=f"{surface.reason}; {current.reason}")
+    faults = tuple(sorted((*surface.faults, *current.faults), key=lambda fault: fault.start_s))
+    suspicions = tuple(sorted((*surface.suspicions, *current.suspicions), key=lambda fault: fault.start_s))
+    joined = replace(joined, faults=faults, suspicions=suspicions)
+    if surface.segment is None:  # nothing but its current tells
+        return replace(
+            joined,
+            status=current.status,
+            reason=current.reason,
+            judged_share=current.judged_share,
+            tried=current.asked,
+            expected=True,
+        )
+    status = min(surface.status, current.status, key=_GRAVEST.index)
+    if surface.status in ("unknown", "no_data") and current.status == "healthy":
+        status = surface.status  # a current alone clears no position that was there and could not be judged
+    reason = surface.reason
+    if current.status in ("fault", "suspect") or _SENSOR in current.reason:
+        reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
+    if _agree(surface, current):
+        reason += "; position and current tell of the same"
+    return replace(joined, status=status, reason=reason)
+
+
+def _agree(surface: SurfaceAudit, current: CurrentAudit) -> bool:
+    return any(abs(a.start_s - b.start_s) <= _AGREE_S for a in surface.faults for b in current.faults)

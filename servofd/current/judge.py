@@ -1,0 +1,390 @@
+"""What a current tells of its servo: blocked, without power, binding; worn, where good flights or cycles are known.
+
+Each account of the last seconds says how likely every reading is; a fault is told as soon as its account beats that of
+every healthy servo, whose terms are free as far as the covariance between good flights lets them:
+
+- *blocked*: the controller pushes with all it has wherever the command is away from where the surface stands,
+- *unpowered*: no current of motion, and no more than the electronics take,
+- *binding*: the same motion for more current than good flights differ by.
+
+Accounts of given sizes are followed through all windows by running sums; where one of them beats the good servo as it
+was fitted, sizes and the healthy terms are fitted to the window.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from servofd.aircraft.current import NAMES
+from servofd.core.statistics import Estimate
+from servofd.current.model import Seen, see
+from servofd.current.wear import worn
+from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from servofd.aircraft.current import CalibratedCurrent
+    from servofd.core.types import FloatArray, IntArray
+    from servofd.current.model import CurrentSeries
+    from servofd.detection.verdict import Status
+
+_LOOKS_S: Final = (2.5, 5.0, 10.0, 20.0)
+"""How far a look at what raised an alarm reaches back: from two samples at 1 Hz to several manoeuvres."""
+_OFTEN_S, _SELDOM_S, _OFTEN = 0.5, 2.5, 30
+"""While an alarm stands it is looked into so often, the first so many times, and more seldom after that."""
+_ALIKE_S: Final = 0.1
+"""What a model lacks lasts as long as a movement: readings that are closer say it once."""
+_SURE: Final = 9.0
+"""Nats by which a fault must be likelier than every healthy servo: one look in 8000 by chance."""
+_FREEDOM: Final = 4.0
+"""Of Student's law, which readings of current follow: starts and gusts are spikes."""
+_STALL_SPREAD: Final = 0.35
+"""A stalled motor draws what its duty lets it: so much, as a share, it differs from reading to reading."""
+_STALL: Final = 1.5
+"""Times what motion draws at most that a stalled servo draws at least."""
+_SLACK_DEG: Final = (1.5, 4.0, 9.0)
+"""Distance of a command from the surface at which the motor pushes with all it has."""
+_BEFORE_S: Final = 30.0
+_WORTH_A: Final = 3.0
+"""Sigmas at rest that a current of motion must reach to be missed."""
+_MOST: Final = 6
+_FLAT: Final = 1e-6
+_ENDED: Final = 25.0
+"""Nats by which the good servo must have become the better account again."""
+_NAMED_S: Final = 10.0
+"""After the alarm, what it is has become clear: by what it draws in some movements."""
+_SUREST: Final = 0.99
+EXPLAINED: Final = 0.15
+"""Share of the current that its motion must explain to be a witness."""
+_LARGEST: Final = 8.0
+"""Nats that one reading counts for at most."""
+_GRID_S: Final = 0.5
+_PLACES: Final = 9
+_TIMES: Final = (1.6, 2.5, 4.0)
+_STALLS: Final = (1.0, 2.0, 4.0, 8.0)
+"""Sizes that are followed: how many times as much binding draws, and how many times the least a stalled servo does."""
+_SOON_S, _LASTS_S = 0.25, 4.0
+"""For so long in all a stalled servo pushes; longer, if it draws no more than a start of a good one."""
+_ALWAYS: Final = 0.35
+"""Share of its stall that a blocked servo draws in nine of ten readings at which it is asked to be elsewhere."""
+
+
+def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Sequence[FloatArray] = ()) -> CurrentAudit:
+    """Judge one surface by its current; wear with what `features_of` tells of cycles `before` it."""
+    seen = see(series, known)
+    told = tuple(_faults(seen))
+    faults = tuple(fault for fault in told if fault.level == "fault")
+    sigma_a = np.sqrt(seen.noise_a**2 + np.einsum("ij,jk,ik->i", seen.slopes, known.covariance, seen.slopes))
+    suspicions = tuple(fault for fault in told if fault.level == "suspect") or (() if faults else worn(seen, before))
+    rows = seen.usable & (seen.moving > 0.5)
+    if faults:
+        rows &= series.time_s >= faults[0].start_s
+    good_a = float(np.mean(seen.healthy_a[rows])) if rows.any() else 0.0
+    ratio = round(float(np.mean(series.current_a[rows])) / good_a, 3) if good_a > 0.0 else None
+    status, reason = _status(seen, faults, suspicions, ratio)
+    return CurrentAudit(
+        status,
+        "; ".join((reason, *series.notes)),
+        known.explained_share,
+        ratio,
+        faults,
+        suspicions,
+        series.time_s,
+        series.current_a,
+        seen.healthy_a,
+        sigma_a,
+        (series.motion.time_s, series.motion.asked_deg),
+        float(np.mean(seen.usable)) if seen.usable.size else 0.0,
+        asked=would_show(seen),
+    )
+
+
+def tells_motion(series: CurrentSeries, known: CalibratedCurrent, from_s: float, to_s: float) -> bool:
+    """Whether between two times a servo that follows is likelier than one that stands still, with power or without."""
+    seen = see(series, known)
+    rows = slice(*np.searchsorted(series.time_s, (from_s, to_s)).tolist())
+    if np.count_nonzero(seen.usable[rows]) < 2:
+        return False
+    healthy, *others = _accounts(seen, rows)
+    use = np.flatnonzero(seen.usable[rows]) + rows.start
+    idle_a = series.current_a[use] - max(float(known.theta[0]), 0.0)
+    resting = each_of(series) * float(_nats(idle_a, np.full(use.size, known.noise.still_a)).sum())
+    return min(resting, *(one.total for one in others if one.kind != "binding"), np.inf) - healthy.total > _SURE
+
+
+def each_of(series: CurrentSeries) -> float:
+    """How much each reading counts where those that are close say a thing once."""
+    return min(1.0, series.period_s / _ALIKE_S)
+
+
+def _nats(left: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Minus the logarithm of the likelihood of each reading, by Student's law, shape (k,)."""
+    return np.asarray(0.5 * (_FREEDOM + 1.0) * np.log1p((left / sigma) ** 2 / _FREEDOM) + np.log(sigma))
+
+
+def _status(
+    seen: Seen, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None
+) -> tuple[Status, str]:
+    known = seen.known
+    if faults:
+        return "fault", f"by its current: {'; then '.join(describe(fault) for fault in faults)}"
+    if known.explained_share < EXPLAINED:
+        return "unknown", (
+            f"its current goes with only {max(known.explained_share, 0.0):.0%} of what it was asked to do: check that "
+            "it is the current of this servo, or record a minute of brisk movements"
+        )
+    if suspicions:
+        return "suspect", f"by its current: {'; '.join(describe(fault) for fault in suspicions)}"
+    if not would_show(seen):
+        return "unknown", "by its current: too little motion to tell a servo without power from one at rest"
+    if known.fitted_between_s is None:
+        return "healthy", f"its current is as in its good flights ({ratio or 1.0:.2f} times theirs in motion)"
+    from_s, to_s = known.fitted_between_s
+    return "healthy", (
+        f"its current is as from {from_s:.0f} to {to_s:.0f} s of this log: would have shown a servo that is blocked or "
+        "has no power, and not one that wears"
+    )
+
+
+def would_show(seen: Seen) -> bool:
+    """Whether a servo without power would have shown in these readings."""
+    missing = np.maximum(seen.healthy_a - seen.known.theta[0], 0.0) / seen.known.noise.still_a
+    each = each_of(seen.series)
+    gain = each * 0.5 * (_FREEDOM + 1.0) * np.log1p(missing[seen.usable] ** 2 / _FREEDOM)
+    return float(gain.sum()) > 2.0 * _SURE
+
+
+class _Account(NamedTuple):
+    """One account of some readings."""
+
+    kind: str
+    misfit: FloatArray
+    """Nats of each reading, shape (k,)."""
+    cost: float
+    """Of its parameters."""
+    parameters: dict[str, Estimate]
+    slack_deg: float = _SLACK_DEG[1]
+    """Of a blocked one: how far from it a command is that it pushes after with all it has."""
+
+    @property
+    def total(self) -> float:
+        return float(self.misfit.sum()) + self.cost
+
+
+def _faults(seen: Seen) -> Iterator[Fault]:
+    """Look where an account of some size beats the good servo as it was fitted, until a fault lasts to the end."""
+    if seen.series.time_s.size < 2:
+        return
+    earliest_s, looked_s, looks, found = float(seen.series.time_s[0]), -np.inf, 0, 0
+    for at_s in _worth_a_look(seen).tolist():
+        looks = looks if at_s - looked_s < 2.0 * _SELDOM_S else 0
+        if at_s <= earliest_s or at_s - looked_s < (_OFTEN_S if looks < _OFTEN else _SELDOM_S):
+            continue
+        looked_s, looks = at_s, looks + 1
+        best = _best(seen, at_s, earliest_s)
+        if best is None:
+            continue
+        fault = _timed(seen, best, at_s, earliest_s)
+        yield fault
+        found += 1
+        if fault.end_s is None or found >= _MOST:
+            return
+        earliest_s = max(fault.end_s, at_s)
+
+
+def _worth_a_look(seen: Seen) -> FloatArray:
+    """Instants at which an account of a given size beats the good servo over one of the windows [s], shape (k,)."""
+    time_s, known = seen.series.time_s, seen.known
+    idle, still = max(float(known.theta[0]), 0.0), known.noise.still_a
+    motion, drawn = seen.series.motion, seen.series.current_a
+    good = _nats(drawn - seen.healthy_a, seen.noise_a)
+    gains = [good - _nats(drawn, np.full(drawn.size, still))]
+    gains += [good - _nats(drawn - idle - times * (seen.healthy_a - idle), times * seen.noise_a) for times in _TIMES]
+    least = _least_stall(seen)
+    if np.count_nonzero(drawn - idle > _ALWAYS * least) > 1:
+        places = np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, _PLACES))
+        away = np.clip(np.abs(motion.asked_deg[:, None] - places) / _SLACK_DEG[1], 0.0, 1.0) ** 2
+        for share in motion.rows(time_s, known.lag_s, known.width_s, *away.T).T:
+            for stall in least * np.array(_STALLS):
+                sigma = np.hypot(still, _STALL_SPREAD * stall * np.maximum(share, 0.1))
+                gains.append(good - _nats(drawn - idle - stall * share, sigma))
+    table = np.where(seen.usable[:, None], np.clip(np.column_stack(gains), -_LARGEST, _LARGEST), 0.0)
+    sums = np.concatenate([np.zeros((1, table.shape[1])), np.cumsum(table, axis=0)])
+    at_s = np.arange(time_s[0] + _GRID_S, time_s[-1] + _GRID_S, _GRID_S)
+    last = np.searchsorted(time_s, at_s, side="right")
+    least_sum = 0.5 * _SURE / each_of(seen.series)
+    worth = np.zeros(at_s.size, dtype=bool)
+    for look_s in _LOOKS_S:
+        first = np.searchsorted(time_s, at_s - look_s)
+        worth |= (sums[last] - sums[first]).max(axis=1) > least_sum
+    return at_s[worth]
+
+
+def _least_stall(seen: Seen) -> float:
+    """What a stalled servo draws at least beyond its idle current [A]."""
+    largest_a = float(np.quantile(seen.healthy_a[seen.usable], 0.99)) if seen.usable.any() else 0.0
+    return _STALL * max(largest_a, 3.0 * seen.known.noise.still_a)
+
+
+def _best(seen: Seen, at_s: float, earliest_s: float) -> _Account | None:
+    """The fault that beats every healthy servo of the last seconds; None if none does."""
+    time_s = seen.series.time_s
+    surest, least = None, _SURE
+    last = int(np.searchsorted(time_s, at_s, side="right"))
+    for look_s in _LOOKS_S:
+        rows = slice(int(np.searchsorted(time_s, max(at_s - look_s, earliest_s))), last)
+        if np.count_nonzero(seen.usable[rows]) < 2:
+            continue
+        healthy, *others = _accounts(seen, rows)
+        for other in others:
+            rest = [each for each in others if each.kind == "binding" and each is not other]
+            gain = min(healthy.total, *(each.total for each in rest), np.inf) - other.total
+            if gain > least and (other.kind != "binding" or seen.known.fitted_between_s is None):
+                surest, least = other, gain
+    return surest
+
+
+def _accounts(seen: Seen, rows: slice) -> Iterator[_Account]:
+    """The healthy account of some readings first, then those of faults."""
+    use = np.flatnonzero(seen.usable[rows]) + (rows.start or 0)
+    table, drawn = seen.slopes[use], seen.series.current_a[use]
+    noise, count = seen.noise_a[use], len(NAMES)
+    error = drawn - seen.healthy_a[use]
+    each = each_of(seen.series)
+    precision: FloatArray = np.asarray(np.linalg.inv(seen.known.covariance), dtype=np.float64)
+
+    def nats(left: FloatArray, sigma: FloatArray) -> FloatArray:
+        misfit: FloatArray = each * _nats(left, sigma)
+        return misfit
+
+    def fitted(columns: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        weight = each / noise**2
+        left: FloatArray = error
+        best: FloatArray = np.zeros(columns.shape[1])
+        block: FloatArray = prior
+        for _ in range(3):
+            block = (columns * weight[:, None]).T @ columns + prior
+            best = np.asarray(np.linalg.solve(block, columns.T @ (weight * error)), dtype=np.float64)
+            left = error - columns @ best
+            weight = each / noise**2 / (1.0 + (left / noise) ** 2 / _FREEDOM)
+        return left, best, float(np.sqrt(np.linalg.inv(block)[-1, -1]))
+
+    left, best, _ = fitted(table, precision)
+    yield _Account("healthy", nats(left, noise), 0.5 * float(best @ precision @ best), {})
+    still, idle = seen.known.noise.still_a, max(float(seen.known.theta[0]), 0.0)
+    rest = min(max(float(np.median(drawn)), 0.0), idle)
+    yield _Account(
+        "unpowered", nats(drawn - rest, np.full(drawn.size, still)), 1.0, {"current_a": Estimate.of(rest, still)}
+    )
+    yield from _blocked(seen, use, drawn - idle)
+    wider = np.zeros((count + 1, count + 1))
+    wider[:count, :count] = precision
+    wider[-1, -1] = _FLAT
+    heavier = np.column_stack([table, seen.healthy_a[use] - idle])
+    left, best, deviation = fitted(heavier, wider)
+    if best[-1] > 0.0:
+        apart = best[:count]
+        cost = 0.5 * (float(apart @ precision @ apart) + np.log(max(use.size, 2)))
+        more = noise * (1.0 + float(best[-1]))
+        yield _Account("binding", nats(left, more), cost, {"times": Estimate.of(1.0 + float(best[-1]), deviation)})
+
+
+def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[_Account]:
+    """Stalled wherever the command is away from some place: where it stands, and what it draws, are free."""
+    motion, known = seen.series.motion, seen.known
+    time_s = seen.series.time_s[use]
+    motion = motion.within(time_s[0] - known.lag_s - known.width_s - 1.0, time_s[-1])
+    least = _least_stall(seen)
+    if not motion.time_s.size or np.count_nonzero(pushed > _STALL_SPREAD * least) < 2:
+        return
+    asked = np.quantile(motion.asked_deg, np.linspace(0.0, 1.0, _PLACES))
+    places = np.unique(np.append(asked, motion.deflection_deg[0]))
+    for slack_deg in _SLACK_DEG:
+        away = np.clip(np.abs(motion.asked_deg[:, None] - places) / slack_deg, 0.0, 1.0) ** 2
+        shares = motion.rows(time_s, known.lag_s, known.width_s, *away.T)
+        for place, share in zip(places.tolist(), shares.T, strict=True):
+            far = share > 0.5
+            if np.count_nonzero(far) < 2:
+                continue
+            full = pushed[far] / share[far]
+            stall = float(np.median(full))
+            lasts_s = np.count_nonzero(far) * seen.series.period_s
+            needed_s = _SOON_S if stall > _STALL * known.most_a else _LASTS_S
+            if stall < least or np.quantile(full, 0.1) < _ALWAYS * stall or lasts_s < needed_s:
+                continue
+            sigma = np.hypot(known.noise.still_a, _STALL_SPREAD * stall * np.maximum(share, 0.1))
+            yield _Account(
+                "blocked",
+                each_of(seen.series) * _nats(pushed - stall * share, sigma),
+                float(np.log(places.size * len(_SLACK_DEG))),
+                {
+                    "current_a": Estimate.of(stall, _STALL_SPREAD * stall / float(np.sqrt(np.count_nonzero(far)))),
+                    "position_deg": Estimate.of(place, slack_deg),
+                },
+                slack_deg,
+            )
+
+
+def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float) -> Fault:
+    """The fault with its name, known a little later, its onset, from when it was the better account, and its end."""
+    time_s = seen.series.time_s
+    each = each_of(seen.series)
+    rows = slice(*np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, earliest_s), np.nextafter(alarm_s, np.inf))))
+    since = np.cumsum(each * _gains(seen, account, rows)[::-1])[::-1]
+    start_s = float(min(time_s[rows][int(np.argmax(since))], alarm_s)) if since.size else alarm_s
+    named_s = min(alarm_s + _NAMED_S, float(time_s[-1]))
+    healthy, *others = _accounts(
+        seen, slice(*np.searchsorted(time_s, (start_s, np.nextafter(named_s, np.inf))).tolist())
+    )
+    others = sorted(others, key=lambda one: one.total)
+    rivals: list[_Account] = []
+    if others[0].total < healthy.total:
+        account, rivals = others[0], [one for one in others if one.kind != others[0].kind]
+    odds = float(np.exp(min(account.total - rivals[0].total, 0.0))) if rivals else 0.0
+    first = int(np.searchsorted(time_s, alarm_s, side="right"))
+    later = np.cumsum(each * np.clip(_gains(seen, account, slice(first, time_s.size)), -_LARGEST, _LARGEST))
+    below = np.maximum.accumulate(np.maximum(later, 0.0)) - later
+    ended = np.flatnonzero(below > _ENDED)
+    end_s = None
+    if ended.size:
+        before = later[: ended[0]]
+        end_s = float(time_s[first + int(np.argmax(before))]) if before.max(initial=0.0) > 0.0 else alarm_s
+    return Fault(
+        account.kind,
+        start_s,
+        alarm_s,
+        end_s,
+        account.parameters,
+        min(1.0 / (1.0 + odds), _SUREST),
+        (rivals[0].kind,) if odds > WORTH_TELLING else (),
+        level="suspect" if account.kind == "binding" and seen.known.fitted_between_s else "fault",
+        named_s=named_s,
+        witness="current",
+    )
+
+
+def _gains(seen: Seen, account: _Account, rows: slice) -> FloatArray:
+    """Nats by which a fault is the better account of each reading than the healthy servo, shape (k,).
+
+    As if each said something of its own.
+    """
+    drawn, healthy, noise = seen.series.current_a[rows], seen.healthy_a[rows], seen.noise_a[rows]
+    known = seen.known
+    still, idle = known.noise.still_a, max(float(known.theta[0]), 0.0)
+    values = {name: estimate.value for name, estimate in account.parameters.items()}
+    sigma = np.full(drawn.size, still)
+    if account.kind == "unpowered":
+        other = np.full(drawn.size, values["current_a"])
+    elif account.kind == "blocked":
+        motion = seen.series.motion
+        away = np.clip(np.abs(motion.asked_deg - values["position_deg"]) / account.slack_deg, 0.0, 1.0) ** 2
+        share = motion.rows(seen.series.time_s[rows], known.lag_s, known.width_s, away)[:, 0]
+        other = idle + values["current_a"] * share
+        sigma = np.hypot(still, _STALL_SPREAD * values["current_a"] * np.maximum(share, 0.1))
+    else:
+        times = values["times"]
+        other, sigma = idle + times * (healthy - idle), times * noise
+    return np.where(seen.usable[rows], _nats(drawn - healthy, noise) - _nats(drawn - other, sigma), 0.0)

@@ -1,0 +1,367 @@
+r"""The current of a healthy servo, fitted to what it draws as it moves as its command asks.
+
+A motor draws what its torque needs: to hold the load of the air (hinge moment, proportional to dynamic pressure
+:math:`q` and deflection :math:`y`), to overcome friction in either direction, to accelerate, and what its electronics
+take. With :math:`s = \tanh(\dot y / 3)` for the direction of motion,
+
+.. math:: i = c_0 + q\,(c_1 |y| + c_2 y + c_3\, \max(s y, 0)) + c_4 \max(s, 0) + c_5 \max(-s, 0) + c_6 |\dot y|
+          + c_7\, s \ddot y + c_8 (u - u_0)
+
+and friction may be larger at the ends of the travel. The motion is that of the healthy servo on its commands, so that a
+servo that stands still, or a sensor that does, is no excuse. A reading comes later than its motion, and may be the mean
+since the one before: both are found by which fits best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from servofd.aircraft.calibrated import lower_triangle
+from servofd.aircraft.current import NAMES, CalibratedCurrent, CurrentNoise
+from servofd.core.errors import CalibrationError
+from servofd.core.series import latest
+from servofd.core.statistics import MAD_TO_SIGMA
+from servofd.estimate.record import load_at, loads, usual_airspeed_m_s, usual_supply_v
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.core.types import BoolArray, FloatArray
+    from servofd.servo.context import Context
+    from servofd.servo.servo_model import ServoModel
+
+_GRID_S: Final = 0.02
+"""Steps of the motion: a fifth of the lag of the fastest hobby servo."""
+_DIRECTION_DEG_S: Final = 3.0
+"""Speed at which friction has three quarters of its direction: hobby servos creep below."""
+_LAGS_S: Final = (0.0, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24, 0.35, 0.5)
+_LONGEST_GAP_S: Final = 1.0
+"""A command that comes after more than this says nothing of the motion before it."""
+_HUBER: Final = 2.5
+_LOOSE_A: Final = 10.0
+"""How far any term of a servo's current may be from zero."""
+_ENDS: Final = 0.3
+"""Share of its friction by which that at the ends of the travel differs from that in the middle."""
+_LEAST_ROWS: Final = 40
+_MOST_ROWS: Final = 4_000
+"""Readings of which the lag is found."""
+_LEAST_A: Final = 1e-4
+_FAR_SIGMAS, _MOST_SHARE = 4.0, 3.0
+MOVES_DEG: Final = 2.0
+"""A command that stays within less asks nothing of a servo."""
+_ENDS_OF: Final = np.array([name.endswith(("_1", "_2")) for name in NAMES])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurrentSeries:
+    """What a log holds of the current of one servo, or of several on one rail.
+
+    Parameters
+    ----------
+    surface : str
+        Whose it is.
+    time_s, current_a : ndarray, shape (m,)
+        When it was read [s], rising, and what it was [A].
+    motion : Motion
+        Of the healthy servo on its commands.
+    context : Context
+        Airspeed and supply.
+    notes : tuple of str
+        What to know of it.
+    """
+
+    surface: str
+    time_s: FloatArray
+    current_a: FloatArray
+    motion: Motion
+    context: Context
+    notes: tuple[str, ...] = ()
+
+    @property
+    def period_s(self) -> float:
+        """Usual time between two readings [s]."""
+        return float(np.median(np.diff(self.time_s)))
+
+    def within(self, from_s: float, to_s: float) -> CurrentSeries:
+        """The same in a part of its time."""
+        rows = slice(*np.searchsorted(self.time_s, (from_s, to_s)))
+        return CurrentSeries(
+            self.surface, self.time_s[rows], self.current_a[rows], self.motion, self.context, self.notes
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Commands, and how a healthy servo moves on them, on a grid of its own of shape (n,)."""
+
+    time_s: FloatArray
+    asked_deg: FloatArray
+    deflection_deg: FloatArray
+    speed_deg_s: FloatArray
+    push_deg_s2: FloatArray
+    """Acceleration."""
+    known: BoolArray
+    """Where commands are near enough to tell it."""
+
+    @classmethod
+    def of(cls, model: ServoModel, command_s: FloatArray, command_deg: FloatArray, to_s: float) -> Motion:
+        """Of a servo on commands at times [s] that ask for deflections [deg], shape (k,) each."""
+        time_s = np.arange(command_s[0], max(to_s, command_s[-1]) + _GRID_S, _GRID_S)
+        deflection_deg = model.simulate(command_s, command_deg, time_s)
+        speed_deg_s = np.gradient(deflection_deg, _GRID_S)
+        after = np.searchsorted(command_s, time_s, side="right")
+        return cls(
+            time_s,
+            latest(command_s, command_deg, time_s),
+            deflection_deg,
+            speed_deg_s,
+            np.gradient(speed_deg_s, _GRID_S),
+            time_s - command_s[after - 1] <= _LONGEST_GAP_S,
+        )
+
+    def rows(self, at_s: FloatArray, lag_s: float, width_s: float, *columns: FloatArray) -> FloatArray:
+        """Columns (n, ...) as readings at some times see them, (m, k): late, and averaged over a width."""
+        values = np.column_stack(columns)
+        late_s = at_s - lag_s
+        if width_s < _GRID_S:
+            place = np.clip(np.round((late_s - self.time_s[0]) / _GRID_S).astype(int), 0, self.time_s.size - 1)
+            return np.asarray(values[place], dtype=np.float64)
+        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+        last = np.clip(np.round((late_s - self.time_s[0]) / _GRID_S).astype(int) + 1, 1, self.time_s.size)
+        first = np.clip(last - round(width_s / _GRID_S), 0, last - 1)
+        mean: FloatArray = (sums[last] - sums[first]) / (last - first)[:, None]
+        return mean
+
+    def within(self, from_s: float, to_s: float) -> Motion:
+        """The same in a part of its time."""
+        rows = slice(*np.searchsorted(self.time_s, (from_s, to_s + _GRID_S)))
+        return Motion(
+            self.time_s[rows], self.asked_deg[rows], self.deflection_deg[rows], self.speed_deg_s[rows],
+            self.push_deg_s2[rows], self.known[rows],
+        )  # fmt: skip
+
+    def is_known(self, at_s: FloatArray) -> BoolArray:
+        """Whether commands tell the motion at some times."""
+        place = np.clip(((at_s - self.time_s[0]) / _GRID_S).astype(int), 0, self.time_s.size - 1)
+        known: BoolArray = self.known[place] & (at_s >= self.time_s[0])
+        return known
+
+
+def terms(series: CurrentSeries, known: CalibratedCurrent | _Seeing) -> tuple[FloatArray, FloatArray]:
+    """Terms of a healthy current at its readings, shape (m, 13), and how much it moves, from 0 to 1, shape (m,)."""
+    motion = series.motion
+    y, v = motion.deflection_deg, motion.speed_deg_s
+    way = np.tanh(v / _DIRECTION_DEG_S)
+    load = np.ones(y.size)
+    if known.airspeed_m_s and series.context.airspeed_s.size:
+        load = loads(series.context, motion.time_s, known.airspeed_m_s) / load_at(known.airspeed_m_s)
+    middle, half = 0.5 * sum(known.reach_deg), max(0.5 * (known.reach_deg[1] - known.reach_deg[0]), 1e-3)
+    place = np.clip((y - middle) / half, -1.0, 1.0)
+    bowl = 1.5 * place**2 - 0.5
+    up, down, held = np.maximum(way, 0.0), np.maximum(-way, 0.0), load * (y - middle) / 10.0
+    volts = np.zeros(y.size)
+    if known.supply_v and series.context.voltage_s.size:
+        volts = series.context.supply_v(motion.time_s) - known.supply_v
+    out = motion.rows(
+        series.time_s, known.lag_s, known.width_s, np.ones(y.size), np.abs(held), held, up, down, np.abs(v) / 100.0,
+        np.maximum(way * held, 0.0), way * motion.push_deg_s2 / 1000.0, up * place, up * bowl, down * place,
+        down * bowl, volts, way**2,
+    )  # fmt: skip
+    return out[:, :-1], out[:, -1]
+
+
+@dataclass(slots=True)
+class _Seeing:
+    """What terms depend on, before they are fitted."""
+
+    reach_deg: tuple[float, float]
+    lag_s: float
+    width_s: float
+    supply_v: float
+    airspeed_m_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurrentFit:
+    """A healthy current, and what it leaves of each series that it was fitted to."""
+
+    known: CalibratedCurrent
+    covariance: FloatArray
+    """Of the fit, shape (13, 13)."""
+    left_a: tuple[FloatArray, ...]
+
+
+def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
+    """Fit a healthy current to good flights; its covariance between flights is yet to be said.
+
+    Raises
+    ------
+    CalibrationError
+        If there is too little motion or current.
+    """
+    moved = [part.motion.deflection_deg[part.motion.is_known(part.motion.time_s)] for part in parts]
+    inside = [_between(part) for part in parts]
+    reach = np.concatenate(inside) if inside else np.zeros(0)
+    if not any(each.size for each in moved) or reach.size == 0 or float(np.ptp(reach)) < MOVES_DEG:
+        raise CalibrationError(f"its command moves by less than {MOVES_DEG:g} deg: no current to learn from")
+    usual_v = float(np.median([usual_supply_v(part.context) for part in parts]))
+    ends = float(np.quantile(reach, 0.002)), float(np.quantile(reach, 0.998))
+    draft = _Seeing(ends, 0.0, 0.0, usual_v, usual_airspeed_m_s([part.context for part in parts]))
+    rows = [part.motion.is_known(part.time_s) for part in parts]
+    if sum(int(np.count_nonzero(each)) for each in rows) < _LEAST_ROWS:
+        raise CalibrationError(f"fewer than {_LEAST_ROWS} readings of its current with commands around them")
+    period_s = float(np.median([part.period_s for part in parts]))
+    drawn = np.concatenate([part.current_a[each] for part, each in zip(parts, rows, strict=True)])
+    best = np.inf
+    chosen = draft
+    some = slice(None, None, 1 + drawn.size // _MOST_ROWS)
+    for width_s in (0.0, period_s) if period_s > 2.0 * _GRID_S else (0.0,):
+        for lag_s in _LAGS_S:
+            draft.lag_s, draft.width_s = lag_s, width_s
+            table = np.concatenate([terms(part, draft)[0][each] for part, each in zip(parts, rows, strict=True)])[some]
+            left = drawn[some] - table @ _solved(table, drawn[some], np.ones(len(table)))[0]
+            cost = float(np.mean(np.minimum(np.abs(left), _HUBER * _spread(left)) ** 2))
+            if cost < best:
+                best, chosen = cost, _Seeing(ends, lag_s, width_s, draft.supply_v, draft.airspeed_m_s)
+    tables = [terms(part, chosen)[0] for part in parts]
+    table = np.concatenate([each[use] for each, use in zip(tables, rows, strict=True)])
+    weight = np.ones(drawn.size)
+    still, share = _spread(drawn), 0.0
+    for _ in range(5):
+        theta, covariance = _solved(table, drawn, weight)
+        left = drawn - table @ theta
+        motion_a = np.maximum(table @ theta - theta[0], 0.0)
+        still, share = _noise(left, motion_a)
+        sigma = np.hypot(still, share * motion_a)
+        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(left) / sigma, 1e-9)) / sigma**2
+    theta, covariance = _solved(table, drawn, weight)
+    left = drawn - table @ theta
+    sigma = np.hypot(still, share * np.maximum(table @ theta - theta[0], 0.0))
+    scaled = np.clip(left / sigma, -_HUBER, _HUBER)
+    colour = float(np.clip(np.mean(scaled[1:] * scaled[:-1]) / np.mean(scaled**2), 0.0, 0.95))
+    spread_a, free = float(np.var(drawn)), drawn.size - 2 * len(NAMES)  # half of the terms follow a few starts
+    known = CalibratedCurrent(
+        parameters={name: float(f"{value:.6g}") for name, value in zip(NAMES, theta.tolist(), strict=True)},
+        between=lower_triangle(covariance + 1e-9 * np.eye(len(NAMES))),
+        noise=CurrentNoise(
+            still_a=float(f"{still:.4g}"), share=round(share, 4), colour=round(colour, 4),
+            period_s=float(f"{period_s:.6g}"),
+        ),
+        lag_s=chosen.lag_s,
+        width_s=round(chosen.width_s, 6),
+        reach_deg=(round(ends[0], 3), round(ends[1], 3)),
+        explained_share=round(1.0 - float(np.var(left)) / max(spread_a, 1e-12) * drawn.size / max(free, 1), 4),
+        most_a=float(f"{max(float(np.quantile(drawn, 0.999)) - theta[0], still):.4g}"),
+        supply_v=round(chosen.supply_v, 3),
+        airspeed_m_s=round(chosen.airspeed_m_s, 2),
+    )  # fmt: skip
+    # Readings that are alike say a thing once.
+    alike = (1.0 + colour) / (1.0 - colour)
+    return CurrentFit(
+        known, alike * covariance, tuple(p.current_a - t @ theta for p, t in zip(parts, tables, strict=True))
+    )
+
+
+_UNCERTAINTIES: Final = 4.0
+_APART: Final = 0.1
+"""Share by which each term of a current differs between flights: wind, warmth and supply."""
+_APART_OWN: Final = 0.2
+"""The same within a log that it was fitted to a part of, whose motions are few."""
+_LEAST: Final = 0.1
+"""The least of it, as a share of the mean current of motion."""
+_IDLE_APART: Final = 0.3
+"""Of what electronics take: warmth, and pulses that come faster."""
+_PRIOR_FLIGHTS: Final = 4.0
+"""The shares count as so many differences between flights."""
+
+
+def widened(fitted: CurrentFit, parts: Sequence[CurrentSeries], *, is_own: bool = False) -> CalibratedCurrent:
+    """The same current with what other flights, or the rest of the same (`is_own`), may differ by."""
+    known = fitted.known
+    tables = [terms(part, known)[0] for part in parts]
+    usual_a = float(np.mean(np.maximum(np.concatenate(tables) @ known.theta - known.theta[0], 0.0)))
+    share = _APART_OWN if is_own else _APART
+    apart = np.hypot(share * known.theta, _LEAST * usual_a) ** 2
+    apart[0] = (_IDLE_APART * np.hypot(known.theta[0], known.noise.still_a)) ** 2
+    if len(parts) > 1:
+        changes = np.array([_change(t, left, apart, known) for t, left in zip(tables, fitted.left_a, strict=True)])
+        apart = (_PRIOR_FLIGHTS * apart + (changes**2).sum(axis=0)) / (_PRIOR_FLIGHTS + len(parts) - 1.0)
+    covariance = _UNCERTAINTIES * fitted.covariance + np.diag(apart)
+    return known.model_copy(update={"between": lower_triangle(covariance)})
+
+
+def _change(table: FloatArray, left: FloatArray, apart: FloatArray, known: CalibratedCurrent) -> FloatArray:
+    """How one flight alone would change the terms, as far as it tells, shape (13,)."""
+    motion_a = np.maximum(table @ known.theta - known.theta[0], 0.0)
+    weight = 0.25 / np.hypot(known.noise.still_a, known.noise.share * motion_a) ** 2
+    block = (table * weight[:, None]).T @ table + np.diag(1.0 / (4.0 * apart))
+    return np.asarray(np.linalg.solve(block, table.T @ (weight * np.nan_to_num(left))))
+
+
+def _between(part: CurrentSeries) -> FloatArray:
+    """Deflections of the motion while its current was read."""
+    first, last = np.searchsorted(part.motion.time_s, (part.time_s[0], part.time_s[-1])) if part.time_s.size else (0, 0)
+    inside = slice(int(first), int(last))
+    return part.motion.deflection_deg[inside][part.motion.known[inside]]
+
+
+def _solved(table: FloatArray, drawn: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Terms by weighted least squares; friction at the ends is like that in the middle as far as nothing tells."""
+    friction = max(float(np.std(drawn)), _LEAST_A)
+    loose = np.where(_ENDS_OF, 1.0 / (_ENDS * friction) ** 2, 1.0 / _LOOSE_A**2)
+    block = (table * weight[:, None]).T @ table + np.diag(loose)
+    covariance = np.asarray(np.linalg.inv(block), dtype=np.float64)
+    theta: FloatArray = covariance @ (table.T @ (weight * drawn))
+    return theta, covariance
+
+
+def _spread(values: FloatArray) -> float:
+    return max(MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values)))), _LEAST_A)
+
+
+def _noise(left: FloatArray, motion_a: FloatArray) -> tuple[float, float]:
+    """Noise at rest [A], and as a share of the current of motion."""
+    order = np.argsort(motion_a)
+    quiet, busy = order[: order.size // 2], order[3 * order.size // 4 :]
+    still = max(float(np.sqrt(_square(left[quiet]))), _LEAST_A)
+    extra = max(_square(left[busy]) - still**2, 0.0) / max(float(np.mean(motion_a[busy] ** 2)), _LEAST_A**2)
+    return still, min(float(np.sqrt(extra)), _MOST_SHARE)
+
+
+def _square(left: FloatArray) -> float:
+    """Mean square of what is left, with what is far off counted as less."""
+    most = _FAR_SIGMAS * _spread(left)
+    return float(np.mean(np.clip(left, -most, most) ** 2))
+
+
+class Seen(NamedTuple):
+    """A series beside a healthy current."""
+
+    series: CurrentSeries
+    known: CalibratedCurrent
+    slopes: FloatArray
+    """Terms, shape (m, 13)."""
+    healthy_a: FloatArray
+    moving: FloatArray
+    """From 0 to 1, shape (m,)."""
+    noise_a: FloatArray
+    usable: BoolArray
+
+    @property
+    def error_a(self) -> FloatArray:
+        """Residual, NaN where none is judged, shape (m,)."""
+        return np.where(self.usable, self.series.current_a - self.healthy_a, np.nan)
+
+
+def see(series: CurrentSeries, known: CalibratedCurrent) -> Seen:
+    """Lay a series beside a healthy current."""
+    table, moving = terms(series, known)
+    healthy_a = table @ known.theta
+    motion_a = healthy_a - known.theta[0]
+    noise = known.noise
+    noise_a = np.hypot(noise.still_a, noise.share * np.maximum(motion_a, 0.0))
+    usable = series.motion.is_known(series.time_s) & np.isfinite(series.current_a)
+    return Seen(series, known, table, healthy_a, moving, noise_a, usable)

@@ -1,0 +1,48 @@
+"""The healthy current that a log shows by itself, where nobody calibrated it: enough for blocked and unpowered."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.core.errors import CalibrationError
+from servofd.current.judge import EXPLAINED
+from servofd.current.model import fit_current, see, widened
+
+if TYPE_CHECKING:
+    from servofd.aircraft.current import CalibratedCurrent
+    from servofd.current.model import CurrentSeries
+
+_PARTS: Final = (3, 1)
+"""Into how many parts a log is cut, one after the other."""
+
+
+def own_current(series: CurrentSeries) -> CalibratedCurrent:
+    """Return the healthy current that a log shows by itself: of the part that predicts the whole most sharply.
+
+    Raises
+    ------
+    CalibrationError
+        If no part of the log has enough motion and current.
+    """
+    first_s, last_s = float(series.time_s[0]), float(series.time_s[-1])
+    found: list[tuple[bool, float, CalibratedCurrent]] = []
+    reason = ""
+    for count in _PARTS:
+        for from_s, to_s in itertools.pairwise(np.linspace(first_s, last_s, count + 1).tolist()):
+            part = series.within(from_s, np.nextafter(to_s, np.inf))
+            try:
+                fitted = fit_current([part])
+            except CalibrationError as error:
+                reason = reason or str(error)
+                continue
+            known = widened(fitted, [part], is_own=True).model_copy(
+                update={"fitted_between_s": (round(from_s, 2), round(to_s, 2))}
+            )
+            sharpness_a = float(np.mean(see(series, known).noise_a))
+            found.append((known.explained_share < EXPLAINED, sharpness_a, known))
+    if not found:
+        raise CalibrationError(reason)
+    return min(found, key=lambda each: each[:2])[2]

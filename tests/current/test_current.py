@@ -1,0 +1,130 @@
+"""A current alone tells a blocked servo, one without power and one that binds; and a good one does neither."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import servofd
+from servofd.cli import main
+from servofd.simulation.commands import lively
+from tests.current.motor import Flown, Sensor, fly
+
+START_S = 100.0
+
+
+def flown(seed: int, rate_hz: float, fault: str = "", seconds: float = 180.0, averages: bool = False) -> Flown:
+    command_deg = lively(np.arange(0.0, seconds, 0.04), np.random.default_rng(1000 + seed))
+    sensor = Sensor(rate_hz, averages=averages)
+    return fly(seconds, seed, sensor=sensor, fault=fault, start_s=START_S, command_deg=command_deg)
+
+
+def written(path: Path, flight: Flown, **kinds: bool) -> str:
+    path.write_text(flight.csv("aileron", **kinds))
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An aircraft whose aileron is known by the current of three good flights, at 10 Hz."""
+    folder = tmp_path_factory.mktemp("good")
+    logs = [written(folder / f"good{k}.csv", flown(500 + k, 10.0, seconds=300.0)) for k in range(3)]
+    output = str(folder / "plane.toml")
+    assert main(["calibrate", *logs, "-o", output]) == 0
+    return output
+
+
+@pytest.mark.parametrize("fault", ["blocked", "unpowered"])
+@pytest.mark.parametrize("rate_hz", [5.0, 50.0])
+def test_a_current_alone_tells_it_without_any_calibration(
+    tmp_path: Path, fault: str, rate_hz: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = written(tmp_path / "flight.csv", flown(5, rate_hz, fault))
+    assert main(["audit", log, "--json", "-"]) == 1
+    (found,) = json.loads(capsys.readouterr().out)["logs"]
+    aileron = found["surfaces"]["aileron"]
+    assert (aileron["status"], aileron["feedback"], aileron["current"]["status"]) == ("fault", "current", "fault")
+    (one,) = aileron["faults"]
+    assert (one["kind"], one["witness"]) == (fault, "current")
+    assert START_S - 1.0 <= one["start_s"] <= one["alarm_s"] <= START_S + 5.0
+    assert "by its current" in found["sentence"]
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+def test_a_good_one_is_cleared(tmp_path: Path, rate_hz: float) -> None:
+    found = servofd.audit(written(tmp_path / "flight.csv", flown(6, rate_hz)))
+    assert (found["aileron"].status, found["aileron"].feedback) == ("healthy", "current")
+    assert found.sentence == "Aileron drew the current of a healthy servo."
+
+
+@pytest.mark.parametrize("fault", ["binding", "blocked", "unpowered", ""])
+def test_calibrated_on_good_flights(tmp_path: Path, calibrated: str, fault: str) -> None:
+    found = servofd.audit(written(tmp_path / "flight.csv", flown(7, 10.0, fault)), calibrated)
+    kinds = [one.kind for one in found["aileron"].faults]
+    assert kinds == ([fault] if fault else [])
+    if fault == "binding":  # friction is three times as large
+        assert 1.7 < found["aileron"].faults[0].parameters["times"].value < 3.5
+
+
+def test_the_sensor_is_at_fault_where_the_current_says_that_it_moves(tmp_path: Path) -> None:
+    flight = flown(8, 25.0)
+    frozen_deg = flight.position_deg.copy()
+    frozen_deg[flight.current_s > START_S] = frozen_deg[flight.current_s > START_S][0]
+    flight.position_deg[:] = frozen_deg
+    found = servofd.audit(written(tmp_path / "flight.csv", flight, position=True))
+    assert found["aileron"].status == "fault"
+    assert "its sensor is at fault" in found["aileron"].reason
+
+
+def test_two_witnesses_agree(tmp_path: Path) -> None:
+    found = servofd.audit(written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=True))
+    assert found["aileron"].feedback == "both"
+    assert {one.witness for one in found["aileron"].faults} == {"position", "current"}
+    assert "position and current tell of the same" in found["aileron"].reason
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace("aileron_current_a", "aileron_current"), "tells no unit"),
+        (lambda text: _current(text, lambda value: 0.0 * value), "never changes"),
+        (lambda text: _current(text, lambda value: -value - 0.2), "wired the wrong way round"),
+        (lambda text: _current(text, lambda value: value * float("nan")), "holds no value"),
+    ],
+)
+def test_bad_currents_end_in_one_line(tmp_path: Path, change: object, said: str) -> None:
+    assert callable(change)
+    path = tmp_path / "flight.csv"
+    path.write_text(change(flown(10, 10.0, seconds=40.0).csv("aileron")))
+    found = servofd.audit(path)
+    assert said in found["aileron"].reason
+    assert found["aileron"].status in ("no_data", "unknown")
+
+
+def _current(text: str, change: object) -> str:
+    """The same table with other values of its last column."""
+    assert callable(change)
+    head, *rows = text.splitlines()
+    parts = [row.rsplit(",", 1) for row in rows]
+    told = [f"{first},{change(float(last)) if last else ''}" for first, last in parts]
+    return "\n".join([head, *told]) + "\n"
+
+
+def test_milliamperes_are_asked_for_by_name(tmp_path: Path) -> None:
+    text = flown(5, 10.0, "blocked").csv("aileron")
+    path = tmp_path / "flight.csv"
+    path.write_text(_current(text, lambda value: 1e3 * value).replace("current_a", "current_ma"))
+    (fault,) = servofd.audit(path)["aileron"].faults
+    assert fault.kind == "blocked"
+    assert 1.0 < fault.parameters["current_a"].value < 4.0
+
+
+def test_the_page_draws_the_current(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    main(["audit", written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")), "--html", str(page)])
+    text = page.read_text()
+    assert "good ones differ by" in text
+    assert "Blocked at 1:40, from near" in text
