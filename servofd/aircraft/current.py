@@ -127,6 +127,10 @@ class CalibratedCurrent(BaseModel):
     """Usual supply; 0 where it was not logged."""
     airspeed_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     """Usual airspeed; 0 where it was not logged."""
+    airspeeds_m_s: tuple[_Finite, _Finite] | None = None
+    """The slowest and the fastest that was flown while it was fitted; None where it was not logged."""
+    limits: dict[Literal["blocked", "unpowered", "binding"], _Positive] = {}
+    """Nats by which each fault must be likelier than a good servo: more than any stretch of good flights reached."""
     fitted_between_s: tuple[_Finite, _Finite] | None = None
     """The part of a log that it was fitted to, where nobody calibrated it."""
     wear: Wear | None = None
@@ -166,7 +170,7 @@ def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:
     Examples
     --------
     >>> current = CalibratedCurrent.model_construct(
-    ...     parameters={"idle": 0.1}, between=((1.0,),), lag_s=0.02, wear=None,
+    ...     parameters={"idle": 0.1}, between=((1.0,),), lag_s=0.02, wear=None, limits={},
     ...     noise=CurrentNoise(still_a=0.02, share=0.3, colour=0.2, period_s=0.1),
     ... )
     >>> current_to_toml("rudder", current)[:3]
@@ -175,7 +179,7 @@ def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:
     heading = f"surfaces.{toml_key(name)}.healthy_current"
     tables = known.model_dump(exclude_none=True, exclude_defaults=True)
     matrix, parameters = tables.pop("between"), tables.pop("parameters")
-    parts = {key: tables.pop(key) for key in ("noise", "wear") if key in tables}
+    parts = {key: tables.pop(key) for key in ("noise", "limits", "wear") if key in tables}
     lines = ["", f"[{heading}]", *toml_lines(tables), "between = [  # covariance between good flights, lower triangle"]
     lines += [*(f"    {toml_value(row)}," for row in matrix), "]", "", f"[{heading}.parameters]"]
     lines += toml_lines(parameters, REGRESSORS)

@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import numpy as np
 
 from servofd.aircraft.current import CurrentSource
+from servofd.aircraft.marks import refresh_of
 from servofd.aircraft.outputs import output_of
 from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray
+    from servofd.core.types import BoolArray, FloatArray
 
 _BESIDE = {"CSRV": ("A", "V"), "VOLZ": ("pc", "pv"), "CVOL": ("Cur", "V"), "UMSV": ("Curr", "")}
 """Fields of the messages with which servos report themselves: current [A] and supply [V]."""
 _HUB = re.compile(r"CSRV\[(\d+)\]\.A")
 """What hubs report of ordinary servos as well, which have no position."""
 _UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
+_EARLY = 0.1
+"""Share of a refresh by which the next one may come early."""
 _REVERSED, _OFTEN = 0.5, 0.05
 """Share of readings that are below zero of a sensor that is wired the wrong way round, and at one end of a range."""
 
@@ -124,6 +127,8 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
             f"current channel {source.channel!r} never changes (always {current_a[0]:g} A): not a measurement, or a "
             "servo that had no power throughout"
         )
+    fresh = _fresh(time_s, current_a)
+    time_s, current_a = time_s[fresh], current_a[fresh]
     below = float(np.mean(current_a < 0.0))
     if below > _REVERSED and float(np.mean(current_a)) < -float(np.std(current_a)):
         raise NoMeasurement(
@@ -140,6 +145,26 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
         told = np.isfinite(volts.values)
         volts_s, volts_v = volts.time_s[told], volts.values[told]
     return CurrentChannel(time_s, current_a, volts_s, volts_v, tuple(notes))
+
+
+def _fresh(time_s: FloatArray, current_a: FloatArray) -> BoolArray:
+    """Rows with a reading of their own, (m,): some servos measure more seldom than they report, and repeat in between.
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 20.0, 0.1)
+    >>> held_a = np.sin(time_s)[4 * (np.arange(200) // 4)]
+    >>> int(_fresh(time_s, held_a).sum()), int(_fresh(time_s, np.sin(time_s)).sum())
+    (50, 200)
+    """
+    refresh_s = refresh_of(time_s, current_a)
+    if refresh_s <= 0.0:
+        return np.ones(time_s.size, dtype=bool)
+    changed = np.diff(current_a, prepend=np.nan) != 0.0
+    since_s = time_s - time_s[np.maximum.accumulate(np.where(changed, np.arange(time_s.size), 0))]
+    slot = np.floor(since_s / refresh_s + _EARLY)
+    fresh: BoolArray = changed | (np.diff(slot, prepend=-1.0) > 0.0)
+    return fresh
 
 
 def _has_numbers(log: FlightLog, name: str) -> bool:

@@ -11,7 +11,7 @@ from servofd.aircraft.current_source import current_sources, read_current
 from servofd.aircraft.schema import UNKNOWN_SERVO
 from servofd.aircraft.series import SURROUNDINGS
 from servofd.core.errors import CalibrationError, NoMeasurement
-from servofd.current.judge import judge_current, tells_motion
+from servofd.current.judge import judge_current, limits_of, tells_motion
 from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.wear import features_of, wear_of
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
 
 _GRAVEST: Final = ("fault", "suspect", "healthy", "unknown", "no_data")
+_MARGIN: Final = 1.3
+"""Times what good flights reach, that a fault has to exceed."""
 _AGREE_S: Final = 15.0
 """Two witnesses tell of one event if they notice it within so much of each other."""
 
@@ -97,7 +99,8 @@ def healthy_currents(
         current = widened(fitted, flights)
         usual_a = float(np.mean([np.mean(each.current_a) for each in flights]))
         wear = wear_of([features_of(see(each, current)) for each in flights], usual_a)
-        found[name] = current.model_copy(update={"wear": wear})
+        limits = limits_of([see(each, current) for each in flights], _MARGIN)
+        found[name] = current.model_copy(update={"wear": wear, "limits": limits})
     return found, {name: reason for name, reason in reasons.items() if name not in found}
 
 

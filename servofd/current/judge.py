@@ -24,7 +24,7 @@ from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from servofd.aircraft.current import CalibratedCurrent
     from servofd.core.types import FloatArray, IntArray
@@ -50,6 +50,8 @@ _SLACK_DEG: Final = (1.5, 4.0, 9.0)
 _BEFORE_S: Final = 30.0
 _WORTH_A: Final = 3.0
 """Sigmas at rest that a current of motion must reach to be missed."""
+_BRIEF_S: Final = 10.0
+"""What passes sooner is no fault where one part of a log is all that is known of its current: a gust, a landing."""
 _MOST: Final = 6
 _FLAT: Final = 1e-6
 _ENDED: Final = 25.0
@@ -57,10 +59,13 @@ _ENDED: Final = 25.0
 _NAMED_S: Final = 10.0
 """After the alarm, what it is has become clear: by what it draws in some movements."""
 _SUREST: Final = 0.99
-EXPLAINED: Final = 0.15
-"""Share of the current that its motion must explain to be a witness."""
+EXPLAINED, EXPLAINED_OWN = 0.15, 0.4
+"""Share of the current that its motion must explain to be a witness: of good flights, and of a part of the log itself,
+which may as well hold a fault."""
 _LARGEST: Final = 8.0
 """Nats that one reading counts for at most."""
+_WORTH: Final = 0.5
+"""Share of its limit from which on an account of a given size is fitted."""
 _GRID_S: Final = 0.5
 _PLACES: Final = 9
 _TIMES: Final = (1.6, 2.5, 4.0)
@@ -75,7 +80,8 @@ _ALWAYS: Final = 0.35
 def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Sequence[FloatArray] = ()) -> CurrentAudit:
     """Judge one surface by its current; wear with what `features_of` tells of cycles `before` it."""
     seen = see(series, known)
-    told = tuple(_faults(seen))
+    is_witness = known.explained_share >= (EXPLAINED_OWN if known.fitted_between_s else EXPLAINED)
+    told = tuple(_faults(seen)) if is_witness else ()
     faults = tuple(fault for fault in told if fault.level == "fault")
     sigma_a = np.sqrt(seen.noise_a**2 + np.einsum("ij,jk,ik->i", seen.slopes, known.covariance, seen.slopes))
     suspicions = tuple(fault for fault in told if fault.level == "suspect") or (() if faults else worn(seen, before))
@@ -84,7 +90,7 @@ def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Seque
         rows &= series.time_s >= faults[0].start_s
     good_a = float(np.mean(seen.healthy_a[rows])) if rows.any() else 0.0
     ratio = round(float(np.mean(series.current_a[rows])) / good_a, 3) if good_a > 0.0 else None
-    status, reason = _status(seen, faults, suspicions, ratio)
+    status, reason = _status(seen, faults, suspicions, ratio, is_witness=is_witness)
     return CurrentAudit(
         status,
         "; ".join((reason, *series.notes)),
@@ -126,12 +132,12 @@ def _nats(left: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def _status(
-    seen: Seen, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None
+    seen: Seen, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None, *, is_witness: bool
 ) -> tuple[Status, str]:
     known = seen.known
     if faults:
         return "fault", f"by its current: {'; then '.join(describe(fault) for fault in faults)}"
-    if known.explained_share < EXPLAINED:
+    if not is_witness:
         return "unknown", (
             f"its current goes with only {max(known.explained_share, 0.0):.0%} of what it was asked to do: check that "
             "it is the current of this servo, or record a minute of brisk movements"
@@ -188,8 +194,10 @@ def _faults(seen: Seen) -> Iterator[Fault]:
         if best is None:
             continue
         fault = _timed(seen, best, at_s, earliest_s)
-        yield fault
-        found += 1
+        lasted_s = np.inf if fault.end_s is None else fault.end_s - fault.start_s
+        if seen.known.fitted_between_s is None or lasted_s > _BRIEF_S:
+            yield fault
+            found += 1
         if fault.end_s is None or found >= _MOST:
             return
         earliest_s = max(fault.end_s, at_s)
@@ -197,30 +205,61 @@ def _faults(seen: Seen) -> Iterator[Fault]:
 
 def _worth_a_look(seen: Seen) -> FloatArray:
     """Instants at which an account of a given size beats the good servo over one of the windows [s], shape (k,)."""
+    at_s, largest = _followed(seen)
+    worth = np.zeros(at_s.size, dtype=bool)
+    for kind, gain in largest.items():
+        worth |= gain > _WORTH * _limit(seen.known, kind)
+    return at_s[worth]
+
+
+def limits_of(good: Iterable[Seen], margin: float) -> dict[str, float]:
+    """Nats that each account needs: `margin` times what any stretch of good flights reaches."""
+    limits = dict.fromkeys(("unpowered", "binding", "blocked"), _SURE)
+    for seen in good:
+        for kind, gain in _followed(seen)[1].items():
+            limits[kind] = max(limits[kind], float(f"{margin * gain.max(initial=0.0):.3g}"))
+    return limits
+
+
+def _limit(known: CalibratedCurrent, kind: str) -> float:
+    return float(dict(known.limits).get(kind, _SURE))  # type: ignore[call-overload]
+
+
+def _followed(seen: Seen) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Instants [s], (g,), and by how many nats each kind of fault beats the good servo in one of the windows, (g,)."""
     time_s, known = seen.series.time_s, seen.known
     idle, still = max(float(known.theta[0]), 0.0), known.noise.still_a
     motion, drawn = seen.series.motion, seen.series.current_a
     good = _nats(drawn - seen.healthy_a, seen.noise_a)
-    gains = [good - _nats(drawn, np.full(drawn.size, still))]
-    gains += [good - _nats(drawn - idle - times * (seen.healthy_a - idle), times * seen.noise_a) for times in _TIMES]
+    gains = {
+        "unpowered": [good - _nats(drawn - rest, np.full(drawn.size, still)) for rest in (0.0, idle)],
+        "binding": [
+            good - _nats(drawn - idle - times * (seen.healthy_a - idle), times * seen.noise_a) for times in _TIMES
+        ],
+        "blocked": [],
+    }
     least = _least_stall(seen)
-    if np.count_nonzero(drawn - idle > _ALWAYS * least) > 1:
+    if np.count_nonzero(drawn - idle > _ALWAYS * least) > 1 and motion.known.any():
         places = np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, _PLACES))
         away = np.clip(np.abs(motion.asked_deg[:, None] - places) / _SLACK_DEG[1], 0.0, 1.0) ** 2
         for share in motion.rows(time_s, known.lag_s, known.width_s, *away.T).T:
             for stall in least * np.array(_STALLS):
                 sigma = np.hypot(still, _STALL_SPREAD * stall * np.maximum(share, 0.1))
-                gains.append(good - _nats(drawn - idle - stall * share, sigma))
-    table = np.where(seen.usable[:, None], np.clip(np.column_stack(gains), -_LARGEST, _LARGEST), 0.0)
-    sums = np.concatenate([np.zeros((1, table.shape[1])), np.cumsum(table, axis=0)])
+                gains["blocked"].append(good - _nats(drawn - idle - stall * share, sigma))
     at_s = np.arange(time_s[0] + _GRID_S, time_s[-1] + _GRID_S, _GRID_S)
     last = np.searchsorted(time_s, at_s, side="right")
-    least_sum = 0.5 * _SURE / each_of(seen.series)
-    worth = np.zeros(at_s.size, dtype=bool)
-    for look_s in _LOOKS_S:
-        first = np.searchsorted(time_s, at_s - look_s)
-        worth |= (sums[last] - sums[first]).max(axis=1) > least_sum
-    return at_s[worth]
+    largest = {}
+    for kind, accounts in gains.items():
+        if not accounts:
+            continue
+        each = each_of(seen.series) * np.clip(np.column_stack(accounts), -_LARGEST, _LARGEST)
+        table = np.where(seen.usable[:, None], each, 0.0)
+        sums = np.concatenate([np.zeros((1, table.shape[1])), np.cumsum(table, axis=0)])
+        largest[kind] = np.full(at_s.size, -np.inf)
+        for look_s in _LOOKS_S:
+            first = np.searchsorted(time_s, at_s - look_s)
+            largest[kind] = np.maximum(largest[kind], (sums[last] - sums[first]).max(axis=1))
+    return at_s, largest
 
 
 def _least_stall(seen: Seen) -> float:
@@ -230,9 +269,9 @@ def _least_stall(seen: Seen) -> float:
 
 
 def _best(seen: Seen, at_s: float, earliest_s: float) -> _Account | None:
-    """The fault that beats every healthy servo of the last seconds; None if none does."""
+    """The fault that beats every healthy servo of the last seconds by its limit; None if none does."""
     time_s = seen.series.time_s
-    surest, least = None, _SURE
+    surest, least = None, 1.0
     last = int(np.searchsorted(time_s, at_s, side="right"))
     for look_s in _LOOKS_S:
         rows = slice(int(np.searchsorted(time_s, max(at_s - look_s, earliest_s))), last)
@@ -242,6 +281,7 @@ def _best(seen: Seen, at_s: float, earliest_s: float) -> _Account | None:
         for other in others:
             rest = [each for each in others if each.kind == "binding" and each is not other]
             gain = min(healthy.total, *(each.total for each in rest), np.inf) - other.total
+            gain /= _limit(seen.known, other.kind)
             if gain > least and (other.kind != "binding" or seen.known.fitted_between_s is None):
                 surest, least = other, gain
     return surest
@@ -360,7 +400,9 @@ def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float) -> 
         account.parameters,
         min(1.0 / (1.0 + odds), _SUREST),
         (rivals[0].kind,) if odds > WORTH_TELLING else (),
-        level="suspect" if account.kind == "binding" and seen.known.fitted_between_s else "fault",
+        level="suspect"
+        if seen.known.fitted_between_s and (account.kind == "binding" or end_s is not None)
+        else "fault",
         named_s=named_s,
         witness="current",
     )

@@ -46,6 +46,10 @@ _LOOSE_A: Final = 10.0
 _ENDS: Final = 0.3
 """Share of its friction by which that at the ends of the travel differs from that in the middle."""
 _LEAST_ROWS: Final = 40
+_BEYOND: Final = 1.5
+"""Times its reach in the flights that were fitted within which a current is judged."""
+_SLOWER: Final = 1.25
+"""Times slower or faster than was flown then, likewise."""
 _MOST_ROWS: Final = 4_000
 """Readings of which the lag is found."""
 _LEAST_A: Final = 1e-4
@@ -245,7 +249,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
     spread_a, free = float(np.var(drawn)), drawn.size - 2 * len(NAMES)  # half of the terms follow a few starts
     known = CalibratedCurrent(
         parameters={name: float(f"{value:.6g}") for name, value in zip(NAMES, theta.tolist(), strict=True)},
-        between=lower_triangle(covariance + 1e-9 * np.eye(len(NAMES))),
+        between=lower_triangle(np.diag(np.diag(covariance))),
         noise=CurrentNoise(
             still_a=float(f"{still:.4g}"), share=round(share, 4), colour=round(colour, 4),
             period_s=float(f"{period_s:.6g}"),
@@ -257,6 +261,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
         most_a=float(f"{max(float(np.quantile(drawn, 0.999)) - theta[0], still):.4g}"),
         supply_v=round(chosen.supply_v, 3),
         airspeed_m_s=round(chosen.airspeed_m_s, 2),
+        airspeeds_m_s=_airspeeds(parts),
     )  # fmt: skip
     # Readings that are alike say a thing once.
     alike = (1.0 + colour) / (1.0 - colour)
@@ -274,6 +279,8 @@ _LEAST: Final = 0.1
 """The least of it, as a share of the mean current of motion."""
 _IDLE_APART: Final = 0.3
 """Of what electronics take: warmth, and pulses that come faster."""
+_ROUNDED: Final = 1e-3
+"""Share of a variance that a file of five digits may leave out without becoming no covariance."""
 _PRIOR_FLIGHTS: Final = 4.0
 """The shares count as so many differences between flights."""
 
@@ -289,7 +296,8 @@ def widened(fitted: CurrentFit, parts: Sequence[CurrentSeries], *, is_own: bool 
     if len(parts) > 1:
         changes = np.array([_change(t, left, apart, known) for t, left in zip(tables, fitted.left_a, strict=True)])
         apart = (_PRIOR_FLIGHTS * apart + (changes**2).sum(axis=0)) / (_PRIOR_FLIGHTS + len(parts) - 1.0)
-    covariance = _UNCERTAINTIES * fitted.covariance + np.diag(apart)
+    unsure = _UNCERTAINTIES * fitted.covariance
+    covariance = unsure + np.diag(apart + _ROUNDED * np.diag(unsure))
     return known.model_copy(update={"between": lower_triangle(covariance)})
 
 
@@ -299,6 +307,16 @@ def _change(table: FloatArray, left: FloatArray, apart: FloatArray, known: Calib
     weight = 0.25 / np.hypot(known.noise.still_a, known.noise.share * motion_a) ** 2
     block = (table * weight[:, None]).T @ table + np.diag(1.0 / (4.0 * apart))
     return np.asarray(np.linalg.solve(block, table.T @ (weight * np.nan_to_num(left))))
+
+
+def _airspeeds(parts: Sequence[CurrentSeries]) -> tuple[float, float] | None:
+    """Slowest and fastest while currents were read, but for glitches [m/s]; None if some flight did not log it."""
+    if not all(part.context.airspeed_s.size for part in parts):
+        return None
+    flown = np.concatenate(
+        [np.interp(part.time_s, part.context.airspeed_s, part.context.airspeed_m_s) for part in parts]
+    )
+    return round(float(np.quantile(flown, 0.01)), 2), round(float(np.quantile(flown, 0.99)), 2)
 
 
 def _between(part: CurrentSeries) -> FloatArray:
@@ -363,5 +381,12 @@ def see(series: CurrentSeries, known: CalibratedCurrent) -> Seen:
     motion_a = healthy_a - known.theta[0]
     noise = known.noise
     noise_a = np.hypot(noise.still_a, noise.share * np.maximum(motion_a, 0.0))
+    middle, half = 0.5 * sum(known.reach_deg), 0.5 * (known.reach_deg[1] - known.reach_deg[0])
+    (deflection_deg,) = series.motion.rows(series.time_s, known.lag_s, 0.0, series.motion.deflection_deg).T
     usable = series.motion.is_known(series.time_s) & np.isfinite(series.current_a)
+    usable &= np.abs(deflection_deg - middle) <= _BEYOND * half  # further out nobody knows what holds it there
+    if known.airspeeds_m_s is not None and series.context.airspeed_s.size:
+        slowest, fastest = known.airspeeds_m_s
+        airspeed_m_s = np.interp(series.time_s, series.context.airspeed_s, series.context.airspeed_m_s)
+        usable &= (airspeed_m_s >= slowest / _SLOWER) & (airspeed_m_s <= fastest * _SLOWER)
     return Seen(series, known, table, healthy_a, moving, noise_a, usable)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.core.errors import CalibrationError
-from servofd.current.judge import EXPLAINED
+from servofd.current.judge import EXPLAINED_OWN, limits_of
 from servofd.current.model import fit_current, see, widened
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 _PARTS: Final = (3, 1)
 """Into how many parts a log is cut, one after the other."""
+_MARGIN: Final = 2.0
+"""Times what a part of a log reaches by itself, that the rest has to exceed."""
 
 
 def own_current(series: CurrentSeries) -> CalibratedCurrent:
@@ -42,7 +44,9 @@ def own_current(series: CurrentSeries) -> CalibratedCurrent:
                 update={"fitted_between_s": (round(from_s, 2), round(to_s, 2))}
             )
             sharpness_a = float(np.mean(see(series, known).noise_a))
-            found.append((known.explained_share < EXPLAINED, sharpness_a, known))
+            found.append((known.explained_share < EXPLAINED_OWN, sharpness_a, known))
     if not found:
         raise CalibrationError(reason)
-    return min(found, key=lambda each: each[:2])[2]
+    known = min(found, key=lambda each: each[:2])[2]
+    part = series.within(*(known.fitted_between_s or (first_s, last_s)))
+    return known.model_copy(update={"limits": limits_of([see(part, known)], _MARGIN)})

@@ -146,15 +146,17 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
     reach_deg = reach_of([whole])
     found: list[_Part] = []
     share: float | None = None
+    start: FloatArray | None = None
     for count in _PARTS:
         for between_s, part in parts_of(segment, count):
             pieces = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
             records = [record for record in pieces if record.usable.any()]
             if not records:
                 continue
-            fitted = fit(records, reach_deg=reach_deg)
+            fitted = fit(records, start=start, reach_deg=reach_deg)
             if count == 1:
                 share = fitted.explained_share
+                start = fitted.theta if share >= _least_share(count, fitted) else None
             if fitted.explained_share >= _least_share(count, fitted):
                 one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []

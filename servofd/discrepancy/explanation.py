@@ -314,6 +314,7 @@ def explain_gap(
     free_poles: bool = False,
     off: Sequence[Undriven] = (),
     conditions: Mapping[str, FloatArray] | None = None,
+    usual_deg: float = 0.0,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> Explanation:
     """Find where a servo and its model disagree, name what is missing, and show how the gap shrinks.
@@ -333,6 +334,8 @@ def explain_gap(
         Where the log itself says that the servo was not driven.
     conditions : mapping of str to ndarray, shape (r,), optional
         Of each run: a load, a supply, a temperature, with which the size of an effect may go.
+    usual_deg : float
+        Error that the model is known to leave on good logs [deg rms].
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -377,7 +380,7 @@ def explain_gap(
     ]
     fault_s = undriven[0].start_s if len(records) == 1 and undriven and not off else None
     if fault_s is None and selection.adequacy.reasons and not (record.runs or record.side is not None):
-        healthy = _healthy_part(record, selection, progress)
+        healthy = _healthy_part(record, selection, usual_deg, progress)
         if healthy is not None:
             record, selection, fault_s = healthy
             notes.append(
@@ -448,7 +451,7 @@ def _notes(record: Record, selection: Selection) -> list[str]:
 
 
 def _healthy_part(
-    record: Record, selection: Selection, progress: Callable[[str], None]
+    record: Record, selection: Selection, known_deg: float, progress: Callable[[str], None]
 ) -> tuple[Record, Selection, float] | None:
     """What comes before a fault, its explanation, and when the fault begins [s]; None if there is no such part."""
     change_s = fault_start_s(record, selection)
@@ -465,7 +468,7 @@ def _healthy_part(
         healthy = select(before, progress)
         error = healthy.final.error_deg
         explained = not healthy.adequacy.reasons
-        usual_deg = healthy.sigma_deg if explained else float(np.sqrt(np.mean(error[before.counts] ** 2)))
+        usual_deg = healthy.sigma_deg if explained else max(rms(error[before.counts]), known_deg)
         wrong = later & (np.abs(error) > _NO_NOISE * usual_deg)
         if not wrong.any():
             continue

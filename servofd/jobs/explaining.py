@@ -212,6 +212,7 @@ def _surface(
         free_poles=free_poles,
         off=off,
         conditions=conditions,
+        usual_deg=aircraft.surfaces[name].model.held_out_rms_deg or 0.0,
         progress=progress,
     )
     found = replace(found, notes=(*found.notes, *list(said)[:_MOST_SAID]))
