@@ -196,7 +196,7 @@ class _Own(NamedTuple):
         physics = self.servo.physics
         rates = {name: float(np.exp(apart["ln_rate"])) * getattr(physics, name) for name in rate_fields()}
         physics = physics._replace(
-            command_gain=physics.command_gain * theta[_GAIN] / self.theta[_GAIN],
+            gain=physics.gain * theta[_GAIN] / self.theta[_GAIN],
             bias_deg=physics.bias_deg + apart["bias_deg"],
             backlash_deg=physics.backlash_deg + apart["play_deg"],
             **rates,
@@ -210,7 +210,7 @@ class _Own(NamedTuple):
             values[span] for values in (self.commands.effective_s, self.commands.command_deg, self.commands.slope_deg_s)
         )
         if apart["deadband_deg"] > 0.0 and command_deg.size:  # before the servo, whatever its order is
-            rest_deg = (start_deg - physics.bias_deg) / physics.command_gain
+            rest_deg = (start_deg - physics.bias_deg) / (physics.gain * physics.command_gain)
             command_deg, slope_deg_s = play(command_deg, apart["deadband_deg"], rest_deg), 0.0 * slope_deg_s
         near = Commands(effective_s + apart["delay_s"], command_deg, slope_deg_s)
         anew = np.zeros(time_s.size, dtype=np.int8)
