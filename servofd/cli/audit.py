@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     from servofd.outputs.document import Document
 
 _A_FEW = 16
+_SOME = 8
+"""Runs that are named in a line."""
 
 
 def run(options: Options) -> int:
@@ -47,8 +50,13 @@ def run(options: Options) -> int:
 
         return run_fleet(options, job_of(options))
     results = judged_logs(options)
-    write(options, results, audit_report(results))
+    report = audit_report(results)
+    write(options, results, report)
     audits = [result for result in results if not isinstance(result, FailedLog)]
+    if len(audits) > _A_FEW:  # cycles of a bench: one table and one sentence
+        if options.json != "-":
+            print_document(replace(report, parts=report.parts[:1]))
+        return _code_of_cycles(results)
     if options.json != "-":
         for audit in audits:
             print_document(audit_report([audit]))
@@ -122,6 +130,24 @@ def exit_code(results: list[LogAudit | FailedLog]) -> int:
                 complain(result.not_judged, one_line(result.log.label))
             codes.append(2 if result.not_judged else 0)
     return worst(codes)
+
+
+def _code_of_cycles(results: list[LogAudit | FailedLog]) -> int:
+    """The worst of many runs of few files; which of each gave no verdict goes to stderr in a line."""
+    for result in results:
+        if isinstance(result, FailedLog):
+            complain(result.error)
+    audits = [result for result in results if not isinstance(result, FailedLog)]
+    for source in dict.fromkeys(audit.log.source for audit in audits):
+        runs = [audit for audit in audits if audit.log.source == source]
+        dark = [audit for audit in runs if not audit.has_fault and audit.not_judged]
+        if dark:
+            which = ", ".join(audit.log.run for audit in dark[:_SOME]) + (", ..." if len(dark) > _SOME else "")
+            complain(
+                f"{len(dark)} of {len(runs)} runs ({which}); the first {dark[0].not_judged}", one_line(str(source))
+            )
+    codes = [2 if isinstance(result, FailedLog) else 1 if result.has_fault else 0 for result in results]
+    return worst([*codes, *(2 for audit in audits if not audit.has_fault and audit.not_judged)])
 
 
 def write(options: Options, results: list[LogAudit | FailedLog], report: Document) -> None:

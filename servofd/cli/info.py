@@ -40,7 +40,13 @@ def _report(found: Survey) -> Document:
     if not found.on_board and log.format in ("dataflash", "tlog") and found.surfaces:
         advice.insert(0, _ON_BOARD)
     surfaces = [
-        (s.name, s.verdict, _rate(s.position_hz), _rate(s.command_hz), f"{s.command}, {s.position}")
+        (
+            s.name,
+            s.verdict,
+            _rate(s.position_hz),
+            _rate(s.command_hz),
+            ", ".join(filter(None, (s.command, s.position, s.current))),
+        )
         for s in found.surfaces
     ]
     channels = [

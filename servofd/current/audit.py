@@ -163,7 +163,7 @@ def _judged(
         series = current_series(log, name, aircraft, source)
         known = aircraft.surfaces[name].healthy_current or own_current(series)
     except (NoMeasurement, CalibrationError) as error:
-        return CurrentAudit("unknown", f"by its current: {error}")
+        return CurrentAudit("unknown", str(error))
     found = judge_current(series, known, before)
     before.append(features_of(see(series, known)))
     still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]

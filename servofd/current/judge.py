@@ -145,7 +145,7 @@ def _status(
     if suspicions:
         return "suspect", f"by its current: {'; '.join(describe(fault) for fault in suspicions)}"
     if not would_show(seen):
-        return "unknown", "by its current: too little motion to tell a servo without power from one at rest"
+        return "unknown", "too little motion for its current to tell a servo without power from one at rest"
     if known.fitted_between_s is None:
         return "healthy", f"its current is as in its good flights ({ratio or 1.0:.2f} times theirs in motion)"
     from_s, to_s = known.fitted_between_s

@@ -145,7 +145,7 @@ class SurfaceAudit:
         """What the log holds of it beside its commands."""
         by_current = self.current is not None and self.current.time_s is not None
         if by_current:
-            return "current" if self.segment is None else "both"
+            return "current" if self.segment is None and self.statistics is None else "both"
         return "position" if self.expected else "none"
 
     @property

@@ -45,9 +45,9 @@ WIDTHS: Final = {"deadband_deg": 1.0, "friction_deg": 2.0, "play_deg": 1.0}
 """How much of a change of direction each takes, in times its size."""
 _WIDTHS = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
 _LN_BANDWIDTH, _LN_DAMPING = NAMES.index("ln_bandwidth"), NAMES.index("ln_damping")
-_OTHER_POLES: Final = 0.015
-"""Two poles that are fitted to the three of an HS-225BB have a bandwidth that is lower by 1 to 3.5 %
-(seven simulated flights, poles scaled by 0.8 to 1.2); intervals of 24 others (0.7 to 1.4) all held the truth."""
+_OTHER_POLES: Final = 0.03
+"""Standard deviation of the logarithm of a bandwidth for poles that are not two: fitted to the three of an HS-225BB
+they have one that is lower by 1 to 10 % (32 simulated flights, poles scaled by 0.8 to 1.2)."""
 _NONE_HELD: Final = np.zeros(FITTED, dtype=bool)
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 

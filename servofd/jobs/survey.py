@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.aircraft.current_source import current_sources, read_current
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
@@ -16,6 +17,7 @@ from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.onboard.seen import seen_on_board
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from logparsers import Channel, FlightLog
@@ -49,6 +51,9 @@ class SurfaceSurvey:
     position_hz: float | None
     verdict: str
     """"yes", with what the rate allows; or why not."""
+    current: str = ""
+    """Channel of its current; empty if the log holds none."""
+    current_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +127,33 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> Surv
         aircraft: Aircraft | None = surfaces_of(log, known)
     except NoMeasurement:
         aircraft = None
-    surfaces = tuple(_surface(log, aircraft, name) for name in aircraft.surfaces) if aircraft else ()
+    surfaces = tuple(_with_currents(log, aircraft)) if aircraft else ()
     unfit = not surfaces or any(not s.verdict.startswith("yes") for s in surfaces)
     channels = tuple(_channel(log[name]) for name in log.channels) if every_channel else ()
     return Survey(
         log, surfaces, channels, _on_board(log, aircraft), what_to_log(log) if unfit and log.is_of_autopilot else ""
     )
+
+
+def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[SurfaceSurvey]:
+    """Each surface, with what its current allows beside its position, or instead of it."""
+    try:
+        sources = current_sources(log, aircraft)
+    except NoMeasurement:
+        sources = {}
+    for name in aircraft.surfaces:
+        found, source = _surface(log, aircraft, name), sources.get(name)
+        if source is None:
+            yield found
+            continue
+        try:
+            rate_hz = _rate(read_current(log, source).time_s)
+        except NoMeasurement as reason:
+            yield replace(found, verdict=f"{found.verdict}; {reason}", current=source.channel)
+            continue
+        told = "by its current whether it is blocked or has no power, and once calibrated whether it binds or wears"
+        verdict = f"{found.verdict}; and {told}" if found.verdict.startswith("yes") else f"yes, {told}"
+        yield replace(found, verdict=verdict, current=source.channel, current_hz=rate_hz)
 
 
 def _surface(log: FlightLog, aircraft: Aircraft, name: str) -> SurfaceSurvey:

@@ -89,13 +89,15 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
         return replace(logs[0], evidence=[method], data=data)
     logs.sort(key=lambda log: ("fault", "suspect", log.status).index(log.status))
     faulty, known = sum(log.status == "fault" for log in logs), {log.status for log in logs}
+    suspect = sum(log.status == "suspect" for log in logs)
+    others = f"; {suspect} {'is' if suspect == 1 else 'are'} suspect" if suspect else ""
     index = [
         (Cell(log.title, link=f"#log-{k}"), Cell(status=log.status), log.sentence) for k, log in enumerate(logs, 1)
     ]
     return Document(
         title=", ".join(log.title for log in logs),
         status=next((status for status in _WORST_FIRST if status in known), "no_data"),
-        sentence=f"{faulty or 'None'} of {len(logs)} logs show{'s' * (faulty <= 1)} a fault.",
+        sentence=f"{faulty or 'None'} of {len(logs)} logs show{'s' * (faulty <= 1)} a fault{others}.",
         parts=[
             Table("All logs", ("log", "worst", "verdict"), index),
             *(

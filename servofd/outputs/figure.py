@@ -45,9 +45,7 @@ def audit_figure(audit: SurfaceAudit) -> Figure:
 def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw a chart of a page, all of it, or into somebody's axes as many of its panels as these are."""
     if ax is None:
-        figure, all_axes = new_figure(
-            len(chart.panels), height=6.5, width=11.0, ratios=(3, *[2] * (len(chart.panels) - 1))
-        )
+        figure, all_axes = new_figure(len(chart.panels), height=6.5, width=11.0, ratios=(3, 2, 2)[: len(chart.panels)])
     else:
         all_axes = tuple(np.ravel(np.asarray(ax, dtype=object)))
         figure = cast("Figure", all_axes[0].get_figure(root=True))

@@ -24,7 +24,7 @@ from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import by_path, read_logs
 from servofd.jobs import workflow
 from servofd.outputs.audit_report import audit_report, axis_chart
-from servofd.outputs.chart import flight_chart
+from servofd.outputs.chart import current_charts, flight_chart
 from servofd.outputs.compare_report import Track, charts, compare_report, overlaid, track_of
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
@@ -62,6 +62,9 @@ class AuditedSurface(SurfaceAudit, Drawn):
 
     def chart(self) -> Chart:
         """The whole flight of the surface."""
+        by_current = current_charts(self) if self.residuals is None else []
+        if by_current:
+            return by_current[-1]
         self._curves()
         return flight_chart(self)
 
@@ -204,7 +207,11 @@ class Audit(LogAudit, Shown):
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
         if name is not None:
             return self._drawn(self[name], ax)
-        surfaces = [one.surface for one in self.surfaces if one.residuals is not None and one.threshold is not None]
+        surfaces = [
+            one.surface
+            for one in self.surfaces
+            if (one.residuals is not None and one.threshold is not None) or one.feedback == "current"
+        ]
         drawn = [self[one] for one in surfaces or [axis.axis for axis in self.axes]]
         if not drawn:
             raise NoMeasurement(f"there is nothing to draw: {self.sentence}")

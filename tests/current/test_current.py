@@ -128,3 +128,42 @@ def test_the_page_draws_the_current(tmp_path: Path) -> None:
     text = page.read_text()
     assert "good ones differ by" in text
     assert "Blocked at 1:40, from near" in text
+
+
+@pytest.mark.parametrize("position", [False, True])
+def test_a_recording_says_what_the_audit_said(tmp_path: Path, position: bool) -> None:
+    log = written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=position)
+    paths = {name: str(tmp_path / name) for name in ("flight.rrd", "audit.json", "review.json", "all")}
+    assert main(["audit", log, "--rrd", paths["flight.rrd"], "--json", paths["audit.json"], "-o", paths["all"]]) == 1
+    assert main(["review", paths["flight.rrd"], "--json", paths["review.json"]]) == 1
+    said = [json.loads(Path(paths[name]).read_text())["logs"][0]["surfaces"] for name in ("audit.json", "review.json")]
+    assert said[0] == said[1]
+
+
+def test_it_is_drawn_in_a_notebook(tmp_path: Path) -> None:
+    found = servofd.audit(written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")))
+    assert [axes.get_ylabel() for axes in found.plot().axes] == ["deflection [deg]", "current [A]"]
+
+
+def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", written(tmp_path / "flight.csv", flown(5, 10.0, seconds=40.0)), "--json"]) == 0
+    (surface,) = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]
+    assert surface["current"] == "aileron_current_a"
+    assert surface["verdict"].startswith("yes, by its current")
+
+
+def test_cycles_of_a_bench_end_in_one_table_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = []
+    asked_deg = np.interp(0.04 * np.arange(325), [0.0, 5.0, 8.0, 13.0], [-20.0, 20.0, 20.0, -20.0])
+    for run in range(20):  # the same commands each time
+        cycle = fly(13.0, run, sensor=Sensor(25.0), command_deg=asked_deg)
+        head, *lines = cycle.csv("ram").splitlines()
+        rows += [f"{run},{line}" for line in lines]
+    path = tmp_path / "cycles.csv"
+    path.write_text("\n".join([f"run,{head}", *rows]) + "\n")
+    assert main(["calibrate", str(path), "-o", str(tmp_path / "ram.toml")]) == 0
+    assert "known from 20" in capsys.readouterr().out
+    assert main(["audit", str(path), "-c", str(tmp_path / "ram.toml")]) != 1
+    told = capsys.readouterr()
+    assert told.err.count("\n") <= 1
+    assert told.out.count("run 7") == 1

@@ -149,7 +149,11 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     """Layout of an audit's recording."""
     drawn = {name: trace for name, trace in recording.traces.items() if trace.time_s.size}
     tabs = [_overview([surface.surface for surface in recording.audit.surfaces], list(drawn))]
-    tabs += [_surface(name, deflection_range(trace), residual_range(trace)) for name, trace in drawn.items()]
+    currents = [s.surface for s in recording.audit.surfaces if s.current is not None and s.current.time_s is not None]
+    alone = [name for name in currents if name not in drawn]
+    for name, trace in drawn.items():
+        tabs.append(_surface(name, deflection_range(trace), residual_range(trace), has_current=name in currents))
+    tabs += [_by_current(name) for name in alone]
     tabs += [axis_tab(axis) for axis in recording.audit.axes]
     if drawn:
         tabs.append(_aircraft(recording))
@@ -159,7 +163,7 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     ]
     if not alarms:
         return blueprint(tabs)
-    names = [*drawn, *(axis.axis for axis in recording.audit.axes)]
+    names = [*drawn, *alone, *(axis.axis for axis in recording.audit.axes)]
     name, first = min(alarms, key=lambda alarm: alarm[1].alarm_s)
     marked_s = (min(first.start_s, first.alarm_s), first.alarm_s)
     return blueprint(tabs, None, _around(recording, *marked_s), 1 + names.index(name), marked_s)
@@ -181,7 +185,11 @@ def live_layout(surfaces: Sequence[str], *, following: bool = False) -> Any:  # 
 
 
 def _surface(
-    name: str, deflection: tuple[float, float] | None = None, residual: tuple[float, float] | None = None
+    name: str,
+    deflection: tuple[float, float] | None = None,
+    residual: tuple[float, float] | None = None,
+    *,
+    has_current: bool = False,
 ) -> Any:  # noqa: ANN401
     """Deflection, residual and state of one surface, one below the other, from bottom to top of given ranges [deg]."""
     place = surface_place(name)
@@ -190,7 +198,20 @@ def _surface(
         _plot(place, "residual", f"{name}: residual and thresholds [deg]", residual),
         lanes(f"{name}: state", [f"{place}/state"], origin=f"{place}/state"),
     ]
+    if has_current:
+        views.insert(2, curves(f"{name}: current [A]", [f"{place}/current"], origin=place))
+        return stacked(name, views, [4, 3, 3, 1.4])
     return stacked(name, views, [4, 3, 1.4])
+
+
+def _by_current(name: str) -> Any:  # noqa: ANN401
+    """What was asked and what was drawn, of a surface without a position."""
+    place = surface_place(name)
+    views = [
+        curves(f"{name}: asked [deg]", [f"{place}/command"], origin=place),
+        curves(f"{name}: current [A]", [f"{place}/current"], origin=place),
+    ]
+    return stacked(name, views, [2, 3])
 
 
 def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN401

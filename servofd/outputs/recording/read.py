@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from servofd.core.files import beginning, whole_file
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
+from servofd.outputs.recording.surface import WITHIN_SIGMAS
 from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context
@@ -25,10 +26,11 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.series import LeftOut
     from servofd.core.types import FloatArray, IntArray
+    from servofd.detection.verdict import CurrentAudit
 
 _CURVES = "Scalars:scalars"
 _PROPERTIES = f"/__properties/{PROPERTIES}"
-_KEPT = ("deflection", "residual", "command", "seconds", "command_seconds")
+_KEPT = ("deflection", "residual", "command", "seconds", "command_seconds", "current")
 _PANICS = (101, 102)
 """Exit codes of a Rust program, and of Rerun's, that came to its wits' end."""
 
@@ -50,6 +52,10 @@ def read_recording(path: str | Path) -> Recording:
         for s in audit.surfaces
         if (trace := _trace(stored, s.surface, left_out.get(s.surface, ()), context)) is not None
     }
+    surfaces = tuple(
+        s if s.current is None else replace(s, current=_drawn(stored, s.surface, s.current)) for s in audit.surfaces
+    )
+    audit = replace(audit, surfaces=surfaces)
     attitude, position, geo = (stored.rows(place) for place in (ATTITUDE, LOCAL, GEO))
     return Recording(audit, traces, attitude, position, geo, notes)
 
@@ -172,6 +178,18 @@ def _values(chunk: Any) -> dict[str, Any]:  # noqa: ANN401
         if cells and isinstance(cells[-1], list):
             found[name.rsplit(":", 1)[-1]] = cells[-1][0] if len(cells[-1]) == 1 else cells[-1]
     return found
+
+
+def _drawn(stored: _Stored, surface: str, current: CurrentAudit) -> CurrentAudit:
+    """What a current told, with its curves."""
+    found = stored.curves(surface_place(surface, "current"))
+    if found is None:
+        return current
+    time_s, (drawn_a, healthy_a, high_a, _) = found[0], found[1].T
+    asked = stored.curves(surface_place(surface, "command"))
+    command = None if asked is None else (asked[0], asked[1][:, 0])
+    sigma_a = (high_a - healthy_a) / WITHIN_SIGMAS
+    return replace(current, time_s=time_s, current_a=drawn_a, healthy_a=healthy_a, sigma_a=sigma_a, command=command)
 
 
 def _trace(stored: _Stored, surface: str, left_out: tuple[LeftOut, ...], context: Context) -> Trace | None:

@@ -12,7 +12,7 @@ from servofd.outputs.recording.stream import STATES, microseconds, seconds, surf
 if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
     from servofd.core.types import FloatArray
-    from servofd.detection.verdict import Fault, SurfaceAudit
+    from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
@@ -51,6 +51,8 @@ def send_surface(
     """Send everything that an audit found about a surface, and looked at."""
     place = surface_place(surface.surface)
     recorder.texts(f"{place}/events", events(trace, surface, start_s))
+    if surface.current is not None:
+        _send_current(recorder, place, surface.current, is_alone=trace is None)
     if trace is None or not trace.time_s.size:
         return
     send_styles(recorder, surface.surface, tint)
@@ -67,6 +69,24 @@ def send_surface(
             spans = [_span(fault, trace) for fault in found]
             if spans:
                 recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
+
+
+CURRENTS = ("drawn", "good servo", "+good ones differ by", "-good ones differ by")
+WITHIN_SIGMAS = 3.0
+"""Band of good servos."""
+
+
+def _send_current(recorder: Recorder, place: str, current: CurrentAudit, *, is_alone: bool) -> None:
+    """What was drawn and what a good servo draws; without a position, what was asked as well."""
+    if current.time_s is None or current.current_a is None or current.healthy_a is None or current.sigma_a is None:
+        return
+    width_a = WITHIN_SIGMAS * current.sigma_a
+    recorder.lines(f"{place}/current", CURRENTS, ("measured", "simulated", "threshold", "threshold"))
+    values = [current.current_a, current.healthy_a, current.healthy_a + width_a, current.healthy_a - width_a]
+    recorder.scalars(f"{place}/current", current.time_s, np.column_stack(values))
+    if is_alone and current.command is not None:
+        recorder.lines(f"{place}/command", ("command",), ("command",))
+        recorder.scalars(f"{place}/command", *current.command)
 
 
 def send_on_board(recorder: Recorder, surface: str, seen: Seen) -> None:

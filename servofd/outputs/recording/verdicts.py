@@ -15,7 +15,7 @@ from servofd.aircraft.series import LeftOut
 from servofd.core.errors import RecordingError
 from servofd.core.evidence import Detectable, ModelOrigin
 from servofd.core.statistics import Estimate
-from servofd.detection.verdict import CommonCause, Fault, LogAudit, Statistics, SurfaceAudit
+from servofd.detection.verdict import CommonCause, CurrentAudit, Fault, LogAudit, Statistics, SurfaceAudit
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.stream import shown
 
@@ -173,6 +173,27 @@ def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
         detectable=Detectable.from_document(entry["detectable"]),
         judged_share=entry["judged_share"],
         outline=tuple(entry["residual"].get("outline", ())) if entry["residual"] else (),
+        current=_current(entry),
+    )
+
+
+def _current(entry: Mapping[str, Any]) -> CurrentAudit | None:
+    """What a current told; its curves are read with the others."""
+    if "current" not in entry:
+        return None
+    told = entry["current"]
+    faults, suspicions = (
+        tuple(fault for one in entry[which] if (fault := _fault(one)).witness == "current")
+        for which in ("faults", "suspicions")
+    )
+    return CurrentAudit(
+        told["status"],
+        told["reason"],
+        told["explained_share"],
+        told["ratio_to_good"],
+        faults,
+        suspicions,
+        judged_share=told["judged_share"],
     )
 
 
@@ -188,4 +209,5 @@ def _fault(entry: Mapping[str, Any]) -> Fault:
         tuple(entry["alternatives"]),
         entry["level"],
         entry["named_s"],
+        entry.get("witness", "position"),
     )
