@@ -1,4 +1,4 @@
-"""What an aircraft file says of currents: where they are logged, which servos share one, and what a healthy one is."""
+"""What an aircraft file says of currents: where they are logged, and what a healthy one is."""
 
 from __future__ import annotations
 
@@ -49,12 +49,6 @@ class CurrentSource(BaseModel):
     def scale(self) -> float:
         """Amperes for each unit."""
         return 1.0 if self.unit == "A" else 1e-3
-
-
-class Rail(CurrentSource):
-    """A current that several servos share."""
-
-    surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
 
 
 class CurrentNoise(BaseModel):

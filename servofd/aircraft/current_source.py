@@ -1,4 +1,4 @@
-"""Which channel of a log holds the current of which servo, or of the rail that several share."""
+"""Which channel of a log holds the current of which servo."""
 
 from __future__ import annotations
 

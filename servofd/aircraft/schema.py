@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from servofd.aircraft.axes import MotionModel
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.calibration import Calibration, DegreeCalibration
-from servofd.aircraft.current import CalibratedCurrent, CurrentSource, Rail
+from servofd.aircraft.current import CalibratedCurrent, CurrentSource
 from servofd.core.errors import ConfigError, DesignError, ServofdError, UnknownName, suggest
 from servofd.core.evidence import ModelOrigin
 from servofd.core.tolerance import Tolerance
@@ -211,8 +211,6 @@ class Aircraft(_Entry):
     motion: MotionModel | None = None
     """What the aircraft's motion tells of its axes; the only thing known of one whose servos report nothing."""
     servos: dict[str, Servo] = {}
-    rails: dict[str, Rail] = {}
-    """Currents that several servos share."""
     table: Table | None = None
 
     @model_validator(mode="after")
@@ -220,10 +218,6 @@ class Aircraft(_Entry):
         if not self.surfaces and self.motion is None:
             raise ValueError("surfaces: at least one entry is needed, for example [surfaces.elevator]")
         known = {**library(), **self.servos}
-        for rail, entry in self.rails.items():
-            for name in entry.surfaces:
-                if name not in self.surfaces:
-                    raise ValueError(f"rails.{rail}.surfaces: {suggest('surface', name, self.surfaces)}")
         for name, surface in self.surfaces.items():
             if surface.servo == UNKNOWN_SERVO:
                 if surface.effects or surface.calibrated is not None:

@@ -102,8 +102,6 @@ def calibration_to_toml(calibration: Calibration) -> str:
         lines += ["", *_surface(calibration, name, found.get(name))]
     for name, servo in aircraft.servos.items():
         lines += ["", *[f"[servos.{toml_key(name)}]", *toml_lines(servo.model_dump(exclude_defaults=True))]]
-    for name, rail in aircraft.rails.items():
-        lines += ["", f"[rails.{toml_key(name)}]", *toml_lines(rail.model_dump(exclude_defaults=True))]
     return "\n".join(lines) + "\n"
 
 

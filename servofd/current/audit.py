@@ -56,8 +56,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
         if source is not None and shared.count(source.channel) > 1:
             current = CurrentAudit(
                 "unknown",
-                f"channel {source.channel!r} is the current of several surfaces: name it as a rail ([rails.NAME] with "
-                "channel, unit and surfaces)",
+                f"channel {source.channel!r} is the current of several surfaces: it tells of none of them alone",
             )
         elif source is not None:
             current = _judged(log, aircraft, surface, source, cycles.setdefault(surface.surface, []))

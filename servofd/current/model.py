@@ -61,7 +61,7 @@ _ENDS_OF: Final = np.array([name.endswith(("_1", "_2")) for name in NAMES])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurrentSeries:
-    """What a log holds of the current of one servo, or of several on one rail.
+    """What a log holds of the current of one servo.
 
     Parameters
     ----------

@@ -211,8 +211,11 @@ def test_the_examples_of_many_logs_run(
 
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    first, judging, effects, servo, table, appendix_c = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
+    page = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
+    first, judging, currents, effects, servo, table, appendix_c = page
     config = tmp_path / "plane.toml"
+    config.write_text(currents)
+    assert load_aircraft(config).surfaces["aileron"].current is not None
     config.write_text(judging)
     elevator = load_aircraft(config).surfaces["elevator"]
     assert (elevator.threshold, elevator.persistence, elevator.tolerances) == ("interval", 1, Tolerance())
