@@ -100,7 +100,7 @@ def fly(
     """Fly for so long, with a fault from `start_s` on; `times` is by how much binding multiplies friction."""
     rng = np.random.default_rng(seed)
     count = round(seconds / STEP_S)
-    time_s: FloatArray = np.arange(count) * STEP_S
+    time_s: FloatArray = np.arange(float(count)) * STEP_S
     every = round(0.04 / STEP_S)
     asked = flight(time_s[::every], rng) if command_deg is None else command_deg
     wanted = np.repeat(asked, every)[:count]
