@@ -20,6 +20,7 @@ from servofd.aircraft.series import (
     TOO_MANY_LOST,
     WARM_UP_S,
     WARM_UP_STEPS,
+    link_period_s,
     pace_steps,
     sent_period_s,
 )
@@ -662,13 +663,14 @@ class SurfaceMonitor:
         came_s = pace_steps(np.array(self._recent))
         self._paces_s = float(np.median(came_s)), float(np.mean(came_s))
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
-        lost_s = sent_period_s(logged_s) if self.is_periodic else None
-        self._least_hz = SLOWEST_LEFT_HZ if lost_s is not None and self.surface.is_calibrated else SLOWEST_RATE_HZ
+        sent_s = link_period_s(logged_s) if self.is_periodic else None
+        is_lossy = sent_s is not None and sent_period_s(logged_s) is not None
+        self._least_hz = SLOWEST_LEFT_HZ if is_lossy and self.surface.is_calibrated else SLOWEST_RATE_HZ
         problem = self._thin
         if 1.0 / self._period_s < self._least_hz:
             problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
             problem += f"{self._least_hz:g} Hz"
-        elif lost_s is not None and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
+        elif is_lossy and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
             problem = TOO_MANY_LOST
         elif not problem:
             try:
@@ -690,7 +692,7 @@ class SurfaceMonitor:
         self._command_period_s = beat.period_s
         self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
         if self.surface.calibrated is not None and self.surface.is_calibrated:
-            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s, lost_s)
+            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s, sent_s)
         else:
             self._stream = Stream(self._generator, self.surface, self._period_s, beat)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
