@@ -55,6 +55,8 @@ _ALARMED: Final = 3.0
 """Logarithm of how much less likely a good servo is to be looked at than a faulty one: an alarm was raised."""
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
 _SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_FINER = 0.35
+"""By so much, in the logarithm, a speed may be from the nearest of them: half of the largest ratio of two."""
 _WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 _LEAST_LOSS: Final = 0.95
 _FLAT = 1e-8
@@ -289,6 +291,7 @@ def _guesses(window: _Window) -> Iterator[_Guess]:
         yield _sized(window, "slow", theta, None, share, less)
         slower = _with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less)
         yield _sized(window, "slow", slower, None, share)
+    yield from _rate_limited(window)
     for width in _WIDTHS_DEG:
         for name in ("deadband_deg", "play_deg"):
             place = NAMES.index(name)
@@ -335,6 +338,21 @@ def _sized(
         value = moved[place] - window.theta[place]
         return _Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved)
     return _Guess(kind, cost, 1, {name: Estimate.of(moved[place] / reference, deviation / abs(reference))}, moved)
+
+
+def _rate_limited(window: _Window) -> Iterator[_Guess]:
+    """A servo that is as quick as ever in small motion, and turns no faster than so much."""
+    place = NAMES.index("ln_rate")
+    nominal = window.theta[place]
+    for speed in _SPEEDS:
+        limited = _with(window.theta, ln_rate=nominal + float(np.log(speed)))
+        reading_deg, slopes = window.reading(limited)
+        error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
+        _, best, _ = window.reduced(error_deg, slopes, slopes[:, [place]])
+        less = float(np.log(speed) + np.clip(best[FITTED], -_FINER, _FINER))
+        limited = _with(window.theta, ln_rate=nominal + less)
+        share = float(np.exp(less))
+        yield _sized(window, "slow", limited, None, {"bandwidth_scale": (share, 0.1 * share)})
 
 
 def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[_Guess]:
@@ -471,14 +489,12 @@ def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
     time_s, gain = _likelier(watched, guess, alarm_s, last_s + 1.0)
     if time_s.size < _FEWEST:
         return None
-    so_far = np.cumsum(gain)
-    top = int(np.argmax(so_far))
-    per_second = 1.0 / watched.record.period_s
-    fell = (so_far[top] - so_far[-1]) / per_second
-    after_s = time_s[-1] - time_s[top]
-    if (fell > _ENDED and after_s > _AFTER_END_S) or (fell > _SURELY_ENDED and after_s > _SOON_S):
-        return float(time_s[top])
-    return None
+    so_far = np.cumsum(gain) * watched.record.period_s
+    best = np.maximum.accumulate(so_far)
+    top_s = time_s[np.searchsorted(best, best)]  # when it was best so far
+    fell, after_s = best - so_far, time_s - top_s
+    ended = ((fell > _ENDED) & (after_s > _AFTER_END_S)) | ((fell > _SURELY_ENDED) & (after_s > _SOON_S))
+    return float(top_s[np.argmax(ended)]) if ended.any() else None
 
 
 _MOST_FAULTS: Final = 20
