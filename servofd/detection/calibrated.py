@@ -91,6 +91,8 @@ _NOTHING: Final = 0.1
 _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 3.0
+_RIGHT: Final = 4.0
+"""Mean square of residuals over their sigma that a healthy servo may leave after an end."""
 _SURELY_ENDED, _SOON_S = 5.0, 0.5
 """So much better it need do for no longer than this."""
 _LOG_CLIP = 25.0
@@ -189,10 +191,26 @@ class _Window:
         return (float(left @ left), float(apart @ self.precision @ apart)), best, covariance
 
 
-def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> tuple[Fault, _Guess | None]:
+class Named(NamedTuple):
+    """Hypotheses fitted to a window, the best one first."""
+
+    count: int
+    """How many samples there were when they were."""
+    window: _Window
+    guesses: list[_Guess]
+
+
+_GROWN: Final = 1.3
+"""A window that has grown by less since its hypotheses were fitted tells no more."""
+
+
+def named(
+    watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float, names: dict[float, Named]
+) -> tuple[Fault, _Guess | None]:
     """Name what an alarm stands for, `healthy` if a working servo explains it after all; and the hypothesis behind it.
 
-    `ratio` is the largest statistic over its threshold at or after the alarm.
+    `ratio` is the largest statistic over its threshold at or after the alarm; `names` holds what was fitted to alarms
+    when less was known of them, and is kept up to date.
     """
     window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
     if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
@@ -206,7 +224,14 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
             window = since if since.count >= _FEWEST else window
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
-    window, guesses = _explained(watched, window, alarm_s)
+    before, count = names.get(alarm_s), window.count
+    if before is not None and (
+        count < _GROWN * before.count or _end_s(watched, before.guesses[0], alarm_s) is not None
+    ):
+        _, window, guesses = before
+    else:
+        window, guesses = _explained(watched, window, alarm_s)
+        names[alarm_s] = Named(count, window, guesses)
     end_s = _end_s(watched, guesses[0], alarm_s)
     if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + _WINDOW_S - 2.0:
         shorter = _Window(watched, alarm_s + min(_SETTLING_S, 0.2 * (end_s - alarm_s)), end_s)
@@ -215,7 +240,7 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
             end_s = _end_s(watched, guesses[0], alarm_s)
     kind, probability, alternatives, parameters = _verdict(window, guesses, ratio)
     # It began when the fault became the better explanation.
-    time_s, gain = _likelier(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
+    time_s, gain, _ = _likelier(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
     better = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
     began = time_s.size > 0 and better.max() > 0.0
     start_s = float(min(time_s[int(np.argmax(better))], alarm_s)) if began else alarm_s
@@ -474,33 +499,43 @@ def _error_deg(stretch: _Window, guess: _Guess) -> FloatArray:
     return np.full(stretch.time_s.size, _SWINGS) * stretch.total_deg
 
 
-def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
-    """Sample times, and by how much the guess explains each better than the healthy servo (twice the log odds)."""
+def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sample times, by how much the guess explains each better than the healthy servo, and the misfit of that.
+
+    Twice the log odds.
+    """
     stretch = _Window(watched, from_s, to_s)
     used = stretch.used
     healthy, other, total = watched.error_deg[stretch.rows], _error_deg(stretch, guess), stretch.total_deg
-    gain = np.minimum((healthy / total) ** 2, _LOG_CLIP) - np.minimum((other / total) ** 2, _LOG_CLIP)
-    return stretch.time_s[used], gain[used]
+    misfit = np.minimum((healthy / total) ** 2, _LOG_CLIP)
+    gain = misfit - np.minimum((other / total) ** 2, _LOG_CLIP)
+    return stretch.time_s[used], gain[used], misfit[used]
 
 
 def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
     """When the healthy servo became the better explanation again; None if it never did."""
     last_s = float(watched.record.time_s[-1])
-    time_s, gain = _likelier(watched, guess, alarm_s, last_s + 1.0)
+    time_s, gain, healthy = _likelier(watched, guess, alarm_s, last_s + 1.0)
     if time_s.size < _FEWEST:
         return None
     so_far = np.cumsum(gain) * watched.record.period_s
     best = np.maximum.accumulate(so_far)
-    top_s = time_s[np.searchsorted(best, best)]  # when it was best so far
+    top = np.searchsorted(best, best)  # when it was best so far
+    top_s = time_s[top]
     fell, after_s = best - so_far, time_s - top_s
+    misfit = np.append(0.0, np.cumsum(healthy))
+    after = np.arange(1, time_s.size + 1) - top - 1
+    is_right = misfit[1:] - misfit[top + 1] <= _RIGHT * after
     ended = ((fell > _ENDED) & (after_s > _AFTER_END_S)) | ((fell > _SURELY_ENDED) & (after_s > _SOON_S))
+    ended &= is_right
     return float(top_s[np.argmax(ended)]) if ended.any() else None
 
 
 _MOST_FAULTS: Final = 20
 _RESIDUALS: Final = STATISTICS.index("left_2s")
 """So many statistics are of the residual over its total sigma, not of what is left of it."""
-_AGAIN_S: Final = 1.0
+AGAIN_S: Final = 1.0
+"""After a fault has ended the tests begin anew."""
 _SOON_AFTER_S: Final = 5.0
 """For so long after an alarm its size counts."""
 _STILL_FAST: Final = 0.69
@@ -526,8 +561,9 @@ class Found(NamedTuple):
     """What the healthy servo, or a fault, leaves of each position [deg], (m,); NaN where none is judged."""
 
 
-def judged(flight: Watched) -> Found:
-    """Find and name the faults of a flight."""
+def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
+    """Find and name the faults of a flight; `names` are those of earlier looks at it, see `named`."""
+    names = {} if names is None else names
     limits = thresholds_of(flight.known)
     time_s, error_deg = flight.record.time_s, flight.error_deg
     faults: list[Fault] = []
@@ -544,7 +580,7 @@ def judged(flight: Watched) -> Found:
         raised_s, ratio, is_far = _alarm(limits, rows[0], passed, grid_s, statistics[:, : len(STATISTICS)])
         if not np.isfinite(raised_s):
             break
-        fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s)
+        fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s, names=names)
         fault = _weighed(fault, ratio, is_far=is_far)
         if guess is not None and fault.kind != "healthy":
             there = _Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
@@ -559,7 +595,7 @@ def judged(flight: Watched) -> Found:
             earliest_s = raised_s + 20.0
         else:
             earliest_s = max(fault.end_s, raised_s)
-        begin = int(np.searchsorted(time_s, earliest_s + _AGAIN_S))
+        begin = int(np.searchsorted(time_s, earliest_s + AGAIN_S))
         if begin >= time_s.size - 2:
             break
     return Found(tuple(faults), tuple(suspicions), left_deg)
@@ -626,12 +662,16 @@ def _alarm(
 
 
 def judge_stretch(
-    known: CalibratedServo, residuals: Residuals, commands: Commands, sent_period_s: float | None
+    known: CalibratedServo,
+    residuals: Residuals,
+    commands: Commands,
+    sent_period_s: float | None,
+    names: dict[float, Named],
 ) -> Found:
     """Judge what a stream remembers of a surface."""
     segment = Series("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
     segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
-    return judged(watched_calibrated(known, segment))
+    return judged(watched_calibrated(known, segment), names)
 
 
 def watched_calibrated(known: CalibratedServo, segment: Series) -> Watched:
