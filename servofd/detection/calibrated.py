@@ -91,8 +91,8 @@ _NOTHING: Final = 0.1
 _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 3.0
-_RIGHT: Final = 4.0
-"""Mean square of residuals over their sigma that a healthy servo may leave after an end."""
+_ELSEWHERE: Final = 9.0
+"""Misfit of a sample that neither the fault nor the healthy servo explains: the fault does what no hypothesis says."""
 _SURELY_ENDED, _SOON_S = 5.0, 0.5
 """So much better it need do for no longer than this."""
 _LOG_CLIP = 25.0
@@ -194,7 +194,7 @@ class _Window:
 class Named(NamedTuple):
     """Hypotheses fitted to a window, the best one first."""
 
-    count: int
+    known: int
     """How many samples there were when they were."""
     window: _Window
     guesses: list[_Guess]
@@ -226,7 +226,7 @@ def named(
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
     before, count = names.get(alarm_s), window.count
     if before is not None and (
-        count < _GROWN * before.count or _end_s(watched, before.guesses[0], alarm_s) is not None
+        count < _GROWN * before.known or _end_s(watched, before.guesses[0], alarm_s) is not None
     ):
         _, window, guesses = before
     else:
@@ -234,14 +234,15 @@ def named(
         names[alarm_s] = Named(count, window, guesses)
     end_s = _end_s(watched, guesses[0], alarm_s)
     if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + _WINDOW_S - 2.0:
-        shorter = _Window(watched, alarm_s + min(_SETTLING_S, 0.2 * (end_s - alarm_s)), end_s)
+        settling_s = min(_SETTLING_S, 0.2 * (end_s - alarm_s))
+        shorter = _Window(watched, alarm_s + settling_s, end_s - settling_s)
         if shorter.count >= _FEWEST:
             window, guesses = shorter, _ranked(shorter)
             end_s = _end_s(watched, guesses[0], alarm_s)
     kind, probability, alternatives, parameters = _verdict(window, guesses, ratio)
     # It began when the fault became the better explanation.
-    time_s, gain, _ = _likelier(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
-    better = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
+    time_s, healthy, other = _misfits(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
+    better = np.cumsum((healthy - other - _NO_NEWS)[::-1])[::-1]
     began = time_s.size > 0 and better.max() > 0.0
     start_s = float(min(time_s[int(np.argmax(better))], alarm_s)) if began else alarm_s
     if kind == "hardover":
@@ -499,35 +500,28 @@ def _error_deg(stretch: _Window, guess: _Guess) -> FloatArray:
     return np.full(stretch.time_s.size, _SWINGS) * stretch.total_deg
 
 
-def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Sample times, by how much the guess explains each better than the healthy servo, and the misfit of that.
-
-    Twice the log odds.
-    """
+def _misfits(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sample times, and the squares of what the healthy servo and the guess leave of each, over its variance."""
     stretch = _Window(watched, from_s, to_s)
-    used = stretch.used
-    healthy, other, total = watched.error_deg[stretch.rows], _error_deg(stretch, guess), stretch.total_deg
-    misfit = np.minimum((healthy / total) ** 2, _LOG_CLIP)
-    gain = misfit - np.minimum((other / total) ** 2, _LOG_CLIP)
-    return stretch.time_s[used], gain[used], misfit[used]
+    used, total_deg = stretch.used, stretch.total_deg
+    healthy, other = (
+        np.minimum((error_deg / total_deg) ** 2, _LOG_CLIP)[used]
+        for error_deg in (watched.error_deg[stretch.rows], _error_deg(stretch, guess))
+    )
+    return stretch.time_s[used], healthy, other
 
 
 def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
     """When the healthy servo became the better explanation again; None if it never did."""
     last_s = float(watched.record.time_s[-1])
-    time_s, gain, healthy = _likelier(watched, guess, alarm_s, last_s + 1.0)
+    time_s, healthy, other = _misfits(watched, guess, alarm_s, last_s + 1.0)
     if time_s.size < _FEWEST:
         return None
-    so_far = np.cumsum(gain) * watched.record.period_s
+    so_far = np.cumsum(healthy - np.minimum(other, _ELSEWHERE)) * watched.record.period_s
     best = np.maximum.accumulate(so_far)
-    top = np.searchsorted(best, best)  # when it was best so far
-    top_s = time_s[top]
+    top_s = time_s[np.searchsorted(best, best)]  # when it was best so far
     fell, after_s = best - so_far, time_s - top_s
-    misfit = np.append(0.0, np.cumsum(healthy))
-    after = np.arange(1, time_s.size + 1) - top - 1
-    is_right = misfit[1:] - misfit[top + 1] <= _RIGHT * after
     ended = ((fell > _ENDED) & (after_s > _AFTER_END_S)) | ((fell > _SURELY_ENDED) & (after_s > _SOON_S))
-    ended &= is_right
     return float(top_s[np.argmax(ended)]) if ended.any() else None
 
 

@@ -508,7 +508,7 @@ class SurfaceMonitor:
         before = [fault for fault in self.suspicions if fault.alarm_s <= alarm.raised_s]
         healthy = bool(before) and (before[-1].end_s is None or before[-1].end_s >= alarm.raised_s)
         is_quiet = now_s - alarm.quiet.since_s >= _QUIET_S
-        return bool(self.problem) or is_quiet or (healthy and now_s - alarm.raised_s > _NAMED_S)
+        return bool(self.problem) or is_quiet or (healthy and now_s - alarm.raised_s >= _NAMED_S)
 
     def _look_later(self, look: Look, fault: Fault) -> None:
         """What has a name is not looked at so soon: not in its first seconds if that is sure, then not for a while."""
