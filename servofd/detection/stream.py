@@ -481,11 +481,12 @@ class CalibratedStream(_Waiting):
 
     def _fill(self, time_s: float, command_deg: float) -> None:
         """Commands that were lost before this one, and it."""
-        before_s, before_deg = self._newest
-        known = slice(int(np.isfinite(before_s)), None)
-        ends = np.array([before_s, time_s][1 - known.start :]), np.array([before_deg, command_deg][1 - known.start :])
-        filled = put_back(*ends, self.sent_period_s or np.inf)
-        for at_s, asked_deg in zip(*(column[known] for column in filled), strict=True):
+        (before_s, before_deg), period_s = self._newest, self.sent_period_s or np.inf
+        filled = [(time_s, command_deg)]
+        if HOLDS * period_s < time_s - before_s <= LONGEST_S:
+            ends = np.array([before_s, time_s]), np.array([before_deg, command_deg])
+            filled = list(zip(*(column[1:].tolist() for column in put_back(*ends, period_s)), strict=True))
+        for at_s, asked_deg in filled:
             dropped = self._filled.append(at_s, asked_deg, 0.0)
             self._state.forget(dropped)
 
