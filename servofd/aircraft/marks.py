@@ -236,6 +236,8 @@ class Rows(NamedTuple):
     """Smallest change of the reading before these rows [deg]."""
     refresh_s: float = 0.0
     """How often the reading is refreshed, if rows are written more often [s]; see `refresh_of`."""
+    decided: int = 0
+    """How many of the rows were decided before: they only tell of those that follow."""
 
 
 def moved(position_deg: FloatArray) -> FloatArray:
@@ -386,6 +388,8 @@ def _spikes(rows: Rows, why: Marks) -> int:
     step_deg = np.minimum.accumulate(np.append(rows.step_deg, np.where(jump_deg > TINY_DEG, jump_deg, np.inf)))
     least_deg = np.maximum(_LEAST_SPIKE_DEG, np.where(np.isinf(step_deg[:-1]), 0.0, _STEPS * step_deg[:-1]))
     undecided, taken = time_s.size, _FEWEST_BEFORE
+    if rows.decided:
+        taken = max(taken, int(np.searchsorted(time_s, time_s[rows.decided - 1] - _ASKED_BEFORE_S)))
     for k in (1 + np.flatnonzero(jump_deg > least_deg)).tolist():
         if k < taken:
             continue

@@ -144,7 +144,7 @@ class Series:
     context: Context = NO_CONTEXT
     """Airspeed, supply and current, as far as they were logged."""
     sent_period_s: float | None = None
-    """If given, commands were sent at this period [s], and most of them were lost on the way."""
+    """If given, commands were sent at this period [s] over a link, on which some may be lost."""
     lost_deg: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     """Lowest and highest of what the commands asked for that were lost after each (`lost_between`), shape (n, 2) [deg].
     Left out: none was lost, and both are the command."""
@@ -311,6 +311,35 @@ def sent_period_s(time_s: FloatArray) -> float | None:
     return shortest_s if all(np.median(half) > _WHOLE * shortest_s for half in halves) else None
 
 
+def link_period_s(time_s: FloatArray) -> float | None:
+    """Period with which a steady stream was sent [s], from stamps of what arrived [s]; None if it comes as it pleases.
+
+    Examples
+    --------
+    >>> sent_s = np.arange(400) * 0.02
+    >>> link_period_s(sent_s[np.random.default_rng(1).random(400) < 0.7]).__round__(3)
+    0.02
+    >>> link_period_s(np.cumsum(np.random.default_rng(1).exponential(0.02, 400)))
+    """
+    steps_s = np.diff(time_s)
+    steps_s = steps_s[steps_s <= OUTAGE_S]
+    if steps_s.size < _FEWEST_STEPS:
+        return None
+    period_s = sent_period_s(time_s) or float(np.median(steps_s))
+    return period_s if period_s <= _BRIDGED_S and _is_steady(steps_s, period_s) else None
+
+
+def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
+    """Whether most intervals between commands are whole numbers of periods."""
+    if not period_s > 0.0 or not steps_s.size:
+        return False
+    periods = steps_s / period_s
+    whole = np.abs(periods - np.maximum(np.round(periods), 1.0)) <= _WHOLE_PERIODS
+    return bool(np.mean(whole) >= _STEADY)
+
+
+_BRIDGED_S: Final = 0.1
+"""Longest period of a stream of which what was lost is put back: the quarter of a second that is bridged holds two."""
 _LOST_PERIODS: Final = 1.5
 """A longer interval between steady commands, in periods, holds a lost one."""
 _WHOLE_PERIODS, _STEADY = 0.25, 0.8
@@ -346,11 +375,7 @@ def lost_between(command_s: FloatArray, command_deg: FloatArray, period_s: float
     step_s = np.diff(command_s)
     if period_s is None:
         period_s = float(np.median(pace_steps(command_s))) if step_s.size else 0.0
-    if not period_s > 0.0:
-        return none
-    bridged = step_s[step_s <= OUTAGE_S] / period_s
-    whole = np.abs(bridged - np.maximum(np.round(bridged), 1.0)) <= _WHOLE_PERIODS
-    if not whole.size or np.mean(whole) < _STEADY:
+    if not _is_steady(step_s[step_s <= OUTAGE_S], period_s):
         return none
     gaps = np.flatnonzero((step_s > _LOST_PERIODS * period_s) & (step_s <= OUTAGE_S))
     speed_deg_s = np.abs(np.diff(command_deg)) / step_s
@@ -636,7 +661,7 @@ def _of_another_boot(log: FlightLog, time_s: FloatArray) -> BoolArray:
 
 
 def _sent_period_s(log: FlightLog, channel: str, command_s: FloatArray) -> float | None:
-    return sent_period_s(command_s[: WARM_UP_STEPS + 1]) if is_streamed(log.format, channel) else None
+    return link_period_s(command_s[: WARM_UP_STEPS + 1]) if is_streamed(log.format, channel) else None
 
 
 def is_streamed(log_format: str, channel: str) -> bool:

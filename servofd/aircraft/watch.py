@@ -193,12 +193,12 @@ class Watch:
     def _decided(self, *, final: bool) -> list[tuple[float, float]]:
         """What of the waiting rows is decided and counts."""
         time_s, position_deg, asked_deg, stands = np.array(self._rows, dtype=float).T
+        first = len(self._rows) - self._waiting
         rows = Rows(
             time_s, position_deg, asked_deg, np.full(time_s.size, NO_OTHERS, dtype=np.int8), stands.astype(np.int8),
-            self._step_deg, self._refresh_s,
+            self._step_deg, self._refresh_s, first,
         )  # fmt: skip
         why, decided = marked(rows, final=final)
-        first = len(self._rows) - self._waiting
         decided = max(decided, first)
         passed = [(self._rows[k][0], self._values[k]) for k in range(first, decided) if why[k] <= LAST_WITH_VALUE]
         self._waiting = len(self._rows) - decided

@@ -221,7 +221,7 @@ def _too_little(segment: Series, *, is_calibrated: bool) -> str:
     if not segment.period_s > 0.0:
         return "fewer than two position samples"
     rate_hz = 1.0 / segment.period_s
-    is_lossy = segment.sent_period_s is not None
+    is_lossy = segment.sent_period_s is not None and sent_period_s(segment.command_s[: WARM_UP_STEPS + 1]) is not None
     least_hz = SLOWEST_LEFT_HZ if is_lossy and is_calibrated else SLOWEST_RATE_HZ
     if rate_hz < least_hz:
         return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {least_hz:g} Hz"

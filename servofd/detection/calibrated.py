@@ -55,6 +55,8 @@ _ALARMED: Final = 3.0
 """Logarithm of how much less likely a good servo is to be looked at than a faulty one: an alarm was raised."""
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
 _SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_FINER = 0.35
+"""By so much, in the logarithm, a speed may be from the nearest of them: half of the largest ratio of two."""
 _WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 _LEAST_LOSS: Final = 0.95
 _FLAT = 1e-8
@@ -89,6 +91,8 @@ _NOTHING: Final = 0.1
 _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 3.0
+_ELSEWHERE: Final = 9.0
+"""Misfit of a sample that neither the fault nor the healthy servo explains: the fault does what no hypothesis says."""
 _SURELY_ENDED, _SOON_S = 5.0, 0.5
 """So much better it need do for no longer than this."""
 _LOG_CLIP = 25.0
@@ -189,10 +193,26 @@ class _Window:
         return (float(left @ left), float(apart @ self.precision @ apart)), best, covariance
 
 
-def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) -> tuple[Fault, _Guess | None]:
+class Named(NamedTuple):
+    """Hypotheses fitted to a window, the best one first."""
+
+    known: int
+    """How many samples there were when they were."""
+    window: _Window
+    guesses: list[_Guess]
+
+
+_GROWN: Final = 1.3
+"""A window that has grown by less since its hypotheses were fitted tells no more."""
+
+
+def named(
+    watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float, names: dict[float, Named]
+) -> tuple[Fault, _Guess | None]:
     """Name what an alarm stands for, `healthy` if a working servo explains it after all; and the hypothesis behind it.
 
-    `ratio` is the largest statistic over its threshold at or after the alarm.
+    `ratio` is the largest statistic over its threshold at or after the alarm; `names` holds what was fitted to alarms
+    when less was known of them, and is kept up to date.
     """
     window = _Window(watched, alarm_s + _SETTLING_S, alarm_s + _WINDOW_S)
     if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
@@ -206,17 +226,25 @@ def named(watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float) 
             window = since if since.count >= _FEWEST else window
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
-    window, guesses = _explained(watched, window, alarm_s)
+    before, count = names.get(alarm_s), window.count
+    if before is not None and (
+        count < _GROWN * before.known or _end_s(watched, before.guesses[0], alarm_s) is not None
+    ):
+        _, window, guesses = before
+    else:
+        window, guesses = _explained(watched, window, alarm_s)
+        names[alarm_s] = Named(count, window, guesses)
     end_s = _end_s(watched, guesses[0], alarm_s)
     if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + _WINDOW_S - 2.0:
-        shorter = _Window(watched, alarm_s + min(_SETTLING_S, 0.2 * (end_s - alarm_s)), end_s)
+        settling_s = min(_SETTLING_S, 0.2 * (end_s - alarm_s))
+        shorter = _Window(watched, alarm_s + settling_s, end_s - settling_s)
         if shorter.count >= _FEWEST:
             window, guesses = shorter, _ranked(shorter)
             end_s = _end_s(watched, guesses[0], alarm_s)
     kind, probability, alternatives, parameters = _verdict(window, guesses, ratio)
     # It began when the fault became the better explanation.
-    time_s, gain = _likelier(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
-    better = np.cumsum((gain - _NO_NEWS)[::-1])[::-1]
+    time_s, healthy, other = _misfits(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
+    better = np.cumsum((healthy - other - _NO_NEWS)[::-1])[::-1]
     began = time_s.size > 0 and better.max() > 0.0
     start_s = float(min(time_s[int(np.argmax(better))], alarm_s)) if began else alarm_s
     if kind == "hardover":
@@ -298,6 +326,7 @@ def _guesses(window: _Window) -> Iterator[_Guess]:
         yield _sized(window, "slow", theta, None, share, less)
         slower = _with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less)
         yield _sized(window, "slow", slower, None, share)
+    yield from _rate_limited(window)
     for width in _WIDTHS_DEG:
         for name in ("deadband_deg", "play_deg"):
             place = NAMES.index(name)
@@ -345,6 +374,21 @@ def _sized(
         return _Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved, place=place)
     estimate = Estimate.of(moved[place] / reference, deviation / abs(reference))
     return _Guess(kind, cost, 1, {name: estimate}, moved, place=place)
+
+
+def _rate_limited(window: _Window) -> Iterator[_Guess]:
+    """A servo that is as quick as ever in small motion, and turns no faster than so much."""
+    place = NAMES.index("ln_rate")
+    nominal = window.theta[place]
+    for speed in _SPEEDS:
+        limited = _with(window.theta, ln_rate=nominal + float(np.log(speed)))
+        reading_deg, slopes = window.reading(limited)
+        error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
+        _, best, _ = window.reduced(error_deg, slopes, slopes[:, [place]])
+        less = float(np.log(speed) + np.clip(best[FITTED], -_FINER, _FINER))
+        limited = _with(window.theta, ln_rate=nominal + less)
+        share = float(np.exp(less))
+        yield _sized(window, "slow", limited, None, {"bandwidth_scale": (share, 0.1 * share)})
 
 
 def _oscillating(window: _Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[_Guess]:
@@ -466,35 +510,36 @@ def _error_deg(stretch: _Window, guess: _Guess) -> FloatArray:
     return np.full(stretch.time_s.size, _SWINGS) * stretch.total_deg
 
 
-def _likelier(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
-    """Sample times, and by how much the guess explains each better than the healthy servo (twice the log odds)."""
+def _misfits(watched: Watched, guess: _Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sample times, and the squares of what the healthy servo and the guess leave of each, over its variance."""
     stretch = _Window(watched, from_s, to_s)
-    used = stretch.used
-    healthy, other, total = watched.error_deg[stretch.rows], _error_deg(stretch, guess), stretch.total_deg
-    gain = np.minimum((healthy / total) ** 2, _LOG_CLIP) - np.minimum((other / total) ** 2, _LOG_CLIP)
-    return stretch.time_s[used], gain[used]
+    used, total_deg = stretch.used, stretch.total_deg
+    healthy, other = (
+        np.minimum((error_deg / total_deg) ** 2, _LOG_CLIP)[used]
+        for error_deg in (watched.error_deg[stretch.rows], _error_deg(stretch, guess))
+    )
+    return stretch.time_s[used], healthy, other
 
 
 def _end_s(watched: Watched, guess: _Guess, alarm_s: float) -> float | None:
     """When the healthy servo became the better explanation again; None if it never did."""
     last_s = float(watched.record.time_s[-1])
-    time_s, gain = _likelier(watched, guess, alarm_s, last_s + 1.0)
+    time_s, healthy, other = _misfits(watched, guess, alarm_s, last_s + 1.0)
     if time_s.size < _FEWEST:
         return None
-    so_far = np.cumsum(gain)
-    top = int(np.argmax(so_far))
-    per_second = 1.0 / watched.record.period_s
-    fell = (so_far[top] - so_far[-1]) / per_second
-    after_s = time_s[-1] - time_s[top]
-    if (fell > _ENDED and after_s > _AFTER_END_S) or (fell > _SURELY_ENDED and after_s > _SOON_S):
-        return float(time_s[top])
-    return None
+    so_far = np.cumsum(healthy - np.minimum(other, _ELSEWHERE)) * watched.record.period_s
+    best = np.maximum.accumulate(so_far)
+    top_s = time_s[np.searchsorted(best, best)]  # when it was best so far
+    fell, after_s = best - so_far, time_s - top_s
+    ended = ((fell > _ENDED) & (after_s > _AFTER_END_S)) | ((fell > _SURELY_ENDED) & (after_s > _SOON_S))
+    return float(top_s[np.argmax(ended)]) if ended.any() else None
 
 
 _MOST_FAULTS: Final = 20
 _RESIDUALS: Final = STATISTICS.index("left_2s")
 """So many statistics are of the residual over its total sigma, not of what is left of it."""
-_AGAIN_S: Final = 1.0
+AGAIN_S: Final = 1.0
+"""After a fault has ended the tests begin anew."""
 _SOON_AFTER_S: Final = 5.0
 """For so long after an alarm its size counts."""
 _STILL_FAST: Final = 0.69
@@ -520,8 +565,9 @@ class Found(NamedTuple):
     """What the healthy servo, or a fault, leaves of each position [deg], (m,); NaN where none is judged."""
 
 
-def judged(flight: Watched) -> Found:
-    """Find and name the faults of a flight."""
+def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
+    """Find and name the faults of a flight; `names` are those of earlier looks at it, see `named`."""
+    names = {} if names is None else names
     limits = thresholds_of(flight.known)
     time_s, error_deg = flight.record.time_s, flight.error_deg
     faults: list[Fault] = []
@@ -538,7 +584,7 @@ def judged(flight: Watched) -> Found:
         raised_s, ratio, is_far = _alarm(limits, rows[0], passed, grid_s, statistics[:, : len(STATISTICS)])
         if not np.isfinite(raised_s):
             break
-        fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s)
+        fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s, names=names)
         fault = _weighed(fault, ratio, is_far=is_far)
         if guess is not None and fault.kind != "healthy":
             there = _Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
@@ -553,7 +599,7 @@ def judged(flight: Watched) -> Found:
             earliest_s = raised_s + 20.0
         else:
             earliest_s = max(fault.end_s, raised_s)
-        begin = int(np.searchsorted(time_s, earliest_s + _AGAIN_S))
+        begin = int(np.searchsorted(time_s, earliest_s + AGAIN_S))
         if begin >= time_s.size - 2:
             break
     return Found(tuple(faults), tuple(suspicions), left_deg)
@@ -620,12 +666,16 @@ def _alarm(
 
 
 def judge_stretch(
-    known: CalibratedServo, residuals: Residuals, commands: Commands, sent_period_s: float | None
+    known: CalibratedServo,
+    residuals: Residuals,
+    commands: Commands,
+    sent_period_s: float | None,
+    names: dict[float, Named],
 ) -> Found:
     """Judge what a stream remembers of a surface."""
     segment = Series("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
     segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
-    return judged(watched_calibrated(known, segment))
+    return judged(watched_calibrated(known, segment), names)
 
 
 def watched_calibrated(known: CalibratedServo, segment: Series) -> Watched:

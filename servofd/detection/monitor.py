@@ -20,13 +20,14 @@ from servofd.aircraft.series import (
     TOO_MANY_LOST,
     WARM_UP_S,
     WARM_UP_STEPS,
+    link_period_s,
     pace_steps,
     sent_period_s,
 )
 from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
-from servofd.detection.calibrated import judge_stretch
+from servofd.detection.calibrated import AGAIN_S, judge_stretch
 from servofd.detection.named import judged_named, watched_named
 from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
 from servofd.detection.stream import CalibratedStream, Stream
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
+    from servofd.detection.calibrated import Named
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.stream import Piece
     from servofd.detection.threshold import Threshold
@@ -47,13 +49,10 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 
-QUIET_S = 0.75
+_QUIET_S = 0.75
 """After so long in quiet the bank looks whether an alarm is over,"""
-_OVER_S, _AS_FAST = 1.25, 0.7
-"""In flights of an ArduPlane alarms of faults that had ended were taken back after 0.8 to 1.5 s, but for two of eleven,
-in which the bank saw no end."""
 _QUIET_SHARE = 0.5
-"""Of its threshold: below it a residual is quiet."""
+"""where below this share of its threshold a residual is quiet,"""
 _PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
 """and again after pauses that grow with each look in vain."""
 
@@ -62,52 +61,29 @@ _PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
 class Quiet:
     """How long the residual of a surface in alarm has been quiet."""
 
-    quiet_s: float = float("inf")
+    since_s: float = float("inf")
     """Since when it is quiet [s]; infinite if it is not."""
-    away_s: float = float("inf")
-    """Since when it is, elsewhere than where it was stuck [s]."""
-    _loudest_deg_s: float = 0.0
-    """How fast the servo was asked to move where the residual passed its threshold."""
-    _quiet_deg_s: float = 0.0
-    """The same since it is quiet."""
     _asked_s: float = float("-inf")
     _asked: int = 0
 
-    def follow(self, piece: Piece, stuck_deg: float) -> None:
-        """Take the next samples, and where the surface is said to be stuck [deg]; NaN if nowhere."""
+    def follow(self, piece: Piece) -> None:
+        """Take the next samples."""
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        judged = residuals.settled
-        loud = judged & ~(np.abs(residuals.residual_deg) < _QUIET_SHARE * level_deg)
-        there = loud | (judged & ~(np.abs(residuals.measured_deg - stuck_deg) > level_deg))
-        passed = judged & (np.abs(residuals.residual_deg) >= level_deg)
-        speed_deg_s = np.abs(np.diff(residuals.simulated_deg, append=np.nan)) / np.diff(residuals.time_s, append=np.nan)
-        speed_deg_s = np.nan_to_num(speed_deg_s)
-        self._loudest_deg_s = max(self._loudest_deg_s, float(speed_deg_s[passed].max(initial=0.0)))
-        self.quiet_s = self._since_s(self.quiet_s, residuals.time_s, judged, loud)
-        earlier_deg_s = 0.0 if loud.any() else self._quiet_deg_s
-        calm = judged & (residuals.time_s >= self.quiet_s)
-        self._quiet_deg_s = max(earlier_deg_s, float(speed_deg_s[calm].max(initial=0.0)))
-        self.away_s = self._since_s(self.away_s, residuals.time_s, judged, there)
-
-    def is_over(self, now_s: float) -> bool:
-        """Whether motion as fast as that which passed the threshold has left the residual quiet for long enough."""
-        return now_s - self.quiet_s >= _OVER_S and self._quiet_deg_s >= _AS_FAST * self._loudest_deg_s > 0.0
+        judged, time_s = residuals.settled, residuals.time_s
+        last = np.flatnonzero(judged & ~(np.abs(residuals.residual_deg) < _QUIET_SHARE * level_deg))
+        if last.size:
+            self.since_s, time_s, judged = np.inf, time_s[last[-1] + 1 :], judged[last[-1] + 1 :]
+        begun = np.flatnonzero(judged)
+        if begun.size:
+            self.since_s = min(self.since_s, float(time_s[begun[0]]))
 
     def is_due(self, now_s: float) -> bool:
         """Whether the bank should look now [s]."""
         pause_s = min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S)
-        if now_s - self._asked_s < pause_s or now_s - self.quiet_s < QUIET_S:
+        if now_s - self._asked_s < pause_s or now_s - self.since_s < _QUIET_S:
             return False
         self._asked_s, self._asked = now_s, self._asked + 1
         return True
-
-    @staticmethod
-    def _since_s(since_s: float, time_s: FloatArray, judged: BoolArray, ends: BoolArray) -> float:
-        last = np.flatnonzero(ends)
-        if last.size:
-            since_s, time_s, judged = np.inf, time_s[last[-1] + 1 :], judged[last[-1] + 1 :]
-        begun = np.flatnonzero(judged)
-        return min(since_s, float(time_s[begun[0]])) if begun.size else since_s
 
 
 EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
@@ -158,8 +134,6 @@ class Look(NamedTuple):
     at_s: float
     residuals: Residuals
     threshold: Threshold
-    quiet_s: float
-    """Since when a surface in alarm is quiet [s]; infinite if it is not."""
     find: Callable[[], tuple[tuple[Fault, ...], tuple[Fault, ...]]]
     """Faults and suspicions; depends on nothing else."""
     doubts_wiring: bool
@@ -174,12 +148,14 @@ class Look(NamedTuple):
 
 @dataclass(slots=True)
 class Alarm:
-    """An alarm that was raised."""
+    """An alarm that stands."""
 
+    raised_s: float
     kind: str = "unknown"
-    stands: bool = True
-    dismissed: bool = False
     fault: Fault | None = None
+    quiet: Quiet = field(default_factory=Quiet)
+    names: dict[float, Named] = field(default_factory=dict)
+    """What the looks at it have fitted."""
 
 
 _NAMED_S = 2.0
@@ -190,8 +166,8 @@ _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
 _LIKELY = 0.5
 """A name of this probability keeps until then."""
-_RECOVERED_S = 0.5
-"""A surface that is quiet for so long, and farther from where it was stuck than its threshold, obeys again."""
+_BEFORE_S = 65.0
+"""A look goes back so long before the alarm: past the longest window, and past the earliest onset."""
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
@@ -249,8 +225,11 @@ class SurfaceMonitor:
     _stream: Stream | CalibratedStream | None = None
     _generator: ResidualGenerator | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
-    _alarms: dict[float, Alarm] = field(default_factory=dict)
-    _quiet: Quiet = field(default_factory=Quiet)
+    _alarm: Alarm | None = None
+    """The one that stands."""
+    _finished: list[Fault] = field(default_factory=list)
+    _from_s: float = -np.inf
+    """Since when the last fault is over [s]: what was before is not looked at again."""
     _looks_s: list[float] = field(default_factory=list)
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
@@ -282,7 +261,6 @@ class SurfaceMonitor:
     _slow: str = ""
     _excused: tuple[float, float] = (-np.inf, 0.0)
     """Until when nothing at all was heard of the vehicle, and for how long [s]."""
-    _earlier: dict[float, Fault] = field(default_factory=dict)
     _watch: Watch = field(default_factory=Watch)
     _asked_last: tuple[float, float] = (float("nan"), float("nan"))
     """Time [s] and value of the latest command, as the marks take it [deg]."""
@@ -373,7 +351,7 @@ class SurfaceMonitor:
     @property
     def standing(self) -> str:
         """Kind of the fault that stands; empty if there is none."""
-        return next((alarm.kind for alarm in reversed(self._alarms.values()) if alarm.stands), "")
+        return self._alarm.kind if self._alarm is not None else ""
 
     @property
     def was_judged(self) -> bool:
@@ -414,14 +392,13 @@ class SurfaceMonitor:
     @property
     def faults(self) -> tuple[Fault, ...]:
         """What was found so far, in order of time; each as the last look at it told."""
-        known = {**self._earlier}
-        known.update({at_s: a.fault for at_s, a in self._alarms.items() if a.fault is not None and not a.dismissed})
-        return tuple(known[at_s] for at_s in sorted(known))
+        stands = self._alarm.fault if self._alarm is not None else None
+        return (*self._finished, *(() if stands is None else (stands,)))
 
     @property
     def has_fault(self) -> bool:
         """Whether any alarm was raised that the tolerances of a working servo do not explain."""
-        return any(not alarm.dismissed for alarm in self._alarms.values())
+        return self._alarm is not None or bool(self._finished)
 
     def excuse(self, gap_s: float, until_s: float) -> None:
         """Nothing of the vehicle was heard for so long, until then [s]: that is no silence of this surface alone."""
@@ -486,30 +463,52 @@ class SurfaceMonitor:
         A fault that only the bank finds is one event, an alarm with its name. A name that comes later than `_NAMED_S`
         after the alarm, or after its end, would be taken for another fault's: it is kept for the report.
         """
-        faults, self.suspicions, problem = verdict
-        now_s = look.at_s if self.reading is None else max(look.at_s, self.reading.time_s)
-        events, is_over = [], False
+        faults, self.suspicions, self.problem = verdict
+        alarm, events, is_seen = self._alarm, [], False
         for fault in faults:
-            alarm = self._alarms.get(fault.alarm_s)
-            if alarm is None or alarm.dismissed:
-                alarm = self._alarms[fault.alarm_s] = Alarm(fault.kind, stands=fault.end_s is None)
-                events.append(self._event(look, look.at_s, "alarm", fault.kind, fault))
-            elif alarm.stands and now_s - fault.alarm_s <= _NAMED_S and fault.kind != alarm.kind:
-                events.append(self._event(look, look.at_s, "named", fault.kind, fault))
-            alarm.kind, alarm.fault = fault.kind, fault
-            self._look_later(look, fault)
-            if alarm.stands and fault.end_s is not None:
-                alarm.stands, is_over = False, True
-                events.append(self._event(look, look.at_s, "clear", fault.kind, fault))
-        cleared, ended = self._dismissed(look, sorted((*faults, *self.suspicions), key=lambda fault: fault.alarm_s))
-        events += [self._event(look, look.at_s, "clear", fault.kind, fault) for fault in ended]
-        if problem:
-            cleared = [at_s for at_s in self._alarms if at_s >= look.residuals.time_s[0]]
-        events += self._taken_back(cleared, look.at_s, problem)
-        self.problem = problem
-        if self._stream is not None and (is_over or ended or self._stream.latched) and not self.standing:
+            before_s = np.inf if alarm is None else alarm.raised_s
+            # An earlier look has seen it end, or it was over before anything was raised: what a fault leaves behind.
+            if fault.alarm_s >= self._from_s and (fault.end_s is None or not fault.end_s < before_s < np.inf):
+                events += self._seen(look, fault)
+                is_seen = True
+        if alarm is not None and alarm is self._alarm and not is_seen and self._is_explained(alarm, look.at_s):
+            self._over()
+            kind, text = ("unknown", self.problem) if self.problem else ("healthy", EXPLAINED)
+            events.append(Event(look.at_s, self.name, "clear", kind, text=text))
+        if self._stream is not None and self._stream.latched and self._alarm is None:
             self._stream.again()
         return events
+
+    def _seen(self, look: Look, fault: Fault) -> list[Event]:
+        """What a fault changes: an alarm is raised, has a name, or is over."""
+        events, alarm = [], self._alarm
+        if alarm is None:
+            alarm = self._alarm = Alarm(fault.alarm_s, fault.kind)
+            events.append(self._event(look, "alarm", fault))
+        elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
+            events.append(self._event(look, "named", fault))
+        alarm.kind, alarm.fault = fault.kind, fault
+        self._look_later(look, fault)
+        if fault.end_s is not None:
+            self._finished.append(fault)
+            self._from_s = max(fault.end_s, fault.alarm_s) + AGAIN_S
+            self._over()
+            events.append(self._event(look, "clear", fault))
+        return events
+
+    def _over(self) -> None:
+        """No alarm stands any more, and the tests begin anew."""
+        self._alarm = None
+        self._looks_s.clear()
+        if self._stream is not None:
+            self._stream.again()
+
+    def _is_explained(self, alarm: Alarm, now_s: float) -> bool:
+        """Whether a working servo explains an alarm of which a look says nothing, or is quiet since."""
+        before = [fault for fault in self.suspicions if fault.alarm_s <= alarm.raised_s]
+        healthy = bool(before) and (before[-1].end_s is None or before[-1].end_s >= alarm.raised_s)
+        is_quiet = now_s - alarm.quiet.since_s >= _QUIET_S
+        return bool(self.problem) or is_quiet or (healthy and now_s - alarm.raised_s >= _NAMED_S)
 
     def _look_later(self, look: Look, fault: Fault) -> None:
         """What has a name is not looked at so soon: not in its first seconds if that is sure, then not for a while."""
@@ -520,41 +519,6 @@ class SurfaceMonitor:
             self._looks_s = [at_s for at_s in self._looks_s if not at_s < named_s]
         if look.at_s >= fault.alarm_s + _LOOKS_S[-2] and self._looks_s == [fault.alarm_s + _LOOKS_S[-1]]:
             self._looks_s = [fault.alarm_s + _LOOKS_AGAIN_S]
-
-    def _taken_back(self, cleared: list[float], now_s: float, problem: str) -> list[Event]:
-        """Take back alarms, by when they were raised [s]."""
-        events = []
-        for alarm in (self._alarms[at_s] for at_s in cleared if not self._alarms[at_s].dismissed):
-            stood, alarm.dismissed, alarm.stands, alarm.fault = alarm.stands, True, False, None
-            alarm.kind = "unknown" if problem else "healthy"
-            if stood:
-                text = problem or EXPLAINED
-                events.append(Event(now_s, self.name, "clear", alarm.kind, text=text))
-        return events
-
-    def _dismissed(self, look: Look, found: list[Fault]) -> tuple[list[float], list[Fault]]:
-        """Alarms that a working servo explains; and faults that are over, of which a later alarm still stood.
-
-        Alarms that belong to an earlier one are no faults of their own.
-        """
-        healthy: list[float] = []
-        ended: list[Fault] = []
-        for at_s, alarm in self._alarms.items():
-            owner = next((fault for fault in reversed(found) if fault.alarm_s <= at_s), None)
-            if owner is None or at_s < look.residuals.time_s[0]:
-                continue
-            was_before = (owner.end_s or at_s) < at_s
-            if alarm.stands and owner.alarm_s != at_s and owner.end_s is not None:
-                # What the bank knows nothing of is over when the residual is quiet.
-                alarm.stands = was_before and look.at_s - look.quiet_s < QUIET_S
-                ended += [] if alarm.stands else [owner]
-            if was_before:
-                continue
-            if owner.kind == "healthy":
-                healthy.append(at_s)
-            elif owner.alarm_s != at_s:
-                alarm.kind, alarm.fault = owner.kind, None
-        return healthy, ended
 
     def finish(self) -> list[Event]:
         """End of the stream: evaluate what waits for more, and look once more at all of it."""
@@ -568,26 +532,21 @@ class SurfaceMonitor:
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
-        look = self._look() if self._alarms or not self.surface.is_calibrated else None
+        look = self._look() if self._alarm is not None or not self.surface.is_calibrated else None
         return events + (self.told(look, look.judge()) if look is not None else [])
 
     def restart(self) -> list[Event]:
         """Begin anew, because the vehicle did; what was found is kept."""
         events = self.finish()
-        self._earlier.update({f.alarm_s: f for f in self.faults})
+        if self._alarm is not None and self._alarm.fault is not None:
+            self._finished.append(self._alarm.fault)
         self._over()
         self._stream, self._generator, self._waiting = None, None, ([], [])
         self._watch, self._asked_last = Watch(), (float("nan"), float("nan"))
         self._latest_seen, self._moved = float("nan"), False
-        self._looks_s.clear()
         self._recent.clear()
         self._off_pace = 0
         return events
-
-    def _over(self) -> None:
-        """No alarm stands any more."""
-        for alarm in self._alarms.values():
-            alarm.stands = False
 
     def _alive(self, seen: list[tuple[float, float]]) -> list[Event]:
         """Follow the pace of the positions; a new one means to begin anew."""
@@ -662,13 +621,14 @@ class SurfaceMonitor:
         came_s = pace_steps(np.array(self._recent))
         self._paces_s = float(np.median(came_s)), float(np.mean(came_s))
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
-        lost_s = sent_period_s(logged_s) if self.is_periodic else None
-        self._least_hz = SLOWEST_LEFT_HZ if lost_s is not None and self.surface.is_calibrated else SLOWEST_RATE_HZ
+        sent_s = link_period_s(logged_s) if self.is_periodic else None
+        is_lossy = sent_s is not None and sent_period_s(logged_s) is not None
+        self._least_hz = SLOWEST_LEFT_HZ if is_lossy and self.surface.is_calibrated else SLOWEST_RATE_HZ
         problem = self._thin
         if 1.0 / self._period_s < self._least_hz:
             problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
             problem += f"{self._least_hz:g} Hz"
-        elif lost_s is not None and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
+        elif is_lossy and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
             problem = TOO_MANY_LOST
         elif not problem:
             try:
@@ -690,7 +650,7 @@ class SurfaceMonitor:
         self._command_period_s = beat.period_s
         self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
         if self.surface.calibrated is not None and self.surface.is_calibrated:
-            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s, lost_s)
+            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s, sent_s)
         else:
             self._stream = Stream(self._generator, self.surface, self._period_s, beat)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
@@ -713,12 +673,18 @@ class SurfaceMonitor:
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
         events = []
         for k in np.flatnonzero(piece.alarm).tolist():
+            if self._alarm is not None:
+                break
             time_s = float(residuals.time_s[k])
-            self._alarms[time_s], self._quiet = Alarm(), Quiet()
+            self._alarm = Alarm(time_s)
             numbers = float(residuals.residual_deg[k]), float(level_deg[k])
             events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
-            self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
-        events += self._recovered(piece)
+            self._looks_s = [time_s + after_s for after_s in _LOOKS_S]
+        if self._alarm is not None:
+            self._alarm.quiet.follow(piece)
+            now_s = float(residuals.time_s[-1])
+            if self._alarm.quiet.is_due(now_s):
+                self._looks_s = sorted([*self._looks_s, now_s])
         valued = np.isfinite(residuals.measured_deg)
         if valued.any():
             valued_s = residuals.time_s[valued]
@@ -745,51 +711,29 @@ class SurfaceMonitor:
         )
         return events
 
-    def _recovered(self, piece: Piece) -> list[Event]:
-        """Tell that a surface in alarm obeys again, or have the bank look whether it does.
-
-        What is stuck stays where it is: a surface that follows its command elsewhere is not. What else an alarm stands
-        for, the bank tells.
-        """
-        alarm = next((alarm for alarm in reversed(self._alarms.values()) if alarm.stands), None)
-        if alarm is None or self._stream is None:
-            return []
-        stuck = alarm.fault.parameters.get("position_deg") if alarm.fault is not None else None
-        self._quiet.follow(piece, np.nan if stuck is None else stuck.value)
-        now_s = float(piece.residuals.time_s[-1])
-        obeys = self._quiet.is_over(now_s)
-        if obeys or now_s - self._quiet.away_s >= _RECOVERED_S:
-            self._over()
-            self._looks_s = [now_s]
-            self._stream.again()
-            numbers = float(piece.residuals.residual_deg[-1]), float(piece.threshold.level_deg[-1])
-            return [Event(now_s, self.name, "clear", alarm.kind, *numbers)]
-        if self._quiet.is_due(now_s):
-            self._looks_s = sorted([*self._looks_s, now_s])
-        return []
-
     def _look(self) -> Look | None:
         stream, surface, generator = self._stream, self.surface, self._generator
         if stream is None or generator is None or stream.history.size == 0:
             return None
         known = surface.calibrated if surface.is_calibrated else None
-        residuals, threshold = stream.history.snapshot(surface.threshold, stream.noise_gain)
-        residuals, commands = replace(residuals, context=self._context), stream.effective.copied()
+        alarm, from_s = self._alarm, self._from_s
+        if alarm is not None:
+            from_s = max(from_s, alarm.raised_s - _BEFORE_S)
+        residuals, threshold = stream.history.snapshot(surface.threshold, stream.noise_gain, from_s)
+        residuals, commands = replace(residuals, context=self._context), stream.effective.copied(from_s)
         sent_s = stream.sent_period_s if isinstance(stream, CalibratedStream) else None
-        quiet_s = self._quiet.quiet_s if self.standing else np.inf
-        period_s = self._period_s
+        period_s, names = self._period_s, alarm.names if alarm is not None else {}
 
         def find() -> tuple[tuple[Fault, ...], tuple[Fault, ...]]:
             if known is not None:
-                found = judge_stretch(known, residuals, commands, sent_s)
+                found = judge_stretch(known, residuals, commands, sent_s, names)
             else:
                 flight = watched_named(generator, surface, residuals, threshold, commands, period_s)
-                found = judged_named(flight, tells=surface.tells_small_faults, asked=False)
+                found = judged_named(flight, tells=surface.tells_small_faults, asked=False, names=names)
             return found.faults, found.suspicions
 
-        return Look(float(residuals.time_s[-1]), residuals, threshold, quiet_s, find, known is None)
+        return Look(float(residuals.time_s[-1]), residuals, threshold, find, known is None)
 
-    def _event(self, look: Look, time_s: float, event: EventKind, kind: str, fault: Fault) -> Event:
-        near = min(int(np.searchsorted(look.residuals.time_s, time_s)), look.residuals.time_s.size - 1)
-        numbers = float(look.residuals.residual_deg[near]), float(look.threshold.level_deg[near])
-        return Event(time_s, self.name, event, kind, *numbers, fault=fault)
+    def _event(self, look: Look, event: EventKind, fault: Fault) -> Event:
+        numbers = float(look.residuals.residual_deg[-1]), float(look.threshold.level_deg[-1])
+        return Event(look.at_s, self.name, event, fault.kind, *numbers, fault=fault)

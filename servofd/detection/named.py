@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import FloatArray
+    from servofd.detection.calibrated import Named
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import Fault
@@ -264,13 +265,13 @@ def judge(
     return Judgement(threshold, flight, found)
 
 
-def judged_named(flight: Watched, *, tells: bool, asked: bool) -> Found:
+def judged_named(flight: Watched, *, tells: bool, asked: bool, names: dict[float, Named] | None = None) -> Found:
     """Faults and suspicions of a named servo.
 
     Where a constant level is the only test of a fault, what the windows see beside it is suspect, if the model is known
     well enough to tell, and the user has not asked for that level alone.
     """
-    found = judged(flight)
+    found = judged(flight, names)
     if not flight.alone:
         return found
     if asked:

@@ -31,7 +31,7 @@ from servofd.detection.residual import (
     unseen_deg,
 )
 from servofd.detection.threshold import Evaluation, Threshold, constant_threshold
-from servofd.estimate.family import new_state, sensitivities, simulated, variants
+from servofd.estimate.family import LONGEST_PAUSE_S, new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.record import (
     FINE_S,
@@ -94,11 +94,13 @@ class History:
         rows = [getattr(residuals, name) for name in _OF_RESIDUALS] + [getattr(threshold, name) for name in _OF_LEVELS]
         return np.array(rows, dtype=float)
 
-    def snapshot(self, kind: ThresholdKind, noise_gain: float) -> tuple[Residuals, Threshold]:
-        """Residuals and threshold, copied."""
-        rows = self._rows[:, : self.size].copy()
+    def snapshot(self, kind: ThresholdKind, noise_gain: float, from_s: float) -> tuple[Residuals, Threshold]:
+        """Residuals and threshold from then on [s], copied; models begin anew with them."""
+        first = min(int(np.searchsorted(self._rows[0, : self.size], from_s)), self.size - 1)
+        rows = self._rows[:, first : self.size].copy()
         known, levels = dict(zip(_OF_RESIDUALS, rows, strict=False)), rows[len(_OF_RESIDUALS) :]
         known |= {"settled": known["settled"] != 0.0, "restart": known["restart"].astype(np.int8)}
+        known["restart"][0] = RESTART_ALL
         threshold = Threshold(kind, noise_gain=noise_gain, **dict(zip(_OF_LEVELS, levels, strict=True)))
         return Residuals(**known), threshold
 
@@ -138,9 +140,10 @@ class CommandBuffer:
         """The same without copies."""
         return Commands(*self._rows[:, : self.size])
 
-    def copied(self) -> Commands:
-        """The same, to be kept."""
-        return Commands(*self._rows[:, : self.size].copy())
+    def copied(self, from_s: float) -> Commands:
+        """Those that matter from then on [s], to be kept."""
+        first = max(int(np.searchsorted(self.time_s, from_s - LONGEST_PAUSE_S)) - 1, 0)
+        return Commands(*self._rows[:, first : self.size].copy())
 
 
 MEMORY_S = 600.0
@@ -478,11 +481,12 @@ class CalibratedStream(_Waiting):
 
     def _fill(self, time_s: float, command_deg: float) -> None:
         """Commands that were lost before this one, and it."""
-        before_s, before_deg = self._newest
-        known = slice(int(np.isfinite(before_s)), None)
-        ends = np.array([before_s, time_s][1 - known.start :]), np.array([before_deg, command_deg][1 - known.start :])
-        filled = put_back(*ends, self.sent_period_s or np.inf)
-        for at_s, asked_deg in zip(*(column[known] for column in filled), strict=True):
+        (before_s, before_deg), period_s = self._newest, self.sent_period_s or np.inf
+        filled = [(time_s, command_deg)]
+        if HOLDS * period_s < time_s - before_s <= LONGEST_S:
+            ends = np.array([before_s, time_s]), np.array([before_deg, command_deg])
+            filled = list(zip(*(column[1:].tolist() for column in put_back(*ends, period_s)), strict=True))
+        for at_s, asked_deg in filled:
             dropped = self._filled.append(at_s, asked_deg, 0.0)
             self._state.forget(dropped)
 

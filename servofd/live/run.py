@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
 
-_STEP_S = 0.02
-"""Of a replay: data is evaluated in steps of this length."""
+_STEP_S, _LONGEST_STEP_S = 0.02, 0.1
+"""Of a replay: data is evaluated in steps of this length; of a longer one where nobody could see the difference."""
 _TOGETHER_S = 0.003
 """Of a live link: what arrives within so long is evaluated together, as an autopilot sends it together."""
 _AT_EASE_S = 0.04
@@ -43,6 +43,11 @@ class Pace:
 
     speed: float
     _begun: tuple[float, float] | None = None
+
+    @property
+    def step_s(self) -> float:
+        """Of the log, evaluated at once [s]."""
+        return min(_STEP_S * max(self.speed, 1.0), _LONGEST_STEP_S) if self.speed > 0.0 else _LONGEST_STEP_S
 
     def wait(self, at_s: float) -> None:
         """Wait until this instant of the log is due [s]."""
@@ -84,7 +89,7 @@ def replay_telemetry(session: Session, path: Path, watcher: Watcher, pace: Pace,
                 break
             first_s = stepped_s = now_s
         events = session.take(now_s, frame)
-        if abs(now_s - stepped_s) >= _STEP_S:
+        if abs(now_s - stepped_s) >= pace.step_s:
             pace.wait(now_s)
             stepped_s = now_s
             events += session.step(now_s)
@@ -99,7 +104,7 @@ def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, d
     vehicle = Vehicle(0, aircraft, is_stream=False)
     session.vehicles[0] = vehicle
     now_s = 0.0
-    for now_s, samples in _steps(log, vehicle):
+    for now_s, samples in _steps(log, vehicle, pace.step_s):
         if now_s - log_start_s(log) > duration_s:
             break
         pace.wait(now_s)
@@ -115,7 +120,7 @@ def log_start_s(log: FlightLog) -> float:
     return float(log.span_s[0]) if log.span_s else 0.0
 
 
-def _steps(log: FlightLog, vehicle: Vehicle) -> Iterator[tuple[float, list[tuple[str, float, float]]]]:
+def _steps(log: FlightLog, vehicle: Vehicle, step_s: float) -> Iterator[tuple[float, list[tuple[str, float, float]]]]:
     """Samples of the wanted channels in the order of time, step by step."""
     names = [name for name in vehicle.channels if name in log.channels]
     if not names:
@@ -125,7 +130,7 @@ def _steps(log: FlightLog, vehicle: Vehicle) -> Iterator[tuple[float, list[tuple
     together_s = np.concatenate(times)
     values = np.concatenate([log[name].values for name in names])
     order = np.argsort(together_s, kind="stable")
-    bounds = np.flatnonzero(np.diff(np.floor(together_s[order] / _STEP_S))) + 1
+    bounds = np.flatnonzero(np.diff(np.floor(together_s[order] / step_s))) + 1
     for rows in np.split(order, bounds):
         samples = zip(owner[rows].tolist(), together_s[rows].tolist(), values[rows].tolist(), strict=True)
         yield float(together_s[rows[-1]]), [(names[k], at_s, value) for k, at_s, value in samples]

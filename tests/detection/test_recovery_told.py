@@ -102,7 +102,7 @@ def test_looks_in_vain_become_rarer() -> None:
     for k in range(600):
         at_s = 0.1 * k
         if k % 30 == 0:
-            quiet.quiet_s = at_s
+            quiet.since_s = at_s
         if quiet.is_due(at_s):
             looked_s.append(at_s)
     assert np.diff(looked_s)[:2].min() >= 0.4

@@ -75,7 +75,7 @@ class Trace:
 
     def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Series:
         """What an audit starts from, see `Series`: as of a log, without commands that are no numbers or come again."""
-        from servofd.aircraft.series import WARM_UP_STEPS, Series, marks_of, sent_period_s
+        from servofd.aircraft.series import WARM_UP_STEPS, Series, link_period_s, marks_of
 
         given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
         seen = _rising(self.time_s)
@@ -88,7 +88,7 @@ class Trace:
             command_period_s,
             marks_of(self.left_out, self.time_s[seen]),
             self.context,
-            sent_period_s(self.asked_s[given][: WARM_UP_STEPS + 1]) if is_streamed else None,
+            link_period_s(self.asked_s[given][: WARM_UP_STEPS + 1]) if is_streamed else None,
         )
 
     def between(self, from_s: float, to_s: float) -> Self:
