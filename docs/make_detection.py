@@ -183,7 +183,7 @@ What looks alike shares it: a geared servo without power stays where it is, and 
 *healthy*, and no statistic is beyond {calibrated.LOUD:g} times its limit, the alarm is listed as a suspicion.
 
 **Its end** is where the healthy servo becomes the better explanation again, by {calibrated._ENDED:g} s of one standard deviation for {calibrated._AFTER_END_S:g} s, or by {calibrated._SURELY_ENDED:g} s
-of it at once. A jammed servo between two manoeuvres is quiet, and stays one fault. The tests begin anew {calibrated._AGAIN_S:g} s later.
+of it at once. A jammed servo between two manoeuvres is quiet, and stays one fault. The tests begin anew {calibrated.AGAIN_S:g} s later.
 """
 
 

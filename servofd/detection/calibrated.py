@@ -90,7 +90,7 @@ _NOTHING: Final = 0.1
 """A hypothesis that explains less of that is no name, however loud the alarm: readings that jump at random."""
 _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
-_AFTER_END_S = 3.0
+_AFTER_END_S = 1.5
 _ELSEWHERE: Final = 9.0
 """Misfit of a sample that neither the fault nor the healthy servo explains: the fault does what no hypothesis says."""
 _SURELY_ENDED, _SOON_S = 5.0, 0.5

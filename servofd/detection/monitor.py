@@ -166,6 +166,8 @@ _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
 _LIKELY = 0.5
 """A name of this probability keeps until then."""
+_TOLD = 0.8
+"""A name of this probability is told at once, others with the last look that may name an alarm."""
 _BEFORE_S = 65.0
 """A look goes back so long before the alarm: past the longest window, and past the earliest onset."""
 _MOST = 0.5
@@ -486,6 +488,8 @@ class SurfaceMonitor:
             alarm = self._alarm = Alarm(fault.alarm_s, fault.kind)
             events.append(self._event(look, "alarm", fault))
         elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
+            if not (fault.probability >= _TOLD or look.at_s - alarm.raised_s >= _LOOKS_S[-2]):
+                return events  # a quarter of a second admits several: a moment later it is known which
             events.append(self._event(look, "named", fault))
         alarm.kind, alarm.fault = fault.kind, fault
         self._look_later(look, fault)
