@@ -78,7 +78,9 @@ def _naming_ms(kind: str) -> float:
     """Time of one decision between all hypotheses."""
     log = judged(flight(0, "lively", kind, "large"))
     alarm_s = log.judgement.faults[0].alarm_s
-    return 1e3 * min(_timed(lambda: named(log.judgement.flight, alarm_s, 2.0, earliest_s=0.0, names={})) for _ in range(_REPEATS))
+    return 1e3 * min(
+        _timed(lambda: named(log.judgement.flight, alarm_s, 2.0, earliest_s=0.0, names={})) for _ in range(_REPEATS)
+    )
 
 
 def _timed(action: Callable[[], object]) -> float:

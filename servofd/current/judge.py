@@ -195,7 +195,7 @@ def _faults(seen: Seen) -> Iterator[Fault]:
             continue
         fault = _timed(seen, best, at_s, earliest_s)
         lasted_s = np.inf if fault.end_s is None else fault.end_s - fault.start_s
-        if seen.known.fitted_between_s is None or lasted_s > _BRIEF_S:
+        if lasted_s > _BRIEF_S or (seen.known.fitted_between_s is None and fault.kind != "binding"):
             yield fault
             found += 1
         if fault.end_s is None or found >= _MOST:

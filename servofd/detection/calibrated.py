@@ -116,6 +116,8 @@ class _Guess:
     added: tuple[str, FloatArray] | None = None
     place: int | None = None
     """Of the parameter that was changed, where its size is an estimate around the value tried."""
+    behind: bool = False
+    """Whether a named servo lost its travel behind its play, and not before it."""
 
 
 class _Window:
@@ -144,7 +146,7 @@ class _Window:
     def count(self) -> int:
         return int(np.count_nonzero(self.used))
 
-    def reading(self, theta: FloatArray, power: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    def reading(self, theta: FloatArray, power: float = 0.0, *, behind: bool = False) -> tuple[FloatArray, FloatArray]:
         """Reading and sensitivities of a servo, shapes (m,) and (m, 13)."""
         table = variants(theta, patterns=False)
         table[:, FITTED] = power
@@ -155,16 +157,19 @@ class _Window:
         )  # fmt: skip
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
         if self.own is not None and self.time_s.size:
-            reading_deg = self.own(theta, self.rows, float(np.nan_to_num(self.start_deg[0])))
+            reading_deg = self.own(theta, self.rows, float(np.nan_to_num(self.start_deg[0])), behind=behind)
         return reading_deg, slopes
 
-    def slope(self, theta: FloatArray, place: int, reading_deg: FloatArray, slopes: FloatArray) -> FloatArray:
+    def slope(
+        self, theta: FloatArray, place: int, reading_deg: FloatArray, slopes: FloatArray, *, behind: bool
+    ) -> FloatArray:
         """What a unit of one parameter adds to a reading, shape (m, 1)."""
         if self.own is None or not self.time_s.size:
             return slopes[:, [place]]
         other, step = theta.copy(), PRIORS[place].step
         other[place] += step
-        return ((self.own(other, self.rows, float(np.nan_to_num(self.start_deg[0]))) - reading_deg) / step)[:, None]
+        start_deg = float(np.nan_to_num(self.start_deg[0]))
+        return ((self.own(other, self.rows, start_deg, behind=behind) - reading_deg) / step)[:, None]
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
@@ -289,7 +294,7 @@ def _ranked(window: _Window) -> list[_Guess]:
     first = guesses[0]
     if first.place is not None and first.theta is not None:  # its size was estimated from another one: once more
         size = dict.fromkeys(first.parameters, (1.0 if first.kind == "deadband" else window.theta[first.place], 0.0))
-        again = _sized(window, first.kind, first.theta, first.place, size)
+        again = _sized(window, first.kind, first.theta, first.place, size, behind=first.behind)
         guesses = [again if _score(window, again) < _score(window, first) else first, *guesses[1:]]
     for guess in guesses:
         best.setdefault(guess.kind, guess)
@@ -320,7 +325,9 @@ def _guesses(window: _Window) -> Iterator[_Guess]:
     bias = Estimate.of(best[FITTED], float(np.sqrt(covariance[FITTED, FITTED])))
     yield _Guess("bias", cost, 1, {"bias_deg": bias}, _with(theta, bias_deg=theta[1] + best[FITTED]))
     for scale in _SCALES:
-        yield _sized(window, "loss_of_effectiveness", _with(theta, gain=theta[0] * scale), 0, {"gain": (theta[0], 0.0)})
+        lost = _with(theta, gain=theta[0] * scale)
+        for behind in (False, True) if window.own is not None else (False,):
+            yield _sized(window, "loss_of_effectiveness", lost, 0, {"gain": (theta[0], 0.0)}, behind=behind)
     for speed in _SPEEDS:
         share, less = {"bandwidth_scale": (speed, 0.1 * speed)}, float(np.log(speed))
         yield _sized(window, "slow", theta, None, share, less)
@@ -349,16 +356,18 @@ def _with(theta: FloatArray, **changes: float) -> FloatArray:
 
 def _sized(
     window: _Window, kind: str, theta: FloatArray, place: int | None, size: dict[str, tuple[float, float]],
-    power: float = 0.0,
+    power: float = 0.0, *, behind: bool = False,
 ) -> _Guess:  # fmt: skip
     """A servo with one parameter changed; that one is free around its new value."""
-    reading_deg, slopes = window.reading(theta, power)
+    reading_deg, slopes = window.reading(theta, power, behind=behind)
     error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
     name, (reference, spread) = next(iter(size.items()))
     if place is None:
         cost, _, _ = window.reduced(error_deg, slopes)
         return _Guess(kind, cost, 1, {name: Estimate.of(reference, spread)}, theta, power)
-    cost, best, covariance = window.reduced(error_deg, slopes, window.slope(theta, place, reading_deg, slopes))
+    cost, best, covariance = window.reduced(
+        error_deg, slopes, window.slope(theta, place, reading_deg, slopes, behind=behind)
+    )
     moved = theta.copy()
     allowed = 0.35 * abs(theta[place]) + 0.3 * (kind == "deadband")
     change = float(np.clip(best[FITTED], -allowed, allowed))
@@ -373,7 +382,7 @@ def _sized(
         value = moved[place] - window.theta[place]
         return _Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved, place=place)
     estimate = Estimate.of(moved[place] / reference, deviation / abs(reference))
-    return _Guess(kind, cost, 1, {name: estimate}, moved, place=place)
+    return _Guess(kind, cost, 1, {name: estimate}, moved, place=place, behind=behind)
 
 
 def _rate_limited(window: _Window) -> Iterator[_Guess]:
@@ -506,7 +515,7 @@ def _error_deg(stretch: _Window, guess: _Guess) -> FloatArray:
         away: FloatArray = stretch.measured_deg - guess.added[1][0]
         return away
     if guess.theta is not None and guess.kind != "oscillation":
-        return stretch.measured_deg - stretch.reading(guess.theta, guess.power)[0]
+        return stretch.measured_deg - stretch.reading(guess.theta, guess.power, behind=guess.behind)[0]
     return np.full(stretch.time_s.size, _SWINGS) * stretch.total_deg
 
 

@@ -365,8 +365,8 @@ _PLAY_DEG: Final = 2.4
 class OwnMotion(Protocol):
     """Motion of a named servo, with parameters changed."""
 
-    def __call__(self, theta: FloatArray, rows: slice, start_deg: float) -> FloatArray:
-        """Where it is at some samples of a flight [deg], from a position on."""
+    def __call__(self, theta: FloatArray, rows: slice, start_deg: float, *, behind: bool = False) -> FloatArray:
+        """Where it is at some samples [deg], from a position on; travel is lost in front of its play, or behind."""
         ...
 
 

@@ -205,7 +205,7 @@ class SurfaceMonitor:
     ...     if look := monitor.due():
     ...         events += monitor.told(look, look.judge())
     >>> [(event.event, event.kind, round(event.time_s, 1)) for event in events + monitor.finish()]
-    [('alarm', 'unknown', 12.0), ('named', 'hardover', 12.5)]
+    [('alarm', 'unknown', 12.0), ('named', 'stuck', 12.3)]
     """
 
     name: str

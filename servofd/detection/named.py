@@ -191,13 +191,14 @@ class _Own(NamedTuple):
     theta: FloatArray
     """Parameters of the family that is most like it."""
 
-    def __call__(self, theta: FloatArray, rows: slice, start_deg: float) -> FloatArray:
+    def __call__(self, theta: FloatArray, rows: slice, start_deg: float, *, behind: bool = False) -> FloatArray:
         """Where it is at some samples [deg] if its parameters differ by as much as these do, from a position on."""
         apart = dict(zip(NAMES, (theta - self.theta).tolist(), strict=True))
         physics = self.servo.physics
         rates = {name: float(np.exp(apart["ln_rate"])) * getattr(physics, name) for name in rate_fields()}
+        gain = "gain" if behind else "command_gain"
         physics = physics._replace(
-            gain=physics.gain * theta[_GAIN] / self.theta[_GAIN],
+            **{gain: getattr(physics, gain) * theta[_GAIN] / self.theta[_GAIN]},
             bias_deg=physics.bias_deg + apart["bias_deg"],
             backlash_deg=physics.backlash_deg + apart["play_deg"],
             **rates,

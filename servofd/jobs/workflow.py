@@ -240,7 +240,7 @@ def calibrate(
     try:
         flights = flights_of(logs, known, surfaces=surfaces, spans=spans, runs=runs)
         found = calibrate_aircraft(known, flights, force=force, progress=progress)
-    except (NoMeasurement, CalibrationError) as error:
+    except NoMeasurement as error:  # no position: the currents alone
         found = Calibration(known, (), dict.fromkeys(surfaces or known.surfaces, str(error)))
     good = (log for log in each_once(logs_of(logs, known)) if not runs or log.run in runs)
     currents, _ = healthy_currents(((log, surfaces_of(log, found.aircraft)) for log in good), spans)

@@ -104,7 +104,7 @@ def test_compare_tells_what_changed_and_where(stuck: Path, tmp_path: Path, capsy
     assert document["schema"] == "servofd.compare/1"
     (fault,) = [c for c in document["changes"] if c["what"] == "fault"]
     assert fault["surface"] == "elevator"
-    assert fault["from_s"] == pytest.approx(5.01, abs=1e-3)
+    assert fault["from_s"] == pytest.approx(4.99, abs=1e-3)
     assert fault["before"] != fault["after"]
     assert {c["what"] for c in document["changes"] if c["surface"] == "rudder"} == {
         "threshold",
