@@ -167,7 +167,7 @@ _LOOKS_AGAIN_S = 30.0
 _LIKELY = 0.5
 """A name of this probability keeps until then."""
 _TOLD = 0.8
-"""A name of this probability is told at once, others with the last look that may name an alarm."""
+"""A name of this probability is told with the first look, others from the second one on."""
 _BEFORE_S = 65.0
 """A look goes back so long before the alarm: past the longest window, and past the earliest onset."""
 _MOST = 0.5
@@ -488,7 +488,7 @@ class SurfaceMonitor:
             alarm = self._alarm = Alarm(fault.alarm_s, fault.kind)
             events.append(self._event(look, "alarm", fault))
         elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
-            if not (fault.probability >= _TOLD or look.at_s - alarm.raised_s >= _LOOKS_S[-2]):
+            if not (fault.probability >= _TOLD or look.at_s - alarm.raised_s >= _LOOKS_S[1]):
                 return events  # a quarter of a second admits several: a moment later it is known which
             events.append(self._event(look, "named", fault))
         alarm.kind, alarm.fault = fault.kind, fault
