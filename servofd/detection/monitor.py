@@ -519,7 +519,7 @@ class SurfaceMonitor:
         if fault.kind == "unknown" or not fault.probability >= _LIKELY:
             return
         named_s = fault.alarm_s + _NAMED_S
-        if fault.probability >= SURE:
+        if fault.probability >= SURE and look.at_s - fault.alarm_s >= _LOOKS_S[1]:
             self._looks_s = [at_s for at_s in self._looks_s if not at_s < named_s]
         if look.at_s >= fault.alarm_s + _LOOKS_S[-2] and self._looks_s == [fault.alarm_s + _LOOKS_S[-1]]:
             self._looks_s = [fault.alarm_s + _LOOKS_AGAIN_S]
