@@ -281,8 +281,13 @@ class Aircraft(_Entry):
         if explained is not None:
             return self._with_servos_of(explained, name)
         key, servo = find_servo(name)
-        change = {"servo": key, "model": ModelOrigin(), **levels_in(name)}
-        changed = {surface: entry.model_copy(update=change) for surface, entry in self.surfaces.items()}
+        change = {"servo": key, "model": ModelOrigin(), "calibrated": None, **levels_in(name)}
+        usual = {field: Surface.model_fields[field].default for field in _LEVELS}
+        # The levels of a fitted servo are no other one's.
+        changed = {
+            surface: entry.model_copy(update=change if entry.calibrated is None else usual | change)
+            for surface, entry in self.surfaces.items()
+        }
         return self.model_copy(update={"surfaces": changed, "servos": {} if key == name else {key: servo}})
 
     def _with_servos_of(self, other: Aircraft, source: str) -> Self:
@@ -325,6 +330,7 @@ _OF_THE_SERVO = (
     "servo", "effects", "threshold", "threshold_deg", "tolerance", "persistence", "suspicions", "model", "calibrated",
 )  # fmt: skip
 """What a surface owes to the servo that turns it."""
+_LEVELS = ("threshold", "threshold_deg", "tolerance", "suspicions")
 
 
 def explained_in(name: str) -> Aircraft | None:

@@ -82,6 +82,8 @@ _USUAL_WIDTH_DEG: Final = 2.0
 _USUAL_BIAS_DEG: Final = 3.0
 _MOVING, _MOVING_DEG = 3.0, 0.3
 """A surface that moves by so many sigma of the reading, and so much, is not stuck."""
+_AT_REST: Final = 6
+"""So many readings in a row that stay where they are come to rest, after motion."""
 _LOOSE: Final = 0.3
 _LEAST_STILL_DEG: Final = 0.05
 _STRANGE, _UNEXPLAINED = 2.0, 0.55
@@ -445,6 +447,7 @@ def _immobile(window: _Window) -> Iterator[_Guess]:
     constant = ("constant", np.array([value]))
     if at_stop or float(np.std(measured_deg[used])) < _MOVING * float(still) + _MOVING_DEG:
         yield _Guess("hardover" if at_stop else "stuck", (float(rest @ rest), 0.0), 1, moved, added=constant)
+    yield from _come_to_rest(window, float(np.hypot(still, _LEAST_STILL_DEG)))
     span_s = max(float(np.ptp(window.time_s)), 1.0)
     share = (window.time_s - window.time_s.mean()) / span_s
     basis = np.stack([np.ones(share.size), share, share**2, share**3, window.record.load[window.rows]], axis=1)
@@ -456,6 +459,24 @@ def _immobile(window: _Window) -> Iterator[_Guess]:
         yield _Guess("hardover", (float(rest @ rest), 0.0), 5, moved, added=constant)
     else:
         yield _Guess("floating", (float(rest @ rest), 0.0), 5, size, added=constant)
+
+
+def _come_to_rest(window: _Window, still_deg: float) -> Iterator[_Guess]:
+    """Jammed within a short window, and well before: an alarm of a moment ago shows motion first, and then rest."""
+    rows = np.flatnonzero(window.used)
+    measured_deg = window.measured_deg[rows]
+    value = float(np.median(measured_deg[-_AT_REST:]))
+    moving = np.flatnonzero(np.abs(measured_deg - value) > _MOVING * still_deg)
+    resting = measured_deg.size - 1 - moving[-1] if moving.size else 0
+    if window.time_s[-1] - window.time_s[rows[0]] > _SHORTEST_WINDOW_S or resting < _AT_REST:
+        return
+    nominal_deg, slopes = window.reading(window.theta)
+    error_deg, _ = residual(window.measured_deg, nominal_deg, window.known.reach_deg)
+    jammed = np.arange(error_deg.size) > rows[moving[-1]]
+    error_deg = np.where(jammed, window.measured_deg - value, error_deg)
+    cost, _, _ = window.reduced(error_deg, np.where(jammed[:, None], 0.0, slopes))
+    moved = {"position_deg": Estimate.of(value, still_deg / np.sqrt(resting))}
+    yield _Guess("stuck", cost, 2, moved, added=("constant", np.array([value])))
 
 
 def _verdict(

@@ -105,7 +105,7 @@ def _csrv(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation) -
         if aircraft.surfaces[output.surface].measured is None:
             continue
         rng = np.random.default_rng([flight.seed, i, 1001])
-        state = servo_state(flight.time_s, flight.measured_deg[:, i], rng)
+        state = servo_state(flight.time_s, flight.command_deg[:, i], flight.measured_deg[:, i], rng)
         arm_deg = output.arm_deg(flight.measured_deg[:, i])
         rows: dict[str, ArrayLike] = dict.fromkeys(_CSRV, np.zeros(flight.time_s.size))
         rows["TimeUS"] = microseconds(flight.time_s)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 EPOCH_US: Final = 1_700_000_000_000_000
 """When every simulated vehicle was booted [us since 1970]: the same flight gives the same file."""
 
+_STALLED_A, _NEAR_DEG, _ALL_DEG, _PUSHES_S = 1.2, 0.4, 3.0, 0.3
+"""A small servo that is held further away than that draws up to so much, so many degrees later, and after so long."""
 _SPEED_M_S = 22.0
 _RAIL_V = 7.4
 _EARTH_M_PER_DEG = 111_195.0
@@ -96,13 +98,33 @@ def current_a(speed_deg_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.abs(0.06 + 0.9 * load + 0.01 * rng.standard_normal(speed_deg_s.size))
 
 
-def servo_state(time_s: FloatArray, measured_deg: FloatArray, rng: np.random.Generator) -> ServoState:
-    """Electrical and thermal state of a servo: it draws current as it turns, and it is never perfectly still.
+def stalled_a(time_s: FloatArray, asked_deg: FloatArray, measured_deg: FloatArray) -> FloatArray:
+    """What a motor draws that pushes without reaching where it is asked to be [A], shape (n,).
 
-    `time_s`, `measured_deg` (shape (n,)): its motion [s], [deg].
+    `time_s`, `asked_deg`, `measured_deg` (shape (n,)): command and motion [s], [deg].
+
+    Examples
+    --------
+    >>> stalled_a(np.arange(0.0, 2.0, 0.5), np.full(4, 10.0), np.array([10.0, 10.0, 0.0, 0.0])).tolist()
+    [0.0, 0.0, 0.0, 1.2]
+    """
+    away_deg = np.abs(asked_deg - measured_deg)
+    back = np.maximum(np.searchsorted(time_s, time_s - _PUSHES_S + 1e-9) - 1, 0)
+    # A servo that is on its way is nearer somewhere within that time.
+    lately_deg = np.minimum(np.minimum(away_deg, away_deg[back]), away_deg[(back + np.arange(time_s.size)) // 2])
+    drawn_a: FloatArray = _STALLED_A * np.clip((lately_deg - _NEAR_DEG) / _ALL_DEG, 0.0, 1.0)
+    return drawn_a
+
+
+def servo_state(
+    time_s: FloatArray, asked_deg: FloatArray, measured_deg: FloatArray, rng: np.random.Generator
+) -> ServoState:
+    """Electrical and thermal state of a servo: it draws current as it turns or is held back, and is never still.
+
+    `time_s`, `asked_deg`, `measured_deg` (shape (n,)): command and motion [s], [deg].
     """
     speed_deg_s = np.gradient(measured_deg, time_s)
-    drawn_a = current_a(speed_deg_s, rng)
+    drawn_a = current_a(speed_deg_s, rng) + stalled_a(time_s, asked_deg, measured_deg)
     warm = 1.0 - np.exp(-(time_s - time_s[0]) / 300.0)
     return ServoState(
         voltage_v=_RAIL_V - 0.15 * drawn_a + 0.01 * rng.standard_normal(time_s.size),

@@ -55,6 +55,4 @@ def test_both_frozen_servos_are_alarmed_and_named_and_the_others_stay_quiet(airc
     assert 133.4 <= elevator[1] <= 136.0  # from 133.4 s on, told by readings at 25 Hz
     assert {name for name, faults in found.items() if faults} == {"servo_1", "servo_10"}
     named = [(event.surface, event.kind) for event in events if event.event == "named" and event.kind != "healthy"]
-    assert ("servo_10", "stuck") in named
-    if ("servo_1", "stuck") not in named:
-        pytest.xfail("a jam of a quarter of a second is called slow, and its right name comes too late to be told")
+    assert {("servo_1", "stuck"), ("servo_10", "stuck")} <= set(named)

@@ -126,7 +126,6 @@ def test_what_was_stored_is_what_the_card_holds(aircraft: Aircraft) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="a second alarm is told of the jam in a log that is cut", strict=False)
 def test_a_log_that_stops_in_the_middle_of_a_block_is_judged_until_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
