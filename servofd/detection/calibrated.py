@@ -493,7 +493,7 @@ def _verdict(
         shares["floating"], shares["stuck"] = shares["floating"] + half, shares.get("stuck", 0.0) + half
         kind = "floating"
     for one, twin, share in _TWINS:
-        if one == kind and (twin != "deadband" or _may_be_play(window, best)):
+        if one == kind and (twin != "deadband" or _may_be_play(window, best)) and not _is_moved(kind, best):
             given = share * shares[one]
             shares[one] -= given
             shares[twin] = shares.get(twin, 0.0) + given
@@ -516,6 +516,15 @@ def _verdict(
         return "unknown", probability, (kind, *alternatives)[:3], {}
     sizes = next(guess.parameters for guess in guesses if guess.kind == kind)
     return kind, probability, alternatives, sizes
+
+
+def _is_moved(kind: str, guess: _Guess) -> bool:
+    """Whether a floating surface moves by more than play lets a jammed one: no gear holds it."""
+    return (
+        kind == "floating"
+        and "amplitude_deg" in guess.parameters
+        and (guess.parameters["amplitude_deg"].value > 0.5 * _WIDEST_PLAY_DEG)
+    )
 
 
 def _may_be_play(window: _Window, guess: _Guess) -> bool:

@@ -74,6 +74,9 @@ _CHANGE_OF: Final = tuple(
     for name, _ in _SCORES
 )
 """Column of what each test looks for."""
+_LATE: Final = 0.22
+"""A line passes its limit of 6.4 where it is three times what a servo that is late by one standard deviation leaves
+there: (3 / 6.4)^2."""
 _LARGEST, _LARGEST_LOSSY = 6.0, 4.0
 """Times its sigma that a residual counts for. A command that went and came back unseen is in several positions."""
 _DELAY: Final = NAMES.index("delay_s")
@@ -332,7 +335,7 @@ def _line(end: FloatArray, begin: FloatArray, after_b: int, spectrum: FloatArray
         power = (end[at] - begin[at]) ** 2 + (end[at + 1] - begin[at + 1]) ** 2
         late = (end[at + 2] - begin[at + 2]) ** 2 + (end[at + 3] - begin[at + 3]) ** 2
         if 2.0 * power > 0.2 * n * energy and 2.0 * np.sqrt(power) > 0.2 * weight:
-            best = max(best, power / (n * spectrum[k] + late))
+            best = max(best, power / (n * spectrum[k] + _LATE * late))
     return float(np.sqrt(best))
 
 

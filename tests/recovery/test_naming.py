@@ -19,8 +19,7 @@ def test_a_large_fault_gets_its_name(kind: str) -> None:
     assert one.name == kind
     assert one.alarms == 0
     assert one.found is not None
-    # A geared servo without power stays where it is, as a jam does: they share their probability.
-    assert one.probability > (0.65 if kind in ("stuck", "floating") else 0.9)
+    assert one.probability > 0.9
     assert one.start_s <= one.found.alarm_s
     assert abs(one.onset_error_s) < 0.5
     # Nobody is faster than one who knows the fault, the onset and the noise.
