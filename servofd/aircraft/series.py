@@ -145,9 +145,6 @@ class Series:
     """Airspeed, supply and current, as far as they were logged."""
     sent_period_s: float | None = None
     """If given, commands were sent at this period [s] over a link, on which some may be lost."""
-    lost_deg: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    """Lowest and highest of what the commands asked for that were lost after each (`lost_between`), shape (n, 2) [deg].
-    Left out: none was lost, and both are the command."""
 
     def __post_init__(self) -> None:
         for name in ("command_s", "command_deg", "measured_s", "measured_deg"):
@@ -158,17 +155,6 @@ class Series:
             if self.why.any():
                 raise ValueError(f"{self.surface}: measurements and the reasons why they do not count differ in number")
             object.__setattr__(self, "why", np.zeros(self.measured_s.size, dtype=np.int8))
-        if self.lost_deg.shape[0] != self.command_deg.size:
-            object.__setattr__(self, "lost_deg", np.column_stack([self.command_deg, self.command_deg]))
-
-    @property
-    def command_sigma_deg(self) -> FloatArray:
-        """Standard deviation of what was asked from each command to the next, shape (n,) [deg]; 0 where none was lost.
-
-        Where a servo stands it is no more uncertain than this, passed through its lag (`servofd.estimate.record`); its
-        square adds to that of the noise.
-        """
-        return np.asarray(np.ptp(self.lost_deg, axis=1) / _WIDTH_OF_95)
 
     @property
     def counts(self) -> BoolArray:
@@ -238,7 +224,6 @@ class Series:
             self,
             command_s=self.command_s[commands],
             command_deg=self.command_deg[commands],
-            lost_deg=self.lost_deg[commands],
             measured_s=self.measured_s[rows],
             measured_deg=self.measured_deg[rows],
             why=self.why[rows],
@@ -344,57 +329,6 @@ _LOST_PERIODS: Final = 1.5
 """A longer interval between steady commands, in periods, holds a lost one."""
 _WHOLE_PERIODS, _STEADY = 0.25, 0.8
 """Commands are steady if this share of their intervals is a whole number of periods, to within a quarter of one."""
-_LATELY_S, _FAST, _EACH_S = 10.0, 0.95, 1.0
-"""The speed of commands is that quantile over so many seconds, taken anew each second."""
-_WIDTH_OF_95: Final = 2.0 * 1.96
-"""Width of a symmetric interval of 95 %, in standard deviations of a normal distribution."""
-
-
-def lost_between(command_s: FloatArray, command_deg: FloatArray, period_s: float | None = None) -> FloatArray:
-    """Lowest and highest of what commands asked for that were lost after each of some commands, shape (n, 2) [deg].
-
-    What was lost lies between its neighbours, or beyond them by half the gap times the speed of the commands of the
-    ten seconds before (95 %). Where none was lost, both are the command.
-
-    Parameters
-    ----------
-    command_s, command_deg : ndarray, shape (n,)
-        When the commands came [s], rising, and what they asked for [deg].
-    period_s : float, optional
-        Period with which they were sent [s]; their usual interval if left out. Commands that come as they please lose
-        none.
-
-    Examples
-    --------
-    >>> time_s = np.delete(np.arange(0.0, 20.0, 0.02), 600)
-    >>> low_deg, high_deg = lost_between(time_s, 10.0 * time_s).T
-    >>> np.flatnonzero(high_deg > low_deg), low_deg[599].round(2), high_deg[599].round(2)
-    (array([599]), np.float64(119.6), np.float64(120.4))
-    """
-    none = np.column_stack([command_deg, command_deg])
-    step_s = np.diff(command_s)
-    if period_s is None:
-        period_s = float(np.median(pace_steps(command_s))) if step_s.size else 0.0
-    if not _is_steady(step_s[step_s <= OUTAGE_S], period_s):
-        return none
-    gaps = np.flatnonzero((step_s > _LOST_PERIODS * period_s) & (step_s <= OUTAGE_S))
-    speed_deg_s = np.abs(np.diff(command_deg)) / step_s
-    widened_deg = 0.5 * step_s[gaps] * np.maximum(_speeds(command_s, speed_deg_s)[gaps], speed_deg_s[gaps])
-    ends_deg = np.sort(np.stack([command_deg[gaps], command_deg[gaps + 1]], axis=1), axis=1)
-    none[gaps] = ends_deg + np.stack([-widened_deg, widened_deg], axis=1)
-    return none
-
-
-def _speeds(command_s: FloatArray, speed_deg_s: FloatArray) -> FloatArray:
-    """Large speed of the commands before each interval between two of them, shape (n - 1,) [deg/s]."""
-    second = np.floor((command_s[:-1] - command_s[0]) / _EACH_S)
-    begins = np.flatnonzero(np.diff(second, prepend=-1.0))
-    result = np.empty(speed_deg_s.size)
-    for first, after in zip(begins, np.append(begins[1:], speed_deg_s.size), strict=True):
-        since = int(np.searchsorted(command_s, command_s[first] - _LATELY_S))
-        earlier_deg_s = speed_deg_s[since : first or after]
-        result[first:after] = np.quantile(earlier_deg_s, _FAST) if earlier_deg_s.size else 0.0
-    return result
 
 
 def too_far(segment: Series) -> str:
@@ -575,7 +509,6 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
             )
         ),
         sent_period_s=sent_s,
-        lost_deg=lost_between(command_s[~never_sent], command_deg[~never_sent], sent_s),
     )
 
 

@@ -12,7 +12,7 @@ from logparsers import Channel
 from logparsers.records import Damage
 from servofd.aircraft.marks import LAST_WITH_VALUE, Why
 from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
-from servofd.aircraft.series import Series, bus_of, cut, lost_between
+from servofd.aircraft.series import Series, bus_of, cut
 from servofd.aircraft.watch import Bus, New, Watch
 from servofd.batch.key import Job
 from servofd.core.errors import NoMeasurement
@@ -20,7 +20,6 @@ from servofd.core.types import BoolArray, FloatArray
 from servofd.feedback.flown import one_log, surfaces_of
 from servofd.jobs.bench import bench_tests
 from servofd.jobs.workflow import audit, flights_of
-from servofd.simulation.commands import COMMANDS
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
@@ -306,63 +305,6 @@ def test_a_spike_in_a_flight_with_much_manoeuvring_is_marked(rows: int, tmp_path
         position_deg[first : first + rows] += rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 40.0)
     series = one(tmp_path / "a.csv", rudder_pos_deg=position_deg)
     np.testing.assert_array_equal(series.why == Why.SPIKE, thrown)
-
-
-@pytest.mark.parametrize("lost", [0.05, 0.3, 0.7])
-@pytest.mark.parametrize("style", ["lively", "calm", "hand_flown"])
-def test_a_lost_command_lies_in_the_interval_that_the_series_gives(style: str, lost: float) -> None:
-    rng = np.random.default_rng([9, round(100 * lost)])
-    sent_s = np.arange(0.0, 120.0, 0.02) + rng.uniform(-1e-3, 1e-3, 6000)
-    sent_deg = COMMANDS[style](sent_s, rng)
-    came = rng.random(sent_s.size) >= lost
-    period_s = 0.02 if lost > 0.5 else None
-    low_deg, high_deg = lost_between(sent_s[came], sent_deg[came], period_s).T
-    before = np.searchsorted(sent_s[came], sent_s[~came], side="right") - 1
-    between = (before >= 0) & (before < np.count_nonzero(came) - 1)
-    gone_deg, before = sent_deg[~came][between], before[between]
-    assert np.mean((low_deg[before] <= gone_deg) & (gone_deg <= high_deg[before])) >= 0.95
-    # Both neighbours lie in it, nothing is unknown where nothing was lost, and a longer gap knows less.
-    was_lost = np.isin(np.arange(low_deg.size), before)
-    assert np.all(low_deg[was_lost] <= np.minimum(sent_deg[came][:-1], sent_deg[came][1:])[was_lost[:-1]])
-    np.testing.assert_array_equal(low_deg[~was_lost], high_deg[~was_lost])
-    gap_s = np.diff(sent_s[came])[was_lost[:-1]]
-    width_deg = (high_deg - low_deg)[was_lost]
-    if lost == 0.7:
-        assert np.median(width_deg[gap_s > 0.1]) > np.median(width_deg[gap_s < 0.05])
-
-
-def test_what_is_unknown_of_a_lost_command_is_known_in_flight() -> None:
-    """What comes later changes nothing of a gap that is over."""
-    rng = np.random.default_rng(10)
-    came = rng.random(3000) >= 0.2
-    sent_s: FloatArray = 0.02 * np.arange(3000.0)
-    time_s, deg = sent_s[came], COMMANDS["lively"](sent_s, rng)[came]
-    whole = lost_between(time_s, deg)
-    for count in (200, 1000, 2000):
-        np.testing.assert_array_equal(lost_between(time_s[:count], deg[:count])[:-1], whole[: count - 1])
-
-
-def test_commands_that_come_as_they_please_lose_none() -> None:
-    time_s = np.cumsum(np.random.default_rng(11).exponential(0.1, 1000))
-    assert np.all(np.ptp(lost_between(time_s, 10.0 * np.sin(time_s)), axis=1) == 0.0)
-
-
-def test_a_series_knows_what_was_lost(tmp_path: Path) -> None:
-    came = np.ones(TIME_S.size, dtype=bool)
-    came[500:504] = False
-    columns = {"time_s": TIME_S, "rudder_cmd_deg": np.where(came, ASKED_DEG, np.nan)}
-    columns["rudder_pos_deg"] = followed(np.random.default_rng(12))
-    series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
-    (gap,) = np.flatnonzero(series.command_sigma_deg)
-    assert gap == 499
-    assert 0.5 < series.command_sigma_deg[gap] < 3.0  # at 20 deg/s, within 0.1 s
-    assert np.count_nonzero(series.at(slice(None), slice(400, 600)).command_sigma_deg) == 1
-
-
-def test_commands_after_a_long_silence_have_lost_none_before_it() -> None:
-    time_s = np.concatenate([np.arange(0.0, 5.0, 0.02), np.arange(20.0, 25.0, 0.02)])
-    assert np.all(np.ptp(lost_between(time_s, 10.0 * np.sin(time_s)), axis=1) == 0.0)
-    assert lost_between(np.zeros(0), np.zeros(0)).shape == (0, 2)
 
 
 def test_a_spike_in_turbulence_is_marked_and_a_doublet_that_was_asked_for_is_not(tmp_path: Path) -> None:
