@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
-    from servofd.detection.monitor import Inputs
+    from servofd.detection.event import Inputs
     from servofd.detection.stream import Piece
     from servofd.live.alarms import Published
     from servofd.live.session import Session

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,12 +28,11 @@ from servofd.aircraft.series import (
 from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
-from servofd.detection.calibrated import AGAIN_S, judge_stretch
-from servofd.detection.named import judged_named, watched_named
-from servofd.detection.residual import ResidualGenerator, rhythm, thinned_rhythm
-from servofd.detection.stream import CalibratedStream, Stream
+from servofd.detection.calibrated import AGAIN_S
+from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
+from servofd.detection.residual import rhythm, thinned_rhythm
+from servofd.detection.stream import Remembered, stream_of
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
-from servofd.detection.wiring import wiring_problem
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -40,122 +40,11 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.calibrated import Named
-    from servofd.detection.residual import ResidualGenerator, Residuals
-    from servofd.detection.stream import Piece
-    from servofd.detection.threshold import Threshold
+    from servofd.detection.event import EventKind
+    from servofd.detection.stream import CalibratedStream, Piece, Stream
     from servofd.detection.verdict import Fault
     from servofd.servo.context import Context
     from servofd.servo.servo_model import ServoModel
-
-
-_QUIET_S = 0.75
-"""After so long in quiet the bank looks whether an alarm is over,"""
-_QUIET_SHARE = 0.5
-"""where below this share of its threshold a residual is quiet,"""
-_PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
-"""and again after pauses that grow with each look in vain."""
-
-
-@dataclass(slots=True)
-class Quiet:
-    """How long the residual of a surface in alarm has been quiet."""
-
-    since_s: float = float("inf")
-    """Since when it is quiet [s]; infinite if it is not."""
-    _asked_s: float = float("-inf")
-    _asked: int = 0
-
-    def follow(self, piece: Piece) -> None:
-        """Take the next samples."""
-        residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        judged, time_s = residuals.settled, residuals.time_s
-        last = np.flatnonzero(judged & ~(np.abs(residuals.residual_deg) < _QUIET_SHARE * level_deg))
-        if last.size:
-            self.since_s, time_s, judged = np.inf, time_s[last[-1] + 1 :], judged[last[-1] + 1 :]
-        begun = np.flatnonzero(judged)
-        if begun.size:
-            self.since_s = min(self.since_s, float(time_s[begun[0]]))
-
-    def is_due(self, now_s: float) -> bool:
-        """Whether the bank should look now [s]."""
-        pause_s = min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S)
-        if now_s - self._asked_s < pause_s or now_s - self.since_s < _QUIET_S:
-            return False
-        self._asked_s, self._asked = now_s, self._asked + 1
-        return True
-
-
-EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened, on the clock of the vehicle."""
-
-    time_s: float
-    surface: str
-    event: EventKind
-    kind: str = ""
-    """Of the fault; `unknown` until the bank has told it, `healthy` for an alarm that a working servo explains."""
-    residual_deg: float = float("nan")
-    threshold_deg: float = float("nan")
-    text: str = ""
-    """More, in words."""
-    fault: Fault | None = None
-
-
-class Reading(NamedTuple):
-    """Where a surface stands."""
-
-    time_s: float
-    command_deg: float
-    measured_deg: float
-    residual_deg: float
-    threshold_deg: float
-    settled: bool
-
-
-class Inputs(NamedTuple):
-    """What samples were evaluated with."""
-
-    asked_deg: FloatArray
-    """Command at each of them, shape (n,) [deg]."""
-    command_s: FloatArray
-    """Commands that have come since the samples before, shape (m,) [s],"""
-    command_deg: FloatArray
-    """and what they asked for [deg]."""
-    context: Context
-
-
-class Look(NamedTuple):
-    """A copy of what is known of a surface."""
-
-    at_s: float
-    residuals: Residuals
-    threshold: Threshold
-    find: Callable[[], tuple[tuple[Fault, ...], tuple[Fault, ...]]]
-    """Faults and suspicions; depends on nothing else."""
-    doubts_wiring: bool
-    """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
-
-    def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
-        """Faults and suspicions, and why nothing should be concluded from them."""
-        faults, suspicions = self.find()
-        problem = wiring_problem(self.residuals) if self.doubts_wiring and (faults or suspicions) else ""
-        return ((), (), problem) if problem else (faults, suspicions, "")
-
-
-@dataclass(slots=True)
-class Alarm:
-    """An alarm that stands."""
-
-    raised_s: float
-    kind: str = "unknown"
-    fault: Fault | None = None
-    quiet: Quiet = field(default_factory=Quiet)
-    names: dict[float, Named] = field(default_factory=dict)
-    """What the looks at it have fitted."""
 
 
 _NAMED_S = 2.0
@@ -177,8 +66,6 @@ _SAME_LEFT = 2.0
 """What a link leaves of a pace scatters by so many times."""
 _LEAST_SHARE = 0.75
 """Of the slowest rate that is judged, as the mean of what a link leaves of it between pauses longer than this [s]."""
-_CALIBRATED_RAD_S = 10.0
-"""A filter that nothing is judged by."""
 _QUIET, _TOGETHER, _FAST_S = 0.3, 2, 0.025
 """Positions that come as fast as this [s] go two at a time while the residual is a small share of its threshold."""
 _LONGEST_WAIT = 6_000
@@ -225,7 +112,6 @@ class SurfaceMonitor:
     patience_s: float = 2.0
     """Without commands or positions for so long, while the vehicle is heard, nothing is known of it [s]."""
     _stream: Stream | CalibratedStream | None = None
-    _generator: ResidualGenerator | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _alarm: Alarm | None = None
     """The one that stands."""
@@ -511,7 +397,7 @@ class SurfaceMonitor:
         """Whether a working servo explains an alarm of which a look says nothing, or is quiet since."""
         before = [fault for fault in self.suspicions if fault.alarm_s <= alarm.raised_s]
         healthy = bool(before) and (before[-1].end_s is None or before[-1].end_s >= alarm.raised_s)
-        is_quiet = now_s - alarm.quiet.since_s >= _QUIET_S
+        is_quiet = now_s - alarm.quiet.since_s >= QUIET_S
         return bool(self.problem) or is_quiet or (healthy and now_s - alarm.raised_s >= _NAMED_S)
 
     def _look_later(self, look: Look, fault: Fault) -> None:
@@ -545,7 +431,7 @@ class SurfaceMonitor:
         if self._alarm is not None and self._alarm.fault is not None:
             self._finished.append(self._alarm.fault)
         self._over()
-        self._stream, self._generator, self._waiting = None, None, ([], [])
+        self._stream, self._waiting = None, ([], [])
         self._watch, self._asked_last = Watch(), (float("nan"), float("nan"))
         self._latest_seen, self._moved = float("nan"), False
         self._recent.clear()
@@ -626,42 +512,38 @@ class SurfaceMonitor:
         self._paces_s = float(np.median(came_s)), float(np.mean(came_s))
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
         sent_s = link_period_s(logged_s) if self.is_periodic else None
-        is_lossy = sent_s is not None and sent_period_s(logged_s) is not None
-        self._least_hz = SLOWEST_LEFT_HZ if is_lossy and self.surface.is_calibrated else SLOWEST_RATE_HZ
-        problem = self._thin
-        if 1.0 / self._period_s < self._least_hz:
-            problem = f"position comes at {1.0 / self._period_s:.2g} Hz; a servo cannot be judged below "
-            problem += f"{self._least_hz:g} Hz"
-        elif is_lossy and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
-            problem = TOO_MANY_LOST
-        elif not problem:
-            try:
-                self._generator = (
-                    ResidualGenerator(self.model, _CALIBRATED_RAD_S)
-                    if self.surface.is_calibrated
-                    else ResidualGenerator.fitting_pace(self.model, self._period_s, self.surface.filter_pole_rad_s)
-                )
-            except DesignError as error:
-                problem = str(error)
-        if problem or self._generator is None:
-            told, self.problem, self._told_slow = self._told_slow, problem, True
-            self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
-            return [] if told else [Event(positions[-1][0], self.name, "no_data", text=problem)]
-        self.problem = ""
         beat = rhythm(logged_s)
         if self.is_periodic and not np.isfinite(beat.period_s):
             beat = thinned_rhythm(logged_s)
+        problem, stream = self._too_little(logged_s, valued_s, sent_s), None
+        if not problem:
+            try:
+                stream = stream_of(self.surface, self.model, self._period_s, logged_s, sent_s, beat)
+            except DesignError as error:
+                problem = str(error)
+        if stream is None:
+            told, self.problem, self._told_slow = self._told_slow, problem, True
+            self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
+            return [] if told else [Event(positions[-1][0], self.name, "no_data", text=problem)]
+        self.problem, self._stream = "", stream
         self._command_period_s = beat.period_s
         self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
-        if self.surface.calibrated is not None and self.surface.is_calibrated:
-            self._stream = CalibratedStream(self.surface.calibrated, self.surface, self._period_s, logged_s, sent_s)
-        else:
-            self._stream = Stream(self._generator, self.surface, self._period_s, beat)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
         self._stream.surroundings(self._context)
         self._waiting = ([], [])
         self._hand_over(commands, positions)
         return self._evaluated(self._stream.evaluate())
+
+    def _too_little(self, logged_s: FloatArray, valued_s: FloatArray, sent_s: float | None) -> str:
+        """Why commands and positions at these times [s] are too few to judge a servo by; empty if they are not."""
+        is_lossy = sent_s is not None and sent_period_s(logged_s) is not None
+        self._least_hz = SLOWEST_LEFT_HZ if is_lossy and self.surface.is_calibrated else SLOWEST_RATE_HZ
+        if 1.0 / self._period_s < self._least_hz:
+            rate_hz = 1.0 / self._period_s
+            return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {self._least_hz:g} Hz"
+        if is_lossy and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
+            return TOO_MANY_LOST
+        return self._thin
 
     def _hand_over(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> None:
         if self._stream is not None:
@@ -716,27 +598,16 @@ class SurfaceMonitor:
         return events
 
     def _look(self) -> Look | None:
-        stream, surface, generator = self._stream, self.surface, self._generator
-        if stream is None or generator is None or stream.history.size == 0:
+        stream, alarm, from_s = self._stream, self._alarm, self._from_s
+        if stream is None or stream.history.size == 0:
             return None
-        known = surface.calibrated if surface.is_calibrated else None
-        alarm, from_s = self._alarm, self._from_s
         if alarm is not None:
             from_s = max(from_s, alarm.raised_s - _BEFORE_S)
-        residuals, threshold = stream.history.snapshot(surface.threshold, stream.noise_gain, from_s)
+        residuals, threshold = stream.history.snapshot(self.surface.threshold, stream.noise_gain, from_s)
         residuals, commands = replace(residuals, context=self._context), stream.effective.copied(from_s)
-        sent_s = stream.sent_period_s if isinstance(stream, CalibratedStream) else None
-        period_s, names = self._period_s, alarm.names if alarm is not None else {}
-
-        def find() -> tuple[tuple[Fault, ...], tuple[Fault, ...]]:
-            if known is not None:
-                found = judge_stretch(known, residuals, commands, sent_s, names)
-            else:
-                flight = watched_named(generator, surface, residuals, threshold, commands, period_s)
-                found = judged_named(flight, tells=surface.tells_small_faults, asked=False, names=names)
-            return found.faults, found.suspicions
-
-        return Look(float(residuals.time_s[-1]), residuals, threshold, find, known is None)
+        names = alarm.names if alarm is not None else {}
+        find = partial(stream.found, Remembered(residuals, threshold, commands), names)
+        return Look(float(residuals.time_s[-1]), residuals, threshold, find, stream.doubts_wiring)
 
     def _event(self, look: Look, event: EventKind, fault: Fault) -> Event:
         numbers = float(look.residuals.residual_deg[-1]), float(look.threshold.level_deg[-1])

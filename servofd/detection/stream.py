@@ -14,15 +14,26 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.series import settled_from_s
+from servofd.detection.calibrated import judge_stretch
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, shown, thresholds_of
 from servofd.detection.glitches import decide, new_glitch_memory
-from servofd.detection.named import beside, in_a_row, named_servo, noise_of_named, own_slopes, tests_of_named
+from servofd.detection.named import (
+    beside,
+    in_a_row,
+    judged_named,
+    named_servo,
+    noise_of_named,
+    own_slopes,
+    tests_of_named,
+    watched_named,
+)
 from servofd.detection.residual import (
     PEAK_OF_LAGS,
     RECENT_COMMANDS,
     RESTART_ALL,
     Commands,
     FilterMemory,
+    ResidualGenerator,
     Residuals,
     filter_in_place,
     go_on,
@@ -53,9 +64,11 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.residual import ResidualGenerator, Rhythm
+    from servofd.detection.calibrated import Found, Named
+    from servofd.detection.residual import Rhythm
     from servofd.detection.threshold import ThresholdKind
     from servofd.servo.context import Context
+    from servofd.servo.servo_model import ServoModel
 
 _DROPPED = 4
 """One part in so many is dropped when the room is full."""
@@ -162,11 +175,22 @@ class Piece(NamedTuple):
     """True where an alarm is raised."""
 
 
+class Remembered(NamedTuple):
+    """A copy of what a stream remembers of a surface."""
+
+    residuals: Residuals
+    threshold: Threshold
+    commands: Commands
+    """As they reach the servo."""
+
+
 class _Waiting:
     """What both kinds of surfaces do: positions wait until they are decided, and then are tested."""
 
     noise_gain = 1.0
     """Of the residual's noise over the position's."""
+    doubts_wiring = False
+    """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
 
     def __init__(self, surface: Surface, known: CalibratedServo, period_s: float, longest_gap_s: float) -> None:
         self.surface, self.longest_gap_s = surface, longest_gap_s
@@ -222,6 +246,10 @@ class _Waiting:
         self._pending = [rows[:, decided:]] if decided < rows.shape[1] else []
         return self._judged(rows[:, :decided], error_deg[:decided], glitch[:decided]) if decided else None
 
+    def found(self, seen: Remembered, names: dict[float, Named]) -> Found:
+        """Faults and suspicions of what is remembered; depends on nothing that changes as the stream goes on."""
+        raise NotImplementedError
+
     def _begin_tests(self) -> None:
         """Make ready what tests a residual."""
         self._tests = self._new_tests()
@@ -261,6 +289,8 @@ class _Waiting:
 class Stream(_Waiting):
     """A surface whose servo is named."""
 
+    doubts_wiring = True
+
     def __init__(self, generator: ResidualGenerator, surface: Surface, period_s: float, beat: Rhythm) -> None:
         self._evaluation = Evaluation(generator, surface.tolerances, period_s)
         self.noise_gain = self._evaluation.noise_gain
@@ -294,6 +324,11 @@ class Stream(_Waiting):
 
     def _new_tests(self) -> Tests:
         return tests_of_named(self._known_servo, self._period_s)
+
+    def found(self, seen: Remembered, names: dict[float, Named]) -> Found:
+        """What the audit finds in what is remembered."""
+        flight = watched_named(self._generator, self.surface, *seen, self._period_s)
+        return judged_named(flight, tells=self.surface.tells_small_faults, asked=False, names=names)
 
     def command(self, time_s: float, command_deg: float) -> None:
         """Add a command [deg]; one that is no later than the one before is left out."""
@@ -446,6 +481,10 @@ class CalibratedStream(_Waiting):
         if began:
             self._begin_tests()
 
+    def found(self, seen: Remembered, names: dict[float, Named]) -> Found:
+        """What the audit finds in what is remembered."""
+        return judge_stretch(self._known_servo, seen.residuals, seen.commands, self.sent_period_s, names)
+
     def _new_tests(self) -> Tests:
         """Without airspeed more is unknown."""
         known = self._known_servo if self._context.airspeed_s.size else self._known_servo.without_airspeed()
@@ -562,3 +601,26 @@ class CalibratedStream(_Waiting):
         raised = self._alarms(time_s, triple / self._limits[0], grid_s, table[:, : len(STATISTICS)])
         self.history.append(History.packed(residuals, threshold))
         return Piece(residuals, threshold, raised)
+
+
+def stream_of(
+    surface: Surface,
+    model: ServoModel,
+    period_s: float,
+    command_s: FloatArray,
+    sent_s: float | None,
+    beat: Rhythm,
+) -> Stream | CalibratedStream:
+    """The stream of a surface whose positions come at a period [s], by the times of its first commands [s].
+
+    `sent_s` is the period with which commands were sent on a link [s], `beat` their rhythm.
+
+    Raises
+    ------
+    DesignError
+        If no residual filter suits the named servo at this pace.
+    """
+    if surface.calibrated is not None and surface.is_calibrated:
+        return CalibratedStream(surface.calibrated, surface, period_s, command_s, sent_s)
+    generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
+    return Stream(generator, surface, period_s, beat)

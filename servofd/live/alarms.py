@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from logparsers.protocol import Severity
-from servofd.detection.monitor import Event, EventKind
+from servofd.detection.event import Event, EventKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

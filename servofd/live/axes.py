@@ -14,7 +14,7 @@ from servofd.axes.judge import judge_motion
 from servofd.axes.read import motion_of
 from servofd.axes.verdict import named
 from servofd.core.errors import NoMeasurement
-from servofd.detection.monitor import Event
+from servofd.detection.event import Event
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

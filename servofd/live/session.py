@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from logparsers.codec import Codec, Heard
     from servofd.aircraft.schema import Aircraft
-    from servofd.detection.monitor import Event, Inputs, Look
+    from servofd.detection.event import Event, Inputs, Look
     from servofd.detection.stream import Piece
     from servofd.live.alarms import Published
 

@@ -14,7 +14,8 @@ from logparsers.protocol import NO_INDEX, Component
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.watch import Bus
 from servofd.core.errors import ConfigError
-from servofd.detection.monitor import Event, Look, SurfaceMonitor
+from servofd.detection.event import Event, Look
+from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alarms import Alarms, Published, travel_deg
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable, Surroundings

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from servofd.axes.verdict import AxisAudit
-    from servofd.detection.monitor import Reading, SurfaceMonitor
+    from servofd.detection.event import Reading
+    from servofd.detection.monitor import SurfaceMonitor
     from servofd.live.alarms import Alarm, Published
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from servofd.core.types import FloatArray
-    from servofd.detection.monitor import Event
+    from servofd.detection.event import Event
     from servofd.servo.context import Context
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0

@@ -14,7 +14,7 @@ from servofd.aircraft.axes import MotionModel
 from servofd.aircraft.schema import Aircraft
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.motion import Motion
-from servofd.detection.monitor import Event
+from servofd.detection.event import Event
 from servofd.live.axes import AxisWatch
 from servofd.live.session import Session
 from servofd.live.vehicle import Vehicle

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from servofd.aircraft.marks import Why
 from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
+from servofd.detection.event import Event, Look
 from servofd.detection.glitches import glitches, new_running_median, with_value
-from servofd.detection.monitor import Event, Look, SurfaceMonitor
+from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.named import judge
 from servofd.detection.residual import ResidualGenerator, mark_starts, new_starts_memory, prepared, rhythm
 from servofd.detection.stream import CommandBuffer, History, Piece, Stream

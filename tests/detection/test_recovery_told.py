@@ -9,8 +9,9 @@ from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.core.types import FloatArray
+from servofd.detection.event import Event, Quiet
 from servofd.detection.flights import Flight
-from servofd.detection.monitor import Event, Quiet, SurfaceMonitor
+from servofd.detection.monitor import SurfaceMonitor
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0

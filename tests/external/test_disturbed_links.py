@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servofd.aircraft.schema import Aircraft
-    from servofd.detection.monitor import Event
+    from servofd.detection.event import Event
 
 Frames = list[tuple[float, bytes]]
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servofd.core.statistics import Estimate
-from servofd.detection.monitor import Event
+from servofd.detection.event import Event
 from servofd.detection.verdict import Fault
 from servofd.live.alarms import Alarms
 

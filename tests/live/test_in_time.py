@@ -18,7 +18,7 @@ from tests.live.vehicles import flown, plane_file, vehicle
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from servofd.detection.monitor import Event
+    from servofd.detection.event import Event
     from servofd.detection.stream import Piece
     from servofd.servo.faults import Fault
 

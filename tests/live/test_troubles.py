@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from servofd.detection.monitor import Event
+    from servofd.detection.event import Event
     from servofd.simulation.flight import SimulatedFlight
     from servofd.simulation.vehicle.vehicle import Vehicle
 

@@ -1,0 +1,129 @@
+"""What a monitor says of a surface, and what it remembers of an alarm that stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from servofd.detection.wiring import wiring_problem
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from servofd.core.types import FloatArray
+    from servofd.detection.calibrated import Found, Named
+    from servofd.detection.residual import Residuals
+    from servofd.detection.stream import Piece
+    from servofd.detection.threshold import Threshold
+    from servofd.detection.verdict import Fault
+    from servofd.servo.context import Context
+
+QUIET_S = 0.75
+"""After so long in quiet the bank looks whether an alarm is over,"""
+QUIET_SHARE = 0.5
+"""where below this share of its threshold a residual is quiet,"""
+_PAUSE_S, _LONGEST_PAUSE_S = 0.4, 1.5
+"""and again after pauses that grow with each look in vain."""
+
+
+@dataclass(slots=True)
+class Quiet:
+    """How long the residual of a surface in alarm has been quiet."""
+
+    since_s: float = float("inf")
+    """Since when it is quiet [s]; infinite if it is not."""
+    _asked_s: float = float("-inf")
+    _asked: int = 0
+
+    def follow(self, piece: Piece) -> None:
+        """Take the next samples."""
+        residuals, level_deg = piece.residuals, piece.threshold.level_deg
+        judged, time_s = residuals.settled, residuals.time_s
+        last = np.flatnonzero(judged & ~(np.abs(residuals.residual_deg) < QUIET_SHARE * level_deg))
+        if last.size:
+            self.since_s, time_s, judged = np.inf, time_s[last[-1] + 1 :], judged[last[-1] + 1 :]
+        begun = np.flatnonzero(judged)
+        if begun.size:
+            self.since_s = min(self.since_s, float(time_s[begun[0]]))
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether the bank should look now [s]."""
+        pause_s = min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S)
+        if now_s - self._asked_s < pause_s or now_s - self.since_s < QUIET_S:
+            return False
+        self._asked_s, self._asked = now_s, self._asked + 1
+        return True
+
+
+EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened, on the clock of the vehicle."""
+
+    time_s: float
+    surface: str
+    event: EventKind
+    kind: str = ""
+    """Of the fault; `unknown` until the bank has told it, `healthy` for an alarm that a working servo explains."""
+    residual_deg: float = float("nan")
+    threshold_deg: float = float("nan")
+    text: str = ""
+    """More, in words."""
+    fault: Fault | None = None
+
+
+class Reading(NamedTuple):
+    """Where a surface stands."""
+
+    time_s: float
+    command_deg: float
+    measured_deg: float
+    residual_deg: float
+    threshold_deg: float
+    settled: bool
+
+
+class Inputs(NamedTuple):
+    """What samples were evaluated with."""
+
+    asked_deg: FloatArray
+    """Command at each of them, shape (n,) [deg]."""
+    command_s: FloatArray
+    """Commands that have come since the samples before, shape (m,) [s],"""
+    command_deg: FloatArray
+    """and what they asked for [deg]."""
+    context: Context
+
+
+class Look(NamedTuple):
+    """A copy of what is known of a surface."""
+
+    at_s: float
+    residuals: Residuals
+    threshold: Threshold
+    find: Callable[[], Found]
+    """Faults and suspicions; depends on nothing else."""
+    doubts_wiring: bool
+    """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
+
+    def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
+        """Faults and suspicions, and why nothing should be concluded from them."""
+        faults, suspicions, _ = self.find()
+        problem = wiring_problem(self.residuals) if self.doubts_wiring and (faults or suspicions) else ""
+        return ((), (), problem) if problem else (faults, suspicions, "")
+
+
+@dataclass(slots=True)
+class Alarm:
+    """An alarm that stands."""
+
+    raised_s: float
+    kind: str = "unknown"
+    fault: Fault | None = None
+    quiet: Quiet = field(default_factory=Quiet)
+    names: dict[float, Named] = field(default_factory=dict)
+    """What the looks at it have fitted."""
