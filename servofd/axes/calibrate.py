@@ -10,7 +10,6 @@ import numpy as np
 
 from servofd.aircraft.axes import AxisModel, MotionModel, Regime, Spread
 from servofd.aircraft.axis_names import AXES, SURFACE_AXES
-from servofd.axes.judge import Sliding, Windows, lags, sliding, slowness
 from servofd.axes.model import (
     FORMS,
     Filtered,
@@ -23,6 +22,7 @@ from servofd.axes.model import (
     settled,
     whitened,
 )
+from servofd.axes.windows import Sliding, Windows, lags, sliding, slowness
 from servofd.core.errors import CalibrationError
 
 if TYPE_CHECKING:

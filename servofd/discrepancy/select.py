@@ -8,7 +8,7 @@ probability of a name is the sum over its places and forms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
+from servofd.discrepancy.ladder import BETTER, Rung, climbed, prefix
 from servofd.discrepancy.search import (
     FITS,
     LIMITS,
@@ -65,9 +66,6 @@ leaves beyond the noise that effects may leave and still be an answer."""
 _MODEL_RATIO, _MODEL_SHARE = 1.5, 0.02
 """Where a servo leaves more than so many times the noise, its misfit is not right to that share for each effective
 sample: errors that differ by 5 % tell no names apart."""
-_FALLS, _BETTER, _SWAPS, _RIVALS = 0.999, 0.97**2, 4, 4
-"""Of the mean square on two folds, each predicted from the other: what a step must fall below, of the one before it, or
-what a rival must, of the step in whose place it stands, to be taken instead; so often, and of so many likely rivals."""
 _FAR_WORSE, _OF_STEP = 0.75, 0.02
 """Share of what a slow servo leaves beyond the noise that tells a limit of the speed from it by shape, if it is that
 share of a step too: real servos differ from a linear one by as much."""
@@ -76,15 +74,6 @@ _DECLARED_AT_REST = 0.99
 _DECLARED = 0.95
 """Share of the probability that the declared names of one log hold: most logs leave no doubt, so that over all logs
 they hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rung:
-    """A servo with one effect more than the one before."""
-
-    fit: Fit
-    rivals: tuple[Fit, ...]
-    """Servos with another effect in its place, best first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +137,7 @@ def concluded(search: Search) -> Selection:
     linear = _better_linear(search, names[0])
     if linear is not None:
         names, sets = [linear], 1.0
-    rungs = _climbed(search, names[0])
+    rungs = climbed(search, names[0])
     final = rungs[-1].fit if rungs else fitter.halved(search.root)
     found = adequacy(record, final)
     ties, tied = _ties(final, [fit for fit in names if set(fit.names) != set(final.names)])
@@ -390,7 +379,7 @@ def _foreseeing(search: Search, best: Fit) -> Fit:
         return best
     while best.effects:
         left, price = search.fitter.foreseen(best)
-        fewer = [_prefix(search, best, tuple(e for e in best.effects if e is not effect)) for effect in best.effects]
+        fewer = [prefix(search, best, tuple(e for e in best.effects if e is not effect)) for effect in best.effects]
         worse = []
         for fit, effect in zip(fewer, best.effects, strict=True):
             left_there, price_there = search.fitter.foreseen(fit)
@@ -559,7 +548,7 @@ def _or_rivals(
         name = rung.fit.names[-1]
         names, fits = found.get(name, ([name], []))
         for rival in rung.rivals:
-            if rival.held_out < _BETTER * rung.fit.held_out and rival.names[-1] not in names:
+            if rival.held_out < BETTER * rung.fit.held_out and rival.names[-1] not in names:
                 names.append(rival.names[-1])
                 fits.append(rival)
         if fits:
@@ -602,103 +591,3 @@ def _or_slow(
     names, fits = old.get(mine.name, ((mine.name,), ()))
     old[mine.name] = (*names, theirs), (*fits, rival)
     return tuple(names for names, _ in old.values()), tuple(fits for _, fits in old.values())
-
-
-def _climbed(search: Search, best: Fit) -> tuple[Rung, ...]:
-    """The ladder to the best, or to what has as few or fewer names and is foreseen better.
-
-    A rival in the place of a step that leaves less on data that neither was fitted to is the better step.
-    """
-    for _ in range(_SWAPS):
-        rungs = _rungs(search, best)
-        better = [
-            rival
-            for rung in rungs
-            for rival in rung.rivals
-            if rival.held_out < _BETTER * rung.fit.held_out and rival.held_out < _BETTER * rungs[-1].fit.held_out
-        ]
-        if not better:
-            break
-        best = min(better, key=lambda fit: fit.held_out)
-    return rungs
-
-
-def _rungs(search: Search, best: Fit) -> tuple[Rung, ...]:
-    """From the servo as it is known to the best, the effect that helps most first; each step must lower the error.
-
-    That is the one of two folds, each predicted from the other. Of the orders in which it falls at every step that is
-    taken which comes to most effects; an effect that lowers it in no order is not named.
-    """
-    halves: dict[frozenset[type[Effect]], Fit] = {}
-
-    def held_out(effects: tuple[type[Effect], ...]) -> Fit:
-        key = frozenset(effects)
-        if key not in halves:
-            halves[key] = search.fitter.halved(_reordered(_prefix(search, best, effects), effects))
-        return halves[key]
-
-    def climbed(known: tuple[type[Effect], ...], before: float) -> tuple[type[Effect], ...]:
-        longest = known
-        left = [effect for effect in best.effects if effect not in known]
-        for effect in sorted(left, key=lambda effect: held_out((*known, effect)).held_out):
-            there = held_out((*known, effect)).held_out
-            if there >= _FALLS * before:
-                break
-            way = climbed((*known, effect), there)
-            longest = max(longest, way, key=len)
-            if len(longest) == len(best.effects):
-                break
-        return longest
-
-    order = climbed((), search.fitter.nominal().held_out)
-    rungs = []
-    for count in range(1, len(order) + 1):
-        fit = _reordered(held_out(order[:count]), order[:count])
-        rungs.append(Rung(fit, _rivals(search, fit)))
-    return tuple(rungs)
-
-
-def _rivals(search: Search, fit: Fit) -> tuple[Fit, ...]:
-    """Servos with another effect in the place of the last one, best first."""
-    known, last = sorted(fit.names[:-1]), fit.names[-1]
-    rivals: dict[str, Fit] = {}
-    for other in sorted(search.visited.values(), key=lambda each: each.misfit):
-        rest = list(other.names)
-        for name in known:
-            if name in rest:
-                rest.remove(name)
-        if len(other.effects) == len(fit.effects) and len(rest) == 1 and rest[0] != last and search.is_physical(other):
-            effect = next(each for each in other.effects if each.name == rest[0])
-            rivals.setdefault(rest[0], _reordered(other, (*(e for e in other.effects if e is not effect), effect)))
-    shown = [search.fitter.halved(each) for each in list(rivals.values())[:_RIVALS]]
-    return tuple(sorted(shown, key=lambda each: each.held_out))
-
-
-def _prefix(search: Search, best: Fit, effects: tuple[type[Effect], ...]) -> Fit:
-    """The servo with some of its effects."""
-    if len(effects) == len(best.effects):
-        return best
-    known = [
-        fit
-        for fit in search.visited.values()
-        if sorted(e.key() for e in fit.effects) == sorted(e.key() for e in effects)
-        and (fit.place == best.place or best.place not in common_places(effects))
-    ]
-    if known:
-        return min(known, key=lambda fit: fit.misfit)
-    neutral = search.fitter.record.plant.neutral
-    gone = {
-        name: getattr(neutral, name)
-        for effect in best.effects
-        if effect not in effects
-        for p in effect.parameters
-        for name in p.fields
-    }
-    fit = search.fitter.descended(effects, best.physics._replace(**gone))
-    search.keep(fit)
-    return fit
-
-
-def _reordered(fit: Fit, effects: tuple[type[Effect], ...]) -> Fit:
-    values = np.array([getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters])
-    return replace(fit, effects=effects, values=values)

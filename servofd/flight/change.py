@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.axes.judge import Sliding, distance, smallest
 from servofd.axes.model import FORMS, Filtered
 from servofd.axes.verdict import named
+from servofd.axes.windows import Sliding, distance, smallest
 from servofd.core.statistics import Estimate
 
 if TYPE_CHECKING:

@@ -15,9 +15,10 @@ from servofd.aircraft.axes import MotionModel, motion_to_toml
 from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.schema import load_aircraft
 from servofd.axes.calibrate import calibrate_motion, spread_between, tail_of
-from servofd.axes.judge import distance, judge_motion, nothing_known, sliding
+from servofd.axes.judge import judge_motion
 from servofd.axes.model import Inputs
 from servofd.axes.motion import Motion, airframe_of, cell_means, motion_of_table
+from servofd.axes.windows import distance, nothing_known, sliding
 from servofd.cli import main
 from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
 from tests.axes.flights import flown

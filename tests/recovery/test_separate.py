@@ -8,8 +8,9 @@ import pytest
 from servofd.aircraft.series import Series
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fit, Fitter
+from servofd.discrepancy.ladder import Rung
 from servofd.discrepancy.record import Record, record_of
-from servofd.discrepancy.select import Rung, Selection
+from servofd.discrepancy.select import Selection
 from servofd.discrepancy.separate import MANOEUVRES, separations
 from servofd.servo.catalogue import effects_named
 from servofd.servo.effect import Effect
