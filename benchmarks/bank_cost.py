@@ -15,7 +15,7 @@ import numpy as np
 from fleet import KINDS, flight
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
-from servofd.detection.calibrated import named
+from servofd.detection.faults import named
 from servofd.detection.named import judge
 from servofd.detection.residual import ResidualGenerator
 from servofd.simulation.commands import COMMANDS

@@ -19,7 +19,7 @@ from detection_pictures import draw
 from servofd.aircraft.priors import FITTED, PRIORS
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.tolerance import Tolerance
-from servofd.detection import calibrated, changes, named, residual, threshold
+from servofd.detection import changes, faults, hypotheses, named, residual, threshold
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent
@@ -148,13 +148,13 @@ Where the file or the user names a constant level, that alone makes a fault, and
 
 
 def bank() -> str:
-    scales = ", ".join(f"{scale:g}" for scale in calibrated._SCALES)
-    speeds = ", ".join(f"{speed:g}" for speed in calibrated._SPEEDS)
-    widths = ", ".join(f"{width:g}" for width in calibrated._WIDTHS_DEG)
+    scales = ", ".join(f"{scale:g}" for scale in hypotheses._SCALES)
+    speeds = ", ".join(f"{speed:g}" for speed in hypotheses._SPEEDS)
+    widths = ", ".join(f"{width:g}" for width in hypotheses._WIDTHS_DEG)
     friction = next(prior for prior in PRIORS if prior.name == "friction_deg")
     return f"""## The bank
 
-Each alarm is handed to a bank of hypotheses, each a change of the servo, or no servo at all. In the {calibrated._WINDOW_S:g} s from {calibrated._SETTLING_S:g} s after
+Each alarm is handed to a bank of hypotheses, each a change of the servo, or no servo at all. In the {hypotheses.WINDOW_S:g} s from {faults._SETTLING_S:g} s after
 the alarm, to the end of the fault, or in as many as one of them explains, each explains the position as best it can, the {FITTED} parameters of the servo free as they are
 between good ones (J is the misfit that remains, Q how far they had to go: theta' Sigma^-1 theta).
 
@@ -169,21 +169,21 @@ between good ones (J is the misfit that remains, Q how far they had to go: theta
 | stuck, hardover | no servo: a constant, within the travel or at an end of it |
 | floating | no servo: a cubic in time, and the dynamic pressure |
 
-**Score.** With n samples, a share of {calibrated._COUNTED:g} of all (neighbours are alike), and p free sizes,
+**Score.** With n samples, a share of {hypotheses._COUNTED:g} of all (neighbours are alike), and p free sizes,
 
     B = n/2 ln(max(J/n, 1)) + Q + p ln n + 2 doubt                                                    (D7)
 
-smaller is better; an alarm makes a good servo less likely by e^{calibrated._ALARMED:g}, and wide play and large offsets are rare. The probability of
+smaller is better; an alarm makes a good servo less likely by e^{hypotheses._ALARMED:g}, and wide play and large offsets are rare. The probability of
 hypothesis i is
 
     P_i = exp(-B_i/2) / sum_j exp(-B_j/2).                                                            (D8)
 
 What looks alike shares it: a geared servo without power stays where it is, and play that the air pushes is an offset. Below
-{calibrated._SURE:g}, or where the best hypothesis leaves most of what a good servo does not do, the name is `unknown`. If the winner is
-*healthy*, and no statistic is beyond {calibrated.LOUD:g} times its limit, the alarm is listed as a suspicion.
+{hypotheses._SURE:g}, or where the best hypothesis leaves most of what a good servo does not do, the name is `unknown`. If the winner is
+*healthy*, and no statistic is beyond {hypotheses.LOUD:g} times its limit, the alarm is listed as a suspicion.
 
-**Its end** is where the healthy servo becomes the better explanation again, by {calibrated._ENDED:g} s of one standard deviation for {calibrated._AFTER_END_S:g} s, or by {calibrated._SURELY_ENDED:g} s
-of it at once. A jammed servo between two manoeuvres is quiet, and stays one fault. The tests begin anew {calibrated.AGAIN_S:g} s later.
+**Its end** is where the healthy servo becomes the better explanation again, by {faults._ENDED:g} s of one standard deviation for {faults._AFTER_END_S:g} s, or by {faults._SURELY_ENDED:g} s
+of it at once. A jammed servo between two manoeuvres is quiet, and stays one fault. The tests begin anew {faults.AGAIN_S:g} s later.
 """
 
 
@@ -192,9 +192,9 @@ def onsets_text() -> str:
 
 The split that makes the data most likely: with the fault's prediction f and the healthy servo's ŷ,
 
-    k* = argmax sum_(j>=k) min(((y_j - ŷ_j) / sigma_tot)², {calibrated._LOG_CLIP:g}) - min(((y_j - f_j) / sigma_tot)², {calibrated._LOG_CLIP:g}),          (D9)
+    k* = argmax sum_(j>=k) min(((y_j - ŷ_j) / sigma_tot)², {faults._LOG_CLIP:g}) - min(((y_j - f_j) / sigma_tot)², {faults._LOG_CLIP:g}),          (D9)
 
-from {calibrated._BEFORE_S:g} s before the alarm, but not before the end of the last fault. The onset of a jam can be no earlier than the first motion that
+from {faults._BEFORE_S:g} s before the alarm, but not before the end of the last fault. The onset of a jam can be no earlier than the first motion that
 it spoils: it is when the fault began to *show*.
 """
 

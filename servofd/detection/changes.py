@@ -16,7 +16,7 @@ windows, hence differences of running sums. Where the model is known to miss up 
 the size of a pattern of rms d scatters by delta / rms d, and its score by that times the information I that is left of
 it: z has sqrt(I + (delta / rms d)^2 I^2 + 1) below the line.
 
-Whole logs and streams are tested sample by sample the same; `servofd.detection.calibrated` makes faults of it.
+Whole logs and streams are tested sample by sample the same; `servofd.detection.faults` makes faults of it.
 """
 
 from __future__ import annotations

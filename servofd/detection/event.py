@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.core.types import FloatArray
-    from servofd.detection.calibrated import Found, Named
+    from servofd.detection.faults import Found, Named
     from servofd.detection.residual import Residuals
     from servofd.detection.stream import Piece
     from servofd.detection.threshold import Threshold

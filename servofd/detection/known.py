@@ -10,8 +10,8 @@ from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.errors import CalibrationError
 from servofd.core.tolerance import Tolerance
-from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
+from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, asked_deg, cropped
 from servofd.detection.verdict import describe
 from servofd.detection.wiring import ENOUGH_MOTION_DEG

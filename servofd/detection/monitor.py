@@ -28,8 +28,8 @@ from servofd.aircraft.series import (
 from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
-from servofd.detection.calibrated import AGAIN_S
 from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
+from servofd.detection.faults import AGAIN_S
 from servofd.detection.residual import rhythm, thinned_rhythm
 from servofd.detection.stream import Remembered, stream_of
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow

@@ -17,8 +17,8 @@ import numpy as np
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.series import Series
-from servofd.detection.calibrated import SAME_S, Found, judged
 from servofd.detection.changes import Memory, Tests, Watched, follow
+from servofd.detection.faults import SAME_S, Found, judged
 from servofd.detection.residual import RESTART_ALL, Commands, commands_at_servo, followed
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import FloatArray
-    from servofd.detection.calibrated import Named
+    from servofd.detection.faults import Named
     from servofd.detection.residual import ResidualGenerator, Residuals
     from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import Fault

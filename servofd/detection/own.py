@@ -19,8 +19,8 @@ from scipy.special import ndtr, stdtrit
 from servofd.aircraft.calibrated import CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES
 from servofd.core.evidence import ModelOrigin
-from servofd.detection.calibrated import judged
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
+from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
 from servofd.estimate.fit import fit, reach_of

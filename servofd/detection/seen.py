@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.core.errors import ServofdError
-from servofd.detection.calibrated import judged, watched_calibrated
 from servofd.detection.changes import detectable, shown, thresholds_of
 from servofd.detection.evidence import passing, too_short
+from servofd.detection.faults import judged, watched_calibrated
 from servofd.detection.named import judge
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, prepared
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.aircraft.series import Series
     from servofd.core.evidence import Detectable
-    from servofd.detection.calibrated import Found
     from servofd.detection.changes import Watched
+    from servofd.detection.faults import Found
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
     from servofd.servo.servo_model import ServoModel

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.series import settled_from_s
-from servofd.detection.calibrated import judge_stretch
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, shown, thresholds_of
+from servofd.detection.faults import judge_stretch
 from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.named import (
     beside,
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.calibrated import Found, Named
+    from servofd.detection.faults import Found, Named
     from servofd.detection.residual import Rhythm
     from servofd.detection.threshold import ThresholdKind
     from servofd.servo.context import Context

@@ -1,4 +1,4 @@
-"""The ladder of steps to what was found: one effect more each time, and less error on data that it was not fitted to."""
+"""The ladder of steps to what was found: one effect more each time, and less error on data that it did not see."""
 
 from __future__ import annotations
 

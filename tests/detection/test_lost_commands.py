@@ -11,8 +11,8 @@ from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.priors import PRIORS
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series, sent_period_s
-from servofd.detection.calibrated import judged
 from servofd.detection.changes import watched
+from servofd.detection.faults import judged
 from servofd.detection.stream import CalibratedStream
 from servofd.estimate.family import new_state, simulated, variants
 from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg

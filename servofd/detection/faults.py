@@ -1,0 +1,313 @@
+"""The faults of a flight: an alarm, the hypothesis that explains it best, and when it began and ended.
+
+An alarm is raised where a statistic stays above its threshold twice in a row or passes it by far, or where the fast
+test passes its own. Each fault is refitted to what the surface did since, the other parameters free as they are between
+good servos; the tests begin anew where it ended.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from servofd.aircraft.series import Series
+from servofd.detection.changes import (
+    STATISTICS,
+    Memory,
+    exceeded,
+    follow,
+    thresholds_of,
+    watched,
+)
+from servofd.detection.hypotheses import (
+    LOUD,
+    SHORTEST_WINDOW_S,
+    SWINGS,
+    WINDOW_S,
+    Guess,
+    Window,
+    concluded,
+    is_strange,
+    ranked,
+    unexplained_deg,
+)
+from servofd.detection.residual import Residuals
+from servofd.detection.verdict import Fault
+from servofd.estimate.record import Record
+
+if TYPE_CHECKING:
+    from servofd.aircraft.calibrated import CalibratedServo
+    from servofd.core.types import FloatArray
+    from servofd.detection.changes import Watched
+    from servofd.detection.residual import Commands
+    from servofd.detection.verdict import Fault
+
+_SETTLING_S: Final = 0.5
+_BEFORE_S: Final = 62.0
+_LATELY_S: Final = 1.5
+_FEWEST: Final = 12
+_RAN_DEG = 2.0
+"""What stays at an end of the travel ran there if it was further away, and else stopped there."""
+_ENDED = 1.0
+"""Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
+_AFTER_END_S = 1.5
+_ELSEWHERE: Final = 9.0
+"""Misfit of a sample that neither the fault nor the healthy servo explains: the fault does what no hypothesis says."""
+_SURELY_ENDED, _SOON_S = 5.0, 0.5
+"""So much better it need do for no longer than this."""
+_LOG_CLIP = 25.0
+_NO_NEWS = 0.01
+"""By so little a fault may explain a sample better, and yet not have begun."""
+_GROWN: Final = 1.3
+"""A window that has grown by less since its hypotheses were fitted tells no more."""
+_MOST_FAULTS: Final = 20
+_RESIDUALS: Final = STATISTICS.index("left_2s")
+"""So many statistics are of the residual over its total sigma, not of what is left of it."""
+AGAIN_S: Final = 1.0
+"""After a fault has ended the tests begin anew."""
+_SOON_AFTER_S: Final = 5.0
+"""For so long after an alarm its size counts."""
+_STILL_FAST: Final = 0.69
+"""Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
+_STILL_ALL: Final = 0.93
+_LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
+_TOLD_BEFORE: Final = ("slow", "loss_of_effectiveness", "bias")
+_NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
+"""What a healthy servo has."""
+_LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_deg", 0.2)}
+"""What the narrow-band test counts as an oscillation, and less play than any servo has."""
+_SHORTEST_WEAR_S: Final = 2.0
+SAME_S: Final = 5.0
+"""What is raised so soon after the end of a fault belongs to it."""
+
+
+class Named(NamedTuple):
+    """Hypotheses fitted to a window, the best one first."""
+
+    known: int
+    """How many samples there were when they were."""
+    window: Window
+    guesses: list[Guess]
+
+
+def named(
+    watched: Watched, alarm_s: float, ratio: float, *, earliest_s: float, names: dict[float, Named]
+) -> tuple[Fault, Guess | None]:
+    """Name what an alarm stands for, `healthy` if a working servo explains it after all; and the hypothesis behind it.
+
+    `ratio` is the largest statistic over its threshold at or after the alarm; `names` holds what was fitted to alarms
+    when less was known of them, and is kept up to date.
+    """
+    window = Window(watched, alarm_s + _SETTLING_S, alarm_s + WINDOW_S)
+    if window.count < max(_FEWEST, 1.5 / watched.record.period_s):
+        # An alarm of a moment ago: since the healthy servo was last right, if that is enough.
+        from_s = max(alarm_s - _LATELY_S, earliest_s)
+        lately = slice(*np.searchsorted(watched.record.time_s, (from_s, alarm_s)).tolist())
+        window = Window(watched, from_s, alarm_s + WINDOW_S)
+        right = np.flatnonzero(np.abs(watched.error_deg[lately]) < watched.sigma_deg[lately])
+        if right.size:
+            since = Window(watched, float(watched.record.time_s[lately][right[-1]]) + 1e-9, alarm_s + WINDOW_S)
+            window = since if since.count >= _FEWEST else window
+    if window.count < _FEWEST:
+        return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
+    before, count = names.get(alarm_s), window.count
+    if before is not None and (
+        count < _GROWN * before.known or _end_s(watched, before.guesses[0], alarm_s) is not None
+    ):
+        _, window, guesses = before
+    else:
+        window, guesses = _explained(watched, window, alarm_s)
+        names[alarm_s] = Named(count, window, guesses)
+    end_s = _end_s(watched, guesses[0], alarm_s)
+    if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + WINDOW_S - 2.0:
+        settling_s = min(_SETTLING_S, 0.2 * (end_s - alarm_s))
+        shorter = Window(watched, alarm_s + settling_s, end_s - settling_s)
+        if shorter.count >= _FEWEST:
+            window, guesses = shorter, ranked(shorter)
+            end_s = _end_s(watched, guesses[0], alarm_s)
+    kind, probability, alternatives, parameters = concluded(window, guesses, ratio)
+    # It began when the fault became the better explanation.
+    time_s, healthy, other = _misfits(watched, guesses[0], max(alarm_s - _BEFORE_S, earliest_s), alarm_s + 1.0)
+    better = np.cumsum((healthy - other - _NO_NEWS)[::-1])[::-1]
+    began = time_s.size > 0 and better.max() > 0.0
+    start_s = float(min(time_s[int(np.argmax(better))], alarm_s)) if began else alarm_s
+    if kind == "hardover":
+        there = min(int(np.searchsorted(watched.record.time_s, start_s)), watched.reading_deg.size - 1)
+        if abs(watched.reading_deg[there] - parameters["position_deg"].value) < _RAN_DEG:  # it stopped where it was
+            kind, alternatives = "stuck", ("hardover", *(other for other in alternatives if other != "stuck"))
+    fault = Fault(
+        kind, start_s, alarm_s, end_s, parameters, probability, alternatives,
+        named_s=float(min(window.time_s[-1], alarm_s + WINDOW_S)),
+    )  # fmt: skip
+    return fault, guesses[0]
+
+
+def _explained(watched: Watched, window: Window, alarm_s: float) -> tuple[Window, list[Guess]]:
+    """The window, shorter by halves where it holds the end of a fault, so that no hypothesis explains it."""
+    guesses = ranked(window)
+    length_s = WINDOW_S
+    while is_strange(window, guesses) and length_s > SHORTEST_WINDOW_S:
+        length_s *= 0.5
+        shorter = Window(watched, alarm_s + _SETTLING_S, alarm_s + length_s)
+        if shorter.count < _FEWEST:
+            break
+        tried = ranked(shorter)
+        if not is_strange(shorter, tried):
+            return shorter, tried
+    return window, guesses
+
+
+def _misfits(watched: Watched, guess: Guess, from_s: float, to_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sample times, and the squares of what the healthy servo and the guess leave of each, over its variance."""
+    stretch = Window(watched, from_s, to_s)
+    used, total_deg = stretch.used, stretch.total_deg
+    healthy, other = (
+        np.minimum((error_deg / total_deg) ** 2, _LOG_CLIP)[used]
+        for error_deg in (watched.error_deg[stretch.rows], unexplained_deg(stretch, guess))
+    )
+    return stretch.time_s[used], healthy, other
+
+
+def _end_s(watched: Watched, guess: Guess, alarm_s: float) -> float | None:
+    """When the healthy servo became the better explanation again; None if it never did."""
+    last_s = float(watched.record.time_s[-1])
+    time_s, healthy, other = _misfits(watched, guess, alarm_s, last_s + 1.0)
+    if time_s.size < _FEWEST:
+        return None
+    so_far = np.cumsum(healthy - np.minimum(other, _ELSEWHERE)) * watched.record.period_s
+    best = np.maximum.accumulate(so_far)
+    top_s = time_s[np.searchsorted(best, best)]  # when it was best so far
+    fell, after_s = best - so_far, time_s - top_s
+    ended = ((fell > _ENDED) & (after_s > _AFTER_END_S)) | ((fell > _SURELY_ENDED) & (after_s > _SOON_S))
+    return float(top_s[np.argmax(ended)]) if ended.any() else None
+
+
+class Found(NamedTuple):
+    """What became of a flight."""
+
+    faults: tuple[Fault, ...]
+    suspicions: tuple[Fault, ...]
+    left_deg: FloatArray
+    """What the healthy servo, or a fault, leaves of each position [deg], (m,); NaN where none is judged."""
+
+
+def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
+    """Find and name the faults of a flight; `names` are those of earlier looks at it, see `named`."""
+    names = {} if names is None else names
+    limits = thresholds_of(flight.known)
+    time_s, error_deg = flight.record.time_s, flight.error_deg
+    faults: list[Fault] = []
+    suspicions: list[Fault] = []
+    left_deg = error_deg.copy()
+    begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
+    for _ in range(_MOST_FAULTS):
+        rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
+        tested = follow(flight.tests, Memory(flight.tests), *rows) if begin else flight.tested
+        _, triple, grid_s, statistics = tested
+        passed = triple / limits[0] if flight.passed is None else flight.passed[begin:]
+        if flight.alone:
+            grid_s, statistics = grid_s[:0], statistics[:0]
+        raised_s, ratio, is_far = _alarm(limits, rows[0], passed, grid_s, statistics[:, : len(STATISTICS)])
+        if not np.isfinite(raised_s):
+            break
+        fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s, names=names)
+        fault = _weighed(fault, ratio, is_far=is_far)
+        if guess is not None and fault.kind != "healthy":
+            there = Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
+            explained = 1.0 / SWINGS if guess.kind == "oscillation" else 1.0
+            left_deg[there.rows][there.used] = explained * unexplained_deg(there, guess)[there.used]
+        if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < SAME_S:
+            fault = _joined(faults.pop(), fault)
+        (suspicions if fault.kind == "healthy" else faults).append(fault)
+        if fault.end_s is None:
+            if fault.kind != "healthy":
+                break
+            earliest_s = raised_s + 20.0
+        else:
+            earliest_s = max(fault.end_s, raised_s)
+        begin = int(np.searchsorted(time_s, earliest_s + AGAIN_S))
+        if begin >= time_s.size - 2:
+            break
+    return Found(tuple(faults), tuple(suspicions), left_deg)
+
+
+def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
+    """The same fault, or none: what barely passes its threshold has to be one that servos have.
+
+    A servo that is a little slow is still a good one, on a cold day or a low supply; and none is worn, weak or bent for
+    a moment only, nor is an offset one that may as well be none. Where the residual itself stays within what good
+    flights do, wear of no size is none, and what raised the alarm has to tell of it before.
+    """
+    speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
+    still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
+    short = fault.kind in _LASTING and fault.end_s is not None and fault.end_s - fault.start_s < _SHORTEST_WEAR_S
+    little = fault.kind == "loss_of_effectiveness" and gain is not None and gain.value >= _STILL_ALL
+    nothing = any(
+        fault.parameters[key].low <= none <= fault.parameters[key].high
+        for key, none in _NONE
+        if key in fault.parameters
+    )
+    size, least = _LEAST_DEG.get(fault.kind, ("", 0.0))
+    tiny = size in fault.parameters and fault.parameters[size].value < least
+    untold = fault.kind in _TOLD_BEFORE and fault.start_s >= fault.alarm_s
+    if (
+        still_fast
+        or tiny
+        or (not is_far and untold)
+        or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown"))
+    ):
+        own = () if fault.kind == "unknown" else (fault.kind,)
+        return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
+    return fault
+
+
+def _joined(first: Fault, then: Fault) -> Fault:
+    """One fault of two that follow each other at once; named as the longer one is."""
+    end_s, begun_s = first.end_s or first.alarm_s, then.alarm_s
+    lasted_s = (np.inf if then.end_s is None else then.end_s) - begun_s
+    longer = then if lasted_s >= end_s - first.alarm_s else first
+    return replace(longer, start_s=first.start_s, alarm_s=first.alarm_s, end_s=then.end_s)
+
+
+def _alarm(
+    limits: FloatArray, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray
+) -> tuple[float, float, bool]:
+    """When the first alarm is raised [s], infinite if never, and the largest statistic over its threshold then.
+
+    `passed` is the fast test over its threshold. Last whether the residual itself passes a threshold, not only a test
+    of what it may mean.
+    """
+    direct = np.flatnonzero(passed >= 1.0)
+    first_s = float(time_s[direct[0]]) if direct.size else np.inf
+    ratios = exceeded(limits, np.zeros(limits.size), statistics)
+    raised = np.flatnonzero(ratios >= 1.0)
+    second_s = float(grid_s[raised[0]]) if raised.size else np.inf
+    at_s = min(first_s, second_s)
+    if not np.isfinite(at_s):
+        return np.inf, float(ratios.max(initial=0.0)), False
+    soon = statistics[(grid_s >= at_s) & (grid_s <= at_s + _SOON_AFTER_S)] / limits
+    fast = float(passed[(time_s >= at_s) & (time_s <= at_s + _SOON_AFTER_S)].max(initial=1.0))
+    is_far = fast > 1.0 or soon[:, :_RESIDUALS].max(initial=0.0) >= 1.0
+    return at_s, float(soon.max(initial=fast)), bool(is_far)
+
+
+def judge_stretch(
+    known: CalibratedServo,
+    residuals: Residuals,
+    commands: Commands,
+    sent_period_s: float | None,
+    names: dict[float, Named],
+) -> Found:
+    """Judge what a stream remembers of a surface."""
+    segment = Series("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
+    segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
+    return judged(watched_calibrated(known, segment), names)
+
+
+def watched_calibrated(known: CalibratedServo, segment: Series) -> Watched:
+    """What the detector needs of a flight of a servo that was fitted to good flights."""
+    has_airspeed = segment.context.airspeed_s.size > 0
+    record = Record.of(segment, known.supply_v, known.airspeed_m_s)
+    return watched(known if has_airspeed else known.without_airspeed(), record)
