@@ -1,7 +1,7 @@
 """Make ``docs/detection.md`` and its pictures: ``python docs/make_detection.py [FOLDER] [SEEDS] [HEALTHY]``.
 
 The numbers of the text come from the constants in the code; section "Measured" and the pictures from the fleet of
-`benchmarks/fleet.py`, 8 seeds of each fault and 1000 healthy flights if not told otherwise (some minutes).
+`benchmarks/fleet.py`, 8 seeds of each fault and 1000 healthy flights unless given otherwise (some minutes).
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ compares D2 with servos that are simulated with these errors.)
 | [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{threshold._PEAK_HOLD_S:g} s)) | |
 | sigma_r | noise gain of the filter times the noise of the position, measured as the flight goes on (starts at {tolerance.noise_deg:g} deg) | |
 
-It uses no later sample. At rest it is lower than {CONSTANT_DEG:g} deg and sees small faults; in a brisk manoeuvre it is higher
+It uses no later sample. At rest it is lower than {CONSTANT_DEG:g} deg and sees small faults; in a fast manoeuvre it is higher
 and stays silent. The noise is measured from second differences of the simulation error, in which nothing that a fault
 does at the speed of a servo counts.
 
@@ -129,7 +129,7 @@ With e the simulation error, s its sensitivities to the parameters, and noise si
 
     sigma_tot² = sigma² + s' Sigma s                                                                  (D5)
 
-so that at rest a small error counts, and in a brisk manoeuvre it does not. A change h of the servo (travel lost, an offset, half of
+so that at rest a small error counts, and in a fast manoeuvre it does not. A change h of the servo (travel lost, an offset, half of
 the torque, play) is tested by what of its pattern the others cannot explain: with
 A = sum s s' and b = sum s e over a window, whitened by the noise,
 
@@ -239,8 +239,8 @@ Healthy flights:
 
 Delays beside two bounds. Both detectors know the fault's exact signature in that very flight and the spread of servos, and
 learn from the flight what their servo is like; **bound** has the same rate of false alarms, one in 1000 flights (a cumulative
-sum of the likelihood ratio: nobody is faster in the worst case, Lorden 1971); **onset known** is told when to look, which
-nobody can be (`benchmarks/bound.py`). Delays are from the onset to the alarm; a missed fault has an infinite one.
+sum of the likelihood ratio: no detector is faster in the worst case, Lorden 1971); **onset known** is given the time of onset, which
+no detector has (`benchmarks/bound.py`). Delays are from the onset to the alarm; a missed fault has an infinite one.
 
 {late}
 {steps}

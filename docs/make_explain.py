@@ -25,7 +25,7 @@ fault smaller than what its model got wrong before. Every command and picture he
 
 ## Suspect
 
-A flight in which the linkage of the elevator has a degree of play. Nobody told the audit, which knows the servo by its name:
+A flight in which the linkage of the elevator has a degree of play. The audit knows the servo by its name, and not of the play:
 
 @ simulate -o first.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 4
 @ audit first.csv -s elevator --servo hs225bb-eq31 -o before

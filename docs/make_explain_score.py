@@ -36,11 +36,11 @@ of 0.1 to 0.3 deg, white or with a colour; the even seeds chose constants, the o
 | "explained" or "nothing missing" | 197 |
 | processor time of a log of 50 s, on a busy machine: median, 95 % | 1.3, 4.1 s |
 
-One of the two that are wrong is a delay together with slower dynamics in gentle flight, which one sensor that lags foresees as
+One of the two that are wrong is a delay together with slower dynamics in gentle flight. A lagging sensor alone predicts it as
 well: no command of it tells them apart, and the single name is taken (7 of 16 even logs of that pair). The other is slower
 dynamics beside friction, called a delay.
 
-| runs of servos that nobody knows | odd seeds |
+| runs of unknown servos | odd seeds |
 |---|---|
 | torque lost in one of 3 to 8 runs, found within 0.3 s of the loss or of what first shows it | 96 of 100 sets |
 | a healthy run called not driven | 0 of 300 sets |
@@ -49,7 +49,7 @@ dynamics beside friction, called a delay.
 
 `python benchmarks/left_out.py`: each constant that was chosen by what it did on data is chosen again without one source, from the
 shipped value, a smaller and a larger one, and that source is explained with all of these. "Right" is the truth in the declared set
-(simulators, even seeds), or that the names which the makers' descriptions give are told (bench); the first figure is as shipped, the
+(simulators, even seeds), or that the names which the makers' descriptions give are found (bench); the first figure is as shipped, the
 second as chosen without the source; the error on data not fitted is over that of the shipped constants.
 
 | left out | records | chosen otherwise | right | names for each name | error |
@@ -76,7 +76,7 @@ second as chosen without the source; the error on data not fitted is over that o
 | widths of what servos of a type differ by (0.67, 1, 1.5) | a guess at what servos of a type differ by (poles 3 %), which the simulators share | 0.08 names fewer for each with the smaller ones, on one log of 12 |
 
 The samples are small, and constants were varied one at a time: that says that no source hangs on a value, not that the values are
-the best. Ratio (1.1) and foretold share (2 %) of "explained", smallest sizes and grids were set, not fitted.
+the best. Ratio (1.1) and predicted share (2 %) of "explained", smallest sizes and grids were set, not fitted.
 """
 
 

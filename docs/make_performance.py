@@ -71,7 +71,7 @@ class Row(NamedTuple):
 
 def main(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
-        rows = [row for group in GROUPS for row in _told(group(Path(name)))]
+        rows = [row for group in GROUPS for row in _reported(group(Path(name)))]
     path = folder / "performance.md"
     path.write_text(page(rows, machine()), encoding="utf-8")
     print(path)
@@ -177,7 +177,7 @@ def explanations(_: Path) -> Iterable[Row]:
 
 
 def live(folder: Path) -> Iterable[Row]:
-    """A stream, heard and judged, beside hearing it."""
+    """Cost of receiving and judging a stream, beside that of receiving it."""
     plain, aircraft = monitor.craft(8)
     flown = simulate_flight(plain, rate_hz=50.0, duration_s=15.0, outputs=outputs_of(plain))
     log = telemetry_log(flown, plain)
@@ -253,7 +253,7 @@ def machine() -> str:
     return f"{cores}\nPython {platform.python_version()}, {versions}."
 
 
-def _told(rows: Iterable[Row]) -> Iterable[Row]:
+def _reported(rows: Iterable[Row]) -> Iterable[Row]:
     for row in rows:
         print(row, flush=True)
         yield row

@@ -260,7 +260,7 @@ def detection_times() -> str:
             "|---|---|---|---|---|---|",
             *lines,
             "",
-            "The thesis' figures are those of a brisk input by a pilot. Slower manoeuvres, an autopilot's trimming among them,",
+            "The thesis' figures are those of a fast input by a pilot. Slower manoeuvres, an autopilot's trimming among them,",
             "cannot be that fast: the filter's own response (Eq. 4.11) takes the time.",
             "",
         ]

@@ -24,7 +24,7 @@ Every command and picture on this page was made by `python docs/make_tutorial.py
 
 ## A log
 
-Any log will do that holds what a servo was told *and* where its surface went. Have none yet? Simulate one: an ArduPilot log
+Any log will do that holds each servo's command *and* the position of its surface. Have none yet? Simulate one: an ArduPilot log
 of 60 s in which the elevator jams at 20 s.
 
 @ simulate -o flight.bin --duration 60 --seed 2 --fault elevator:stuck@20
@@ -36,7 +36,7 @@ For each surface the log holds a command and a position, so there is something t
 
 @ audit flight.bin -o out --html report.html
 
-The exit code is 1: a fault was found (0 is healthy, 2 could not tell). `report.html` is the page to send to somebody else
+The exit code is 1: a fault was found (0 is healthy, 2 could not tell). `report.html` is the page to send to others
 ([what is in it](report.md)); `out` holds the pictures, a recording for Rerun and the numbers.
 
 ![The elevator stays where it is while the command goes on; the residual leaves its threshold](tutorial/flight-elevator.png)
