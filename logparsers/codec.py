@@ -23,7 +23,7 @@ _SHORTEST = 12
 
 
 @dataclass(slots=True)
-class Heard:
+class Received:
     """A message that came in."""
 
     name: str
@@ -158,8 +158,8 @@ class Codec:
     Examples
     --------
     >>> plane, ground = Codec(1, 1), Codec(255, 190)
-    >>> heard = ground.decode(plane.encode("HEARTBEAT", {"type": 1, "autopilot": 3}))
-    >>> [(m.name, m.system, m.fields["type"]) for m in heard]
+    >>> messages = ground.decode(plane.encode("HEARTBEAT", {"type": 1, "autopilot": 3}))
+    >>> [(m.name, m.system, m.fields["type"]) for m in messages]
     [('HEARTBEAT', 1, 1)]
     """
 
@@ -196,16 +196,16 @@ class Codec:
         """Count frames that are sent elsewhere."""
         self._mav.seq = (self._mav.seq + frames) % 256
 
-    def decode(self, data: bytes) -> list[Heard]:
+    def decode(self, data: bytes) -> list[Received]:
         """Messages that the bytes complete; damaged ones are passed over."""
-        return [heard for _, heard in self.frames(data) if heard is not None]
+        return [message for _, message in self.frames(data) if message is not None]
 
-    def frames(self, data: bytes) -> list[tuple[bytes, Heard | None]]:
+    def frames(self, data: bytes) -> list[tuple[bytes, Received | None]]:
         """Bytes of each frame that was completed, and its message.
 
         None for damaged bytes, messages that nobody knows, and frames that are not signed as they should be.
         """
-        found: list[tuple[bytes, Heard | None]] = []
+        found: list[tuple[bytes, Received | None]] = []
         at = self._whole(data, found) if self._is_open and self._mav.buf_len() == 0 else 0
         if at == len(data):
             return found
@@ -214,11 +214,11 @@ class Codec:
             if name == "BAD_DATA" or name.startswith("UNKNOWN"):
                 found.append((bytes(m.data) if name == "BAD_DATA" else bytes(m.get_msgbuf()), None))
             else:
-                heard = Heard(name, m.get_srcSystem(), m.get_srcComponent(), _fields(m), m.get_seq())
-                found.append((bytes(m.get_msgbuf()), heard))
+                message = Received(name, m.get_srcSystem(), m.get_srcComponent(), _fields(m), m.get_seq())
+                found.append((bytes(m.get_msgbuf()), message))
         return found
 
-    def _whole(self, data: bytes, found: list[tuple[bytes, Heard | None]]) -> int:
+    def _whole(self, data: bytes, found: list[tuple[bytes, Received | None]]) -> int:
         """Add the whole, undamaged frames at the beginning of the bytes; pymavlink goes on where they end."""
         at, size = 0, len(data)
         while size - at >= _SHORTEST:
@@ -240,7 +240,7 @@ class Codec:
             if check != data[end - 2] | data[end - 1] << 8:
                 break
             fields = _Fields(kind, data[begin : end - 2])
-            found.append((data[at:after], Heard(kind.name, system, component, fields, sequence)))
+            found.append((data[at:after], Received(kind.name, system, component, fields, sequence)))
             at = after
         return at
 

@@ -176,7 +176,11 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
     text += f"{', '.join(told)} at best" if told else "hardly less"
     ratio = np.diag(known.covariance) / np.array([prior.between for prior in PRIORS]) ** 2
     unsure = [SPOKEN[key] for key, value in zip(NAMES, ratio.tolist(), strict=True) if value > _VAGUE]
-    return f"{text}; flights with more manoeuvring would measure {', '.join(dict.fromkeys(unsure))} better" if unsure else text
+    return (
+        f"{text}; flights with more manoeuvring would measure {', '.join(dict.fromkeys(unsure))} better"
+        if unsure
+        else text
+    )
 
 
 def _notes(gain: float, known: CalibratedServo) -> tuple[str, ...]:

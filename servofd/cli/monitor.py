@@ -152,8 +152,8 @@ def _verdict(session: Session) -> int:
     if not unjudged:
         return 0
     names = ", ".join(sorted(session.names)[:8])
-    heard = f"; heard {names}" if names and not any(monitor.was_judged for _, monitor in session.watched) else ""
-    complain(f"could not tell: {unjudged}{heard}")
+    messages = f"; received {names}" if names and not any(monitor.was_judged for _, monitor in session.watched) else ""
+    complain(f"could not tell: {unjudged}{messages}")
     return 2
 
 

@@ -134,7 +134,7 @@ def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> in
     dropped = sum(leg.vehicle.dropped_rows for leg in flown_legs)
     if dropped:
         complain(f"{dropped} rows of the streamed log found its buffer full")
-    say(f"{endpoint}: flew {flown.turns} turns of the main loop, sent {flown.sent} messages, heard {flown.heard}")
+    say(f"{endpoint}: flew {flown.turns} turns of the main loop, sent {flown.sent} messages, received {flown.received}")
     return 0
 
 

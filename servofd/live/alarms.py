@@ -1,7 +1,7 @@
 """Alarms as they are published: each has one id from its beginning to its end, and a severity.
 
 The detector says what it sees of a surface at each moment. What leaves the monitor follows four rules: a fault is one
-alarm, however often it is looked at; a surface has a second alarm only for a second fault; an alarm ends once; and what
+alarm, however often it is judged; a surface has a second alarm only for a second fault; an alarm ends once; and what
 has ended does not return.
 """
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import Fault
 
 _CRITICAL, _WARNING = 1.0 / 3.0, 0.1
-"""Shares of a surface's travel: an aircraft can be flown with the loss of less than the first, and nobody who flies it
+"""Shares of a surface's travel: an aircraft can be flown with the loss of less than the first, and no pilot of it
 notices less than the second."""
 _TRAVEL_DEG: Final = 50.0
 """Where nothing says how far a surface moves: the FASER surfaces' +-25 deg."""
@@ -39,7 +39,7 @@ class Published(Event):
     vehicle: int = 0
     """Its system id; 0 where there is none, as in a log of another kind."""
     boot: int = 1
-    """Of the vehicle, whose time it is: the first that was heard is 1."""
+    """Of the vehicle, whose time it is: the first that was received is 1."""
 
 
 @dataclass(slots=True)
@@ -132,7 +132,7 @@ class Alarms:
     """Its system id, with which the ids of its alarms begin."""
     travels_deg: Mapping[str, float] = field(default_factory=dict)
     boot: int = 1
-    """Which one of the vehicle's boots this is, of those that were heard."""
+    """Which one of the vehicle's boots this is, of those that were received."""
     all: list[Alarm] = field(default_factory=list)
     """In the order in which they were raised."""
     _counts: dict[str, int] = field(default_factory=dict)
@@ -149,16 +149,16 @@ class Alarms:
 
     def publish(self, events: Iterable[Event]) -> list[Published]:
         """What to publish of that which the detector saw."""
-        return [told for event in events for told in self._told(event)]
+        return [each for event in events for each in self._reported(event)]
 
     def begin_anew(self, event: Event) -> list[Published]:
         """End what stands, for the vehicle has booted, as an event says: whether it lasts is seen anew."""
-        told = []
+        reports = []
         for alarm in self.all:
             if alarm.end_s is None:
                 alarm.end_s = math.inf
                 text = "the vehicle has restarted: whether it lasts is not known"
-                told.append(
+                reports.append(
                     self._published(
                         replace(event, surface=alarm.surface, event="clear", kind=alarm.kind, text=text),
                         alarm.id,
@@ -166,9 +166,9 @@ class Alarms:
                     )
                 )
         self.boot += 1
-        return [*told, self._published(event, "", Severity.WARNING)]
+        return [*reports, self._published(event, "", Severity.WARNING)]
 
-    def _told(self, event: Event) -> list[Published]:
+    def _reported(self, event: Event) -> list[Published]:
         if event.event not in ("alarm", "named", "clear"):
             return [self._published(event, "", Severity.WARNING)]
         of_surface = [alarm for alarm in self.all if alarm.surface == event.surface and alarm.boot == self.boot]

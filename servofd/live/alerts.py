@@ -206,8 +206,8 @@ class Alerts:
             reasons[re.split(" since|[:;,]", text, maxsplit=1)[0]].append(surface)
         self._unwatched.clear()
         notes, self._notes = self._notes, []
-        told = [self._text(surfaces, f"not watched: {reason}") for reason, surfaces in reasons.items()]
-        return told + ([notes[-1][:LONGEST_TEXT]] if notes else [])
+        texts = [self._text(surfaces, f"not watched: {reason}") for reason, surfaces in reasons.items()]
+        return texts + ([notes[-1][:LONGEST_TEXT]] if notes else [])
 
     def _text(self, surfaces: list[str], what: str) -> str:
         """Names, then what there is to say of them; what does not fit is cut off the latter."""

@@ -38,7 +38,7 @@ _EVERY_S = 1.0
 _KEPT_S, _LONGEST_S = 150.0, 300.0
 """What is judged grows to the longer, then falls back to the shorter: several times the longest window."""
 _NEW_S = 2.0
-"""What is judged once a second is told anew within twice that, of an alarm that stands already."""
+"""An axis is judged once a second; news of an alarm that stands already is published within twice that."""
 _NAMED_S = 2.0
 """So long after an alarm it is said which axis is the cause, and whether it acts late or too little."""
 
@@ -56,7 +56,7 @@ class AxisWatch:
     model: MotionModel
     audits: tuple[AxisAudit, ...] = ()
     """Of the latest judgement."""
-    problem: str = "nothing was heard of its motion"
+    problem: str = "no message of its motion came"
     """Why nothing is judged; empty once something is."""
     has_fault: bool = False
     has_suspect: bool = False
@@ -73,7 +73,7 @@ class AxisWatch:
         outputs = {int(name.removeprefix("SERVO").partition("_")[0]) for name in self.model.parameters}
         return [*(f"RCOU.C{number}" for number in sorted(outputs)), *_LOGGED]
 
-    def hear(self, message: str, fields: Mapping[str, object], time_s: float) -> None:
+    def receive(self, message: str, fields: Mapping[str, object], time_s: float) -> None:
         """Take a message of a stream."""
         for name in STREAMED.get(message, ()):
             value = fields.get(name)

@@ -17,7 +17,7 @@ from servofd.servo.context import NO_CONTEXT, Context
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from logparsers.codec import Heard
+    from logparsers.codec import Received
 
 _LARGEST = 1e6
 """Degrees, microseconds and counts of no servo and no supply are as large."""
@@ -48,9 +48,9 @@ class ChannelTable:
 
     Examples
     --------
-    >>> from logparsers.codec import Heard
+    >>> from logparsers.codec import Received
     >>> table = ChannelTable(["NAMED_VALUE_FLOAT[SRVP2].value", "SERVO_OUTPUT_RAW.servo2_raw"])
-    >>> table.of(Heard("NAMED_VALUE_FLOAT", 1, 1, {"name": "SRVP2", "value": 3.5}))
+    >>> table.of(Received("NAMED_VALUE_FLOAT", 1, 1, {"name": "SRVP2", "value": 3.5}))
     [('NAMED_VALUE_FLOAT[SRVP2].value', 3.5)]
     """
 
@@ -58,7 +58,7 @@ class ChannelTable:
         self._wanted: dict[tuple[str, str], list[_Wanted]] = {}
         self._others: set[tuple[str, tuple[int, int]]] = set()
         self.news: list[str] = []
-        """What is to be told of senders, and forgotten."""
+        """What is to be reported of senders, and then forgotten."""
         self._counts: dict[str, tuple[str, int]] = {}
         self.unknown: list[str] = []
         """Names that are no channels of a telemetry stream."""
@@ -79,37 +79,37 @@ class ChannelTable:
         """Values that were no measurements."""
         self._instances = {name: layouts[name].instance for name in self.messages}
 
-    def of(self, heard: Heard) -> list[tuple[str, float]]:
+    def of(self, message: Received) -> list[tuple[str, float]]:
         """Wanted channels of a message, and their values as logged."""
-        if heard.name not in self.messages:
+        if message.name not in self.messages:
             return []
         found = []
-        for wanted in self._asked(heard):
-            sender = (heard.system, heard.component)
-            if sender != wanted.source and (wanted.source is not None or heard.component != Component.AUTOPILOT1):
+        for wanted in self._asked(message):
+            sender = (message.system, message.component)
+            if sender != wanted.source and (wanted.source is not None or message.component != Component.AUTOPILOT1):
                 continue
-            field = heard.fields[wanted.field]
+            field = message.fields[wanted.field]
             value = float(field if wanted.element is None else field[wanted.element])
             if not abs(value) <= _LARGEST:
                 self.dropped += 1
                 self._tell(wanted.channel, sender, f"{value:.3g} is no measurement: such values are left out")
                 continue
-            self._counts[wanted.channel] = (heard.name, self._counts[wanted.channel][1] + 1)
+            self._counts[wanted.channel] = (message.name, self._counts[wanted.channel][1] + 1)
             found.append((wanted.channel, value))
         return found
 
-    def obeys(self, heard: Heard) -> bool:
+    def obeys(self, message: Received) -> bool:
         """Whether a message is the autopilot's, or of a sender that a channel names; tells of others once."""
-        sender = (heard.system, heard.component)
-        if heard.component == Component.AUTOPILOT1 or sender in self._named:
+        sender = (message.system, message.component)
+        if message.component == Component.AUTOPILOT1 or sender in self._named:
             return True
-        if heard.name in self.messages and any(w.source is None for w in self._asked(heard)):
-            self._tell(heard.name, sender, f"not that of component {heard.component}")
+        if message.name in self.messages and any(w.source is None for w in self._asked(message)):
+            self._tell(message.name, sender, f"not that of component {message.component}")
         return False
 
-    def _asked(self, heard: Heard) -> list[_Wanted]:
-        field = self._instances[heard.name]
-        return self._wanted.get((heard.name, str(heard.fields[field]) if field else ""), [])
+    def _asked(self, message: Received) -> list[_Wanted]:
+        field = self._instances[message.name]
+        return self._wanted.get((message.name, str(message.fields[field]) if field else ""), [])
 
     def _tell(self, message: str, sender: tuple[int, int], what: str) -> None:
         if (message, sender) not in self._others and len(self._others) < _MOST_OTHERS:
@@ -141,7 +141,7 @@ _PERIOD_S = 0.1
 
 
 class Surroundings:
-    """What was heard of them lately; of several channels with the same news, the one that audits would take.
+    """What was received of them lately; of several channels with the same news, the one that audits would take.
 
     `needs` are those of the models, of ``airspeed_m_s`` and ``servo_voltage_v``.
     """
@@ -152,7 +152,7 @@ class Surroundings:
             for need in needs
             for rank, (channel, scale) in enumerate(SURROUNDINGS[need].items())
         }
-        self._heard: dict[str, tuple[int, deque[tuple[float, float]]]] = {}
+        self._received: dict[str, tuple[int, deque[tuple[float, float]]]] = {}
 
     @property
     def channels(self) -> list[str]:
@@ -164,10 +164,10 @@ class Surroundings:
         if channel not in self._sources or not np.isfinite(value):
             return False
         need, rank, scale = self._sources[channel]
-        known_rank, samples = self._heard.get(need, (rank + 1, deque()))
+        known_rank, samples = self._received.get(need, (rank + 1, deque()))
         if rank < known_rank:
             samples = deque(maxlen=int(MEMORY_S / _PERIOD_S))
-            self._heard[need] = rank, samples
+            self._received[need] = rank, samples
         if rank > known_rank or (samples and not time_s - samples[-1][0] >= _PERIOD_S):
             return False
         samples.append((time_s, scale * value))
@@ -175,6 +175,6 @@ class Surroundings:
 
     def context(self) -> Context:
         """All that is known; what came last holds until something else comes."""
-        columns = {need: np.array(samples).T for need, (_, samples) in self._heard.items()}
+        columns = {need: np.array(samples).T for need, (_, samples) in self._received.items()}
         nothing = (NO_CONTEXT.airspeed_s, NO_CONTEXT.airspeed_m_s)
         return Context(*columns.get("airspeed_m_s", nothing), *columns.get("servo_voltage_v", nothing))

@@ -15,7 +15,7 @@ from logparsers.protocol import Component
 from servofd.live.channels import stamp_of
 
 if TYPE_CHECKING:
-    from logparsers.codec import Heard
+    from logparsers.codec import Received
 
 _DRIFT = 1e-4
 """Most by which two clocks drift apart [s/s]; crystals have some 20 ppm, and 50 in the cold."""
@@ -24,7 +24,7 @@ _BLOCK_S = 0.5
 _LATE_S = 0.75
 """From here on a link is late, and in time again below half of it; radios take 0.05 to 0.3 s, LTE 0.1 to 0.6 s."""
 _HELD_S = 1.0
-"""For so long it must be late to be told,"""
+"""For so long it must be late to be reported,"""
 _CALM_S = 5.0
 """and so long in time; what comes and goes more quickly is one sentence."""
 
@@ -132,11 +132,11 @@ class VehicleClock:
 
     Examples
     --------
-    >>> from logparsers.codec import Heard
+    >>> from logparsers.codec import Received
     >>> clock = VehicleClock()
-    >>> clock.time_s(Heard("ATTITUDE", 1, 1, {"time_boot_ms": 4294950}), 100.0)
+    >>> clock.time_s(Received("ATTITUDE", 1, 1, {"time_boot_ms": 4294950}), 100.0)
     4294.95
-    >>> clock.time_s(Heard("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": 32704}), 100.05)
+    >>> clock.time_s(Received("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": 32704}), 100.05)
     4295.0
     """
 
@@ -154,15 +154,15 @@ class VehicleClock:
         self.restarts = 0
         """How often the vehicle has begun anew."""
 
-    def is_reference(self, heard: Heard) -> bool:
+    def is_reference(self, message: Received) -> bool:
         """Whether this message tells the vehicle's time since boot without overflowing."""
-        stamp = stamp_of(heard.name)
+        stamp = stamp_of(message.name)
         return (
-            heard.component == Component.AUTOPILOT1
+            message.component == Component.AUTOPILOT1
             and stamp is not None
             and stamp.field == "time_boot_ms"
-            and not heard.name.startswith(_RELAYED)
-            and heard.fields[stamp.field] > 0
+            and not message.name.startswith(_RELAYED)
+            and message.fields[stamp.field] > 0
         )
 
     def is_set(self, arrival_s: float) -> bool:
@@ -171,24 +171,24 @@ class VehicleClock:
             self._begun_s = arrival_s
         return math.isfinite(self._newest_s) or arrival_s - self._begun_s > _PATIENCE_S
 
-    def time_s(self, heard: Heard, arrival_s: float) -> float | None:
-        """When a message was made [s]; None while that cannot be told."""
-        stamp = stamp_of(heard.name)
-        raw = int(heard.fields[stamp.field]) if stamp else 0
+    def time_s(self, message: Received, arrival_s: float) -> float | None:
+        """When a message was made [s]; None while that is not known."""
+        stamp = stamp_of(message.name)
+        raw = int(message.fields[stamp.field]) if stamp else 0
         if stamp is None or raw == 0:
             return self.from_arrival(arrival_s)
-        if self.is_reference(heard) or not math.isfinite(self._newest_s):
+        if self.is_reference(message) or not math.isfinite(self._newest_s):
             return self._reference(raw * stamp.tick_s, arrival_s)
         expected_s = self._around(arrival_s)
         own_s = raw * stamp.tick_s
         if stamp.bits < 64:
             overflows = round((expected_s - own_s) / (stamp.tick_s * 2.0**stamp.bits))
             own_s = (raw + overflows * (1 << stamp.bits)) * stamp.tick_s
-        key = (heard.component, heard.name)
+        key = (message.component, message.name)
         latest_s = self._newest_s + max(arrival_s - self._arrived_s, 0.0) + _STRAYED_S
         if key not in self._foreign and self._newest_s - _STRAYED_S <= own_s <= latest_s:
             return own_s
-        if stamp.bits < 64 and heard.component == Component.AUTOPILOT1:
+        if stamp.bits < 64 and message.component == Component.AUTOPILOT1:
             return None
         return own_s + self._foreign.setdefault(key, _Shift()).of(expected_s - own_s, arrival_s)
 
@@ -237,7 +237,7 @@ class VehicleClock:
         return self._back >= _PERSISTS and lasts_s >= (_PERSISTS_S if is_young else _GONE_BACK_S)
 
     def _is_of_the_boot_before(self, time_s: float, arrival_s: float) -> bool:
-        """Whether a stamp fits where the boot before was when it was last heard, and not where this one is."""
+        """Whether a stamp fits where the boot before was when its last message came, and not where this one is."""
         if self._before is None:
             return False
         newest_s, arrived_s = self._before

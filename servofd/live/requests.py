@@ -10,7 +10,7 @@ from logparsers.mavlink import dialect
 from logparsers.protocol import Command, RemoteLogCommand, Result
 
 if TYPE_CHECKING:
-    from logparsers.codec import Heard
+    from logparsers.codec import Received
 
 _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
 """ArduPlane grants 0.8 of its loop rate: 40 Hz with the usual 50 Hz loop."""
@@ -41,15 +41,15 @@ class Requests:
 
     Examples
     --------
-    >>> from logparsers.codec import Heard
+    >>> from logparsers.codec import Received
     >>> requests = Requests(1, {"SERVO_OUTPUT_RAW"})
     >>> [fields["param2"] for _, fields in requests.due(0.0)]
     [20000.0]
-    >>> requests.hear(Heard("COMMAND_ACK", 1, 1, {"command": 511, "result": 2}))
+    >>> requests.receive(Received("COMMAND_ACK", 1, 1, {"command": 511, "result": 2}))
     'SERVO_OUTPUT_RAW at 50 Hz denied'
     >>> [fields["param2"] for _, fields in requests.due(0.1)]
     [25000.0]
-    >>> requests.hear(Heard("COMMAND_ACK", 1, 1, {"command": 511, "result": 0}))
+    >>> requests.receive(Received("COMMAND_ACK", 1, 1, {"command": 511, "result": 0}))
     'SERVO_OUTPUT_RAW at 40 Hz granted'
     """
 
@@ -85,12 +85,12 @@ class Requests:
         fields = {"target_system": self.system, "target_component": 1, "command": Command.SET_MESSAGE_INTERVAL}
         return [("COMMAND_LONG", fields | {"param1": float(number), "param2": period_us})]
 
-    def hear(self, heard: Heard) -> str:
+    def receive(self, message: Received) -> str:
         """Take an answer, and say what it means; empty if it is none."""
-        if heard.name != "COMMAND_ACK" or heard.fields["command"] != Command.SET_MESSAGE_INTERVAL or not self._open:
+        if message.name != "COMMAND_ACK" or message.fields["command"] != Command.SET_MESSAGE_INTERVAL or not self._open:
             return ""
-        result = int(heard.fields["result"])
-        if result == Result.IN_PROGRESS or heard.fields.get("target_component", 0) not in (0, self.component):
+        result = int(message.fields["result"])
+        if result == Result.IN_PROGRESS or message.fields.get("target_component", 0) not in (0, self.component):
             return ""
         wish, step, self._finished_s = self._open.pop(0)
         if wish.done or step != wish.step:
@@ -140,7 +140,7 @@ class RemoteLog:
     def __init__(self, system: int) -> None:
         self._system = system
         self._blocks, self._rows = BlockStream(), RowDecoder()
-        self._asked_s = self._heard_s = float("-inf")
+        self._asked_s = self._received_s = float("-inf")
         self._reviewed_s = float("inf")
         self._counts = self._before = (0, 0, 0)
         """Blocks received, blocks lost, rows received."""
@@ -154,14 +154,14 @@ class RemoteLog:
         blocks, rows = self._blocks, f", {self._dropped:.0f} rows dropped on board" if self._dropped else ""
         return f"log: {blocks.received} blocks, {blocks.lost} lost{rows}" if blocks.begun else ""
 
-    def hear(self, heard: Heard, now_s: float) -> list[tuple[str, float, float]]:
+    def receive(self, message: Received, now_s: float) -> list[tuple[str, float, float]]:
         """Samples in a block: channel, time [s] and value as logged; `now_s` is the receiver's clock [s]."""
-        if heard.name != "REMOTE_LOG_DATA_BLOCK":
+        if message.name != "REMOTE_LOG_DATA_BLOCK":
             return []
         found = []
-        self._heard_s = now_s
+        self._received_s = now_s
         self._reviewed_s = min(self._reviewed_s, now_s)
-        for data in self._blocks.take(int(heard.fields["seqno"]), bytes(heard.fields["data"]), now_s):
+        for data in self._blocks.take(int(message.fields["seqno"]), bytes(message.fields["data"]), now_s):
             if not data:
                 self._rows.lose()
             for row in self._rows.feed(data):
@@ -187,7 +187,7 @@ class RemoteLog:
     def due(self, now_s: float) -> list[Message]:
         """What to answer, or the request to begin."""
         answers = self._blocks.answers(now_s)
-        if now_s - self._heard_s >= _QUIET_S and now_s - self._asked_s >= _AGAIN_S_LOG:
+        if now_s - self._received_s >= _QUIET_S and now_s - self._asked_s >= _AGAIN_S_LOG:
             self._asked_s = now_s
             answers.append((RemoteLogCommand.START, True))
         target = {"target_system": self._system, "target_component": 1}

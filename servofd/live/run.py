@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servofd.live.threads import Receiver
 
 _STEP_S, _LONGEST_STEP_S = 0.02, 0.1
-"""Of a replay: data is evaluated in steps of this length; of a longer one where nobody could see the difference."""
+"""Of a replay: data is evaluated in steps of this length; of a longer one where the difference cannot be seen."""
 _TOGETHER_S = 0.003
 """Of a live link: what arrives within so long is evaluated together, as an autopilot sends it together."""
 _AT_EASE_S = 0.04
@@ -108,7 +108,7 @@ def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, d
         if now_s - log_start_s(log) > duration_s:
             break
         pace.wait(now_s)
-        vehicle.heard_s = now_s
+        vehicle.received_s = now_s
         vehicle.give(samples)
         watcher.events(session.step(now_s))
         watcher.tick(now_s)

@@ -22,7 +22,7 @@ from servofd.live.vehicle import Vehicle
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from logparsers.codec import Codec, Heard
+    from logparsers.codec import Codec, Received
     from servofd.aircraft.schema import Aircraft
     from servofd.detection.event import Event, Inputs, Look
     from servofd.detection.stream import Piece
@@ -79,12 +79,12 @@ class Session:
     component: int = 191
     """As which it asks: answers to others are none of its own."""
     listener: Callable[[str, Piece, Inputs], None] | None = None
-    """Told of every piece that was evaluated."""
+    """Called with every piece that was evaluated."""
     vehicles: dict[int, Vehicle] = field(default_factory=dict)
     strangers: set[int] = field(default_factory=set)
-    """Systems that are heard, and that no aircraft file is for."""
+    """Systems on the link that no aircraft file is for."""
     names: set[str] = field(default_factory=set)
-    """Messages that were heard from vehicles."""
+    """Messages that were received from vehicles."""
     notes: list[str] = field(default_factory=list)
     """News of the link, to be shown and forgotten."""
     frames: int = 0
@@ -112,30 +112,34 @@ class Session:
     def take(self, arrival_s: float, data: bytes) -> list[Published]:
         """Take bytes that arrived [s, the receiver's clock]."""
         events: list[Published] = []
-        for frame, heard in self.codec.frames(data):
+        for frame, message in self.codec.frames(data):
             self.store(stamped(arrival_s, frame))
-            if heard is None:
+            if message is None:
                 self.damaged_bytes += len(frame)
             if is_signed(frame):
                 taken, refused = self.signed
-                if heard is not None and not taken:  # say once whether anybody checks them
+                if message is not None and not taken:  # say once whether they are checked
                     fits = "signatures are those of the key: what carries no such one is not believed"
                     open_ = "frames are signed, and taken unchecked: --signing-key FILE would check them"
                     self.notes.append(fits if self.codec.has_key else open_)
-                self.signed = (taken + (heard is not None), refused + (heard is None))
-            if heard is None:
+                self.signed = (taken + (message is not None), refused + (message is None))
+            if message is None:
                 continue
             self.frames += 1
-            vehicle = self.vehicles.get(heard.system) or self._found(heard)
+            vehicle = self.vehicles.get(message.system) or self._found(message)
             if vehicle is not None:
-                self.names.add(heard.name)
-                told = vehicle.hear(heard, arrival_s)
-                if any(event.event == "link_restored" or "restarted" in event.text for event in told):
+                self.names.add(message.name)
+                reports = vehicle.receive(message, arrival_s)
+                if any(event.event == "link_restored" or "restarted" in event.text for event in reports):
                     vehicle.requests.again()  # it may have started anew, with its usual rates
-                events += told
-                if heard.name == "TIMESYNC" and heard.component == Component.AUTOPILOT1 and heard.fields["tc1"] > 0:
-                    vehicle.clock.answered(heard.fields["ts1"], heard.fields["tc1"] * 1e-9, arrival_s)
-                self._note(vehicle.requests.hear(heard))
+                events += reports
+                if (
+                    message.name == "TIMESYNC"
+                    and message.component == Component.AUTOPILOT1
+                    and message.fields["tc1"] > 0
+                ):
+                    vehicle.clock.answered(message.fields["ts1"], message.fields["tc1"] * 1e-9, arrival_s)
+                self._note(vehicle.requests.receive(message))
         return events
 
     def _note(self, said: str) -> None:
@@ -182,32 +186,34 @@ class Session:
         """Those of every surface and every boot."""
         return [one for vehicle in self.vehicles.values() for one in (*vehicle.past, *vehicle.monitors.values())]
 
-    def _found(self, heard: Heard) -> Vehicle | None:
+    def _found(self, message: Received) -> Vehicle | None:
         """The first vehicle that speaks, if the aircraft file says of none which it is.
 
         Whoever speaks first is asked for positions; the first that sends any is the one.
         """
-        autopilot = heard.name == "HEARTBEAT" and heard.component == Component.AUTOPILOT1
-        autopilot = autopilot and heard.fields["autopilot"] != Autopilot.INVALID
-        if 0 not in self.aircraft or heard.system == _GROUND_SYSTEM:
-            self._stranger(heard.system, autopilot)
+        autopilot = message.name == "HEARTBEAT" and message.component == Component.AUTOPILOT1
+        autopilot = autopilot and message.fields["autopilot"] != Autopilot.INVALID
+        if 0 not in self.aircraft or message.system == _GROUND_SYSTEM:
+            self._stranger(message.system, autopilot)
             return None
         bound = next(iter(self.vehicles.values()), None)
         if bound is not None:
-            if heard.system not in self._tables:
+            if message.system not in self._tables:
                 channels = [s.measured.channel for s in self.aircraft[0].surfaces.values() if s.measured]
-                self._tables[heard.system] = ChannelTable(channels)
-            if bound.has_positions or heard.system in self._left or not self._tables[heard.system].of(heard):
-                self._stranger(heard.system, autopilot)
+                self._tables[message.system] = ChannelTable(channels)
+            if bound.has_positions or message.system in self._left or not self._tables[message.system].of(message):
+                self._stranger(message.system, autopilot)
                 return None
-            self.notes.append(f"vehicle {heard.system} sends the positions: it is watched, not vehicle {bound.system}")
+            self.notes.append(
+                f"vehicle {message.system} sends the positions: it is watched, not vehicle {bound.system}"
+            )
             del self.vehicles[bound.system]
             self._left.add(bound.system)
             self.strangers.add(bound.system)
-        elif not autopilot and heard.name not in self._wanted[0]:
+        elif not autopilot and message.name not in self._wanted[0]:
             return None
-        vehicle = Vehicle(heard.system, self.aircraft[0], is_stream=not self.remote_log)
-        self._adopt(heard.system, vehicle)
+        vehicle = Vehicle(message.system, self.aircraft[0], is_stream=not self.remote_log)
+        self._adopt(message.system, vehicle)
         return vehicle
 
     def _stranger(self, system: int, is_vehicle: bool) -> None:
@@ -265,7 +271,7 @@ class Session:
 
     def _inquire(self, vehicle: Vehicle, now_s: float) -> None:
         """Ask a vehicle for what is needed, and for the time."""
-        if self.send is None or vehicle.heard_s == float("-inf"):
+        if self.send is None or vehicle.received_s == float("-inf"):
             return
         requests = vehicle.requests
         for message, rate_hz in vehicle.rates_hz(now_s).items():
@@ -324,7 +330,7 @@ class Session:
         return "; ".join(f"{', '.join(who)}: {why}" for why, who in missing.items())
 
     def _nobody(self) -> str:
-        """What is heard while there is no vehicle."""
+        """What is received while there is no vehicle."""
         if self.strangers:
             systems = ", ".join(str(system) for system in sorted(self.strangers))
             return f"hears vehicle {systems}, for which there is no aircraft file (-c ID=FILE)"

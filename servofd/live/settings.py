@@ -36,7 +36,7 @@ class Change(NamedTuple):
 
 
 def rescaled(command: Calibration, scale: float) -> Calibration | None:
-    """Calibration of a command whose pulses ask for so many times as much; None if that cannot be told."""
+    """Calibration of a command whose pulses ask for so many times as much; None if that is not known."""
     if not isinstance(command, PulseCalibration):
         return command  # degrees, as the driver computes them with that parameter
     if command.slope_deg_per_us is None:
@@ -47,17 +47,17 @@ def rescaled(command: Calibration, scale: float) -> Calibration | None:
 
 @dataclass(slots=True)
 class Settings:
-    """The parameters of one vehicle, as far as they were heard."""
+    """The parameters of one vehicle, as far as they were received."""
 
     outputs: Mapping[str, int | None]
     """By surface, the output that it hangs on."""
     _known: dict[str, float] = field(default_factory=dict)
     _first: dict[str, float] = field(default_factory=dict)
 
-    def hear(self, name: str, value: float, *, is_news: bool = False) -> Change | None:
+    def receive(self, name: str, value: float, *, is_news: bool = False) -> Change | None:
         """Take a parameter; None if it says nothing new, or nothing of these surfaces.
 
-        `is_news` for one that came without its place in the list, as it does when somebody has set it.
+        `is_news` for one that came without its place in the list, as it does when it has been set.
         """
         found = _OF_AN_OUTPUT.fullmatch(name)
         before = self._known.get(name)
@@ -68,7 +68,7 @@ class Settings:
         everything = tuple(self.outputs)
         if found is None:
             if before is None:
-                return Change(everything, 1.0, True, f"{text}, was not heard before")
+                return Change(everything, 1.0, True, f"{text}, was not received before")
             follows = value > 0.0 and before > 0.0
             text += ": calibration follows" if follows else ""
             return Change(everything, value / before if follows else 1.0, not follows, text)

@@ -61,7 +61,7 @@ class Receiver:
         self._thread.start()
 
     def now_s(self) -> float:
-        """Clock of the arrival times [s]; nobody can set it back."""
+        """Clock of the arrival times [s]; it is never set back."""
         return self._since_s + time.monotonic()
 
     def close(self) -> None:

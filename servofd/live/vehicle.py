@@ -26,7 +26,7 @@ from servofd.live.settings import Settings, rescaled
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from logparsers.codec import Heard
+    from logparsers.codec import Received
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.types import FloatArray
     from servofd.live.axes import AxisWatch
@@ -36,9 +36,9 @@ Samples = tuple[list[float], list[float]]
 
 _SILENCE_S = 2.0
 _GAP_S = 1.0
-"""Longer than any pause between two messages of a vehicle that is heard."""
+"""Longer than any pause between two messages of a vehicle on the link."""
 _JUMP_S = 1.0
-"""Left out after a parameter has changed: pulses jump, and nobody knows exactly when."""
+"""Left out after a parameter has changed: pulses jump, at an instant that is not known exactly."""
 _READ_FIRST_S = 10.0
 """Parameters without a place that come so early answer whoever reads them at the start (in a replay, the monitor that
 recorded it): ArduPilot answers a name in the same way as it tells of a change."""
@@ -133,7 +133,7 @@ class Vehicle:
     """Those of the boots before."""
     began_s: list[float] = field(default_factory=lambda: [0.0])
     """When each of its boots began, on a time line that they have in common [s]."""
-    heard_s: float = float("-inf")
+    received_s: float = float("-inf")
     """Arrival of the latest message [s]."""
     now_s: float = float("nan")
     """Its own time [s], as its newest message tells it."""
@@ -150,7 +150,7 @@ class Vehicle:
     seldom: set[str] = field(init=False)
     """Messages that tell of airspeed and supply, if its servos depend on them."""
     news: list[str] = field(default_factory=list)
-    """What is to be told of it, and forgotten."""
+    """What is to be reported of it, and then forgotten."""
     axes: AxisWatch | None = None
     """Its axes, if the aircraft file knows its motion."""
     requests: Requests = field(init=False)
@@ -175,7 +175,7 @@ class Vehicle:
     _counted_s: float = float("-inf")
     _checked_s: float = float("-inf")
     _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
-    _early: list[tuple[Heard, float]] = field(default_factory=list)
+    _early: list[tuple[Received, float]] = field(default_factory=list)
     _samples: dict[str, tuple[Samples, Samples]] = field(default_factory=dict)
     _disorder: Disorder = field(default_factory=Disorder)
     _bus: Bus = field(init=False)
@@ -227,47 +227,47 @@ class Vehicle:
         mine = sorted(self._routes, key=lambda channel: min(role for _, role in self._routes[channel]))
         return [*self._around.channels, *mine, *(self.axes.channels if self.axes is not None else ())]
 
-    def hear(self, heard: Heard, arrival_s: float) -> list[Published]:
-        """Take a message of this vehicle; what is to be told comes with `evaluate`, except about the link."""
-        if not self._table.obeys(heard):
+    def receive(self, message: Received, arrival_s: float) -> list[Published]:
+        """Events of the link that a message of this vehicle causes; all others come with `evaluate`."""
+        if not self._table.obeys(message):
             self.news += self._table.news
             self._table.news.clear()
             return []
-        events = self.silence(arrival_s)  # how long the link was away is known even if nobody asked meanwhile
+        events = self.silence(arrival_s)  # so that an outage counts even between two calls
         if self.is_lost:
             self.is_lost = False
-            text = f"vehicle {self.system} is heard again after {arrival_s - self.heard_s:.1f} s"
+            text = f"vehicle {self.system} sends again after {arrival_s - self.received_s:.1f} s"
             events.append(Event(self.now_s, "", "link_restored", text=text))
-        self.losses.setdefault(heard.component, Losses()).count(heard.sequence)
-        self.heard_s = arrival_s
+        self.losses.setdefault(message.component, Losses()).count(message.sequence)
+        self.received_s = arrival_s
         self._met_s = min(self._met_s, arrival_s)
-        if heard.name == "HEARTBEAT" and heard.component == Component.AUTOPILOT1:
-            self.autopilot = int(heard.fields["autopilot"])
-        elif heard.name == "PARAM_VALUE" and heard.component == Component.AUTOPILOT1:
-            events += self._set(heard.fields)
-        if not self.clock.is_set(arrival_s) and not self.clock.is_reference(heard):
-            if heard.name in self._table.messages:
-                self._early.append((heard, arrival_s))
+        if message.name == "HEARTBEAT" and message.component == Component.AUTOPILOT1:
+            self.autopilot = int(message.fields["autopilot"])
+        elif message.name == "PARAM_VALUE" and message.component == Component.AUTOPILOT1:
+            events += self._set(message.fields)
+        if not self.clock.is_set(arrival_s) and not self.clock.is_reference(message):
+            if message.name in self._table.messages:
+                self._early.append((message, arrival_s))
             return self.alarms.publish(events)
         restarts = self.clock.restarts
-        time_s = self.clock.time_s(heard, arrival_s)
-        told: list[Published] = []
+        time_s = self.clock.time_s(message, arrival_s)
+        reports: list[Published] = []
         if self.clock.restarts != restarts:
-            told, events = self._begin_anew(events, 0.0 if time_s is None else time_s), []
+            reports, events = self._begin_anew(events, 0.0 if time_s is None else time_s), []
         early, self._early = self._early, []
         for before, at_s in early:
             self._sort(before, self.clock.time_s(before, at_s))
         if time_s is not None:
             self._advance(time_s)
-            self._sort(heard, time_s)
+            self._sort(message, time_s)
             if self.axes is not None:
-                self.axes.hear(heard.name, heard.fields, time_s)
+                self.axes.receive(message.name, message.fields, time_s)
         if self.log is not None:
-            self.give(self.log.hear(heard, arrival_s))
-        return told + self.alarms.publish(events)
+            self.give(self.log.receive(message, arrival_s))
+        return reports + self.alarms.publish(events)
 
     def _begin_anew(self, events: list[Event], time_s: float) -> list[Published]:
-        """The vehicle has booted: what is to be told of the boot before, and that another begins, whose time it is."""
+        """Events of the boot that has ended, and that another begins, whose time it is."""
         events = [*events, *self.finish()]
         self.past += self.monitors.values()
         self.began_s.append(self.began_s[-1] + max(self.now_s, 0.0))
@@ -281,12 +281,12 @@ class Vehicle:
         text = f"vehicle {self.system} has restarted; the monitor begins anew"
         return self.alarms.publish(events) + self.alarms.begin_anew(Event(time_s, "", "no_data", text=text))
 
-    def _set(self, told: Mapping[str, Any]) -> list[Event]:
+    def _set(self, fields: Mapping[str, Any]) -> list[Event]:
         """A parameter: what was evaluated is, the rest is calibrated anew, or not watched any more."""
-        is_answer = told["param_id"] in self._read or self.heard_s - self._met_s <= _READ_FIRST_S
-        is_news = told["param_index"] == NO_INDEX and not is_answer
-        self._read.discard(told["param_id"])
-        change = self.settings.hear(str(told["param_id"]), float(told["param_value"]), is_news=is_news)
+        is_answer = fields["param_id"] in self._read or self.received_s - self._met_s <= _READ_FIRST_S
+        is_news = fields["param_index"] == NO_INDEX and not is_answer
+        self._read.discard(fields["param_id"])
+        change = self.settings.receive(str(fields["param_id"]), float(fields["param_value"]), is_news=is_news)
         if change is None:
             return []
         self.news.append(change.text)
@@ -322,7 +322,7 @@ class Vehicle:
         if span_s < _COUNT_S:
             return {}
         counts, self._counted_s = self._table.counted(), arrival_now_s
-        if self.is_lost or not span_s < 2.0 * _COUNT_S or arrival_now_s - self.heard_s > _SILENCE_S:
+        if self.is_lost or not span_s < 2.0 * _COUNT_S or arrival_now_s - self.received_s > _SILENCE_S:
             return {}
         return {message: count / span_s for message, count in counts.items()}
 
@@ -335,7 +335,7 @@ class Vehicle:
                 self.axes.add(channel, stamp_s, value)
 
     def evaluate(self, *, final: bool = True) -> list[Event]:
-        """Evaluate what was heard since; all of it, or what cannot wait for the next position."""
+        """Evaluate what was received since; all of it, or what cannot wait for the next position."""
         samples, self._samples = self._samples, {}
         known_s, events = self._disorder.known_s(), []
         if self._is_news:
@@ -365,10 +365,10 @@ class Vehicle:
 
     def silence(self, arrival_now_s: float) -> list[Event]:
         """Tell that nothing comes from this vehicle any more; `arrival_now_s` is the receiver's clock [s]."""
-        if self.is_lost or not arrival_now_s - self.heard_s > _SILENCE_S or self.heard_s == float("-inf"):
+        if self.is_lost or not arrival_now_s - self.received_s > _SILENCE_S or self.received_s == float("-inf"):
             return []
         self.is_lost = True
-        quiet_s = arrival_now_s - self.heard_s
+        quiet_s = arrival_now_s - self.received_s
         return [Event(self.now_s, "", "link_lost", text=f"nothing from vehicle {self.system} for {quiet_s:.1f} s")]
 
     def due(self) -> list[tuple[SurfaceMonitor, Look]]:
@@ -384,9 +384,9 @@ class Vehicle:
             events += monitor.finish()
         return events
 
-    def _sort(self, heard: Heard, time_s: float | None) -> None:
+    def _sort(self, message: Received, time_s: float | None) -> None:
         if time_s is not None:
-            for channel, value in self._table.of(heard):
+            for channel, value in self._table.of(message):
                 self._add(channel, time_s, value)
             if self._table.news:
                 self.news += self._table.news

@@ -210,8 +210,8 @@ class View:
         for vehicle in self._session.vehicles.values():
             received = sum(losses.received for losses in vehicle.losses.values())
             lost = sum(losses.lost for losses in vehicle.losses.values())
-            quiet_s, late_s = max(arrival_now_s - vehicle.heard_s, 0.0), vehicle.clock.latency.late_s
-            state = f"LOST, silent for {quiet_s:.0f} s" if vehicle.is_lost else f"heard {quiet_s:.1f} s ago"
+            quiet_s, late_s = max(arrival_now_s - vehicle.received_s, 0.0), vehicle.clock.latency.late_s
+            state = f"LOST, silent for {quiet_s:.0f} s" if vehicle.is_lost else f"last message {quiet_s:.1f} s ago"
             state += f", {late_s:.0f} s late" if late_s >= _LATE_S else ""
             now = f"{vehicle.now_s:.1f} s since it booted" if math.isfinite(vehicle.now_s) else "its time not known yet"
             rates = [monitor.rate_hz for monitor in vehicle.monitors.values() if math.isfinite(monitor.rate_hz)]
@@ -225,7 +225,7 @@ class View:
             lines.append(f"vehicle {vehicle.system}: {now}; {state}{pace}{frames}{log}")
         damaged, dropped = self._session.damaged_bytes, self.dropped
         counts = [f"{damaged} damaged bytes"] * bool(damaged) + [f"{dropped} dropped here: queue full"] * bool(dropped)
-        return [*lines, *(["; ".join(counts)] if counts else [])] or ["nobody heard yet"]
+        return [*lines, *(["; ".join(counts)] if counts else [])] or ["no vehicle yet"]
 
 
 class Picture:

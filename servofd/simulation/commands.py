@@ -31,7 +31,7 @@ class _Style(NamedTuple):
 
 
 def flight(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Rectangular pattern: autopilot activity on the legs, brisk inputs into and out of 180-degree turns.
+    """Rectangular pattern: autopilot activity on the legs, fast inputs into and out of 180-degree turns.
 
     The first turn begins 8 s after the start, as in thesis Fig. 4.5. Inputs of 4 to 12 deg are reached in 0.08 to
     0.3 s, the pace of a pilot (at most about 200 deg/s); slower ones could not be detected within the thesis'

@@ -77,7 +77,7 @@ def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
 
 
 def acting(time_s: FloatArray, *, pushed: bool = False) -> Context:
-    """What servos may feel: airspeed and supply that vary enough to be told from a gain and a rate limit, and gusts.
+    """Conditions of a servo: gusts, and airspeed and supply that vary enough to be separated from gain and rate limit.
 
     `time_s` (shape (n,)): when [s]. `pushed`: whether a load of 0.05 N m comes and goes.
     """

@@ -88,7 +88,7 @@ def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "nam
     """Pulses and positions of all outputs.
 
     `aircraft`: a surface without a measured channel has a servo that reports nothing. `feedback`: how the position of
-    the servo on output n is told: ``"named"``, NAMED_VALUE_FLOAT ``SRVP<n>``, angle of the arm [deg]; ``"array"``, the
+    the servo on output n is sent: ``"named"``, NAMED_VALUE_FLOAT ``SRVP<n>``, angle of the arm [deg]; ``"array"``, the
     same in element n - 1 of a DEBUG_FLOAT_ARRAY named ``SRVP``; or ``"port"``, the pulse that would ask for it [us],
     rounded, as ``servo<n>_raw`` of a SERVO_OUTPUT_RAW with port 2 (port 1 is the outputs from 17 on).
     """
@@ -97,12 +97,12 @@ def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "nam
     pulses: dict[str, ArrayLike] = {f"servo{o.number}_raw": flight.pulse_us[:, i] for i, o in enumerate(flight.outputs)}
     pulses.setdefault(f"servo{THROTTLE}_raw", np.full(made_us.size, THROTTLE_US))
     sent: list[Sent] = [("SERVO_OUTPUT_RAW", made_us, {**stamp, **pulses})]
-    told = [(i, o) for i, o in enumerate(flight.outputs) if aircraft.surfaces[o.surface].measured is not None]
-    arms_deg = {o.number: o.arm_deg(flight.measured_deg[:, i]) for i, o in told}
-    if feedback == "port" and told:
-        raw = {f"servo{o.number}_raw": o.nearest_us(flight.measured_deg[:, i]) for i, o in told}
+    measured = [(i, o) for i, o in enumerate(flight.outputs) if aircraft.surfaces[o.surface].measured is not None]
+    arms_deg = {o.number: o.arm_deg(flight.measured_deg[:, i]) for i, o in measured}
+    if feedback == "port" and measured:
+        raw = {f"servo{o.number}_raw": o.nearest_us(flight.measured_deg[:, i]) for i, o in measured}
         sent.append(("SERVO_OUTPUT_RAW", made_us, {**stamp, "port": np.full(made_us.size, _POSITION_PORT), **raw}))
-    elif feedback == "array" and told:
+    elif feedback == "array" and measured:
         data = np.zeros((made_us.size, _ARRAY_SIZE))
         for number, arm_deg in arms_deg.items():
             data[:, number - 1] = arm_deg

@@ -36,7 +36,7 @@ class Writer:
     encode: Callable[[SimulatedFlight, Aircraft], bytes]
     """Content of the file."""
     rate_hz: float = 100.0
-    """Sample rate of a flight that nobody chose another for [Hz]."""
+    """Sample rate unless another is chosen [Hz]."""
     context: bool = False
     """True for logs that hold what the servos felt of the air and their supply."""
     pulses: bool = False

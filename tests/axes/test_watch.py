@@ -38,11 +38,11 @@ def sent(watch: AxisWatch, flight: Motion) -> list[Event]:
     roll, pitch = np.radians(flight.roll_deg), np.radians(flight.pitch_deg)
     for k, time_s in enumerate(flight.time_s.tolist()):
         pulses = {"servo1_raw": round(1500.0 + flight.commands_us["roll"][k]), "servo3_raw": 1500}
-        watch.hear("SERVO_OUTPUT_RAW", dict(pulses), time_s)
-        watch.hear("RAW_IMU", dict(zip(("xgyro", "ygyro", "zgyro"), (p[k], q[k], r[k]), strict=True)), time_s)
-        watch.hear("RAW_IMU", dict(zip(("xacc", "yacc", "zacc"), (ax[k], ay[k], az[k]), strict=True)), time_s)
-        watch.hear("ATTITUDE", {"roll": roll[k], "pitch": pitch[k]}, time_s)
-        watch.hear("VFR_HUD", {"airspeed": flight.airspeed_m_s[k]}, time_s)
+        watch.receive("SERVO_OUTPUT_RAW", dict(pulses), time_s)
+        watch.receive("RAW_IMU", dict(zip(("xgyro", "ygyro", "zgyro"), (p[k], q[k], r[k]), strict=True)), time_s)
+        watch.receive("RAW_IMU", dict(zip(("xacc", "yacc", "zacc"), (ax[k], ay[k], az[k]), strict=True)), time_s)
+        watch.receive("ATTITUDE", {"roll": roll[k], "pitch": pitch[k]}, time_s)
+        watch.receive("VFR_HUD", {"airspeed": flight.airspeed_m_s[k]}, time_s)
         events += watch.due(time_s)
     return events
 
@@ -84,8 +84,8 @@ def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
 @pytest.mark.slow
 def test_a_link_without_motion_says_what_is_missing() -> None:
     watch = AxisWatch(model())
-    assert "nothing was heard" in watch.waiting()
-    watch.hear("SERVO_OUTPUT_RAW", {"servo1_raw": 1500}, 1.0)
+    assert "no message of its motion" in watch.waiting()
+    watch.receive("SERVO_OUTPUT_RAW", {"servo1_raw": 1500}, 1.0)
     assert watch.due(2.0) == []
     assert "no body rates" in watch.waiting() or "no commands" in watch.waiting()
     assert math.isfinite(watch._judged_s)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 from pymavlink import mavutil
 
-from logparsers.codec import Codec, Heard
+from logparsers.codec import Codec, Received
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
 from tests.live.vehicles import DEADLINE_S, free_port, until
@@ -50,20 +50,20 @@ class Ground:
     def __init__(self, link: Link, codec: Codec | None = None) -> None:
         self.link = link
         self.codec = codec or Codec(255, 190)
-        self.heard: dict[str, list[Heard]] = defaultdict(list)
+        self.received: dict[str, list[Received]] = defaultdict(list)
 
     def say(self, name: str, **fields: Any) -> None:
         self.link.send(self.codec.encode(name, {"target_system": 1, "target_component": 1} | fields))
 
-    def listen(self) -> list[Heard]:
+    def listen(self) -> list[Received]:
         new = self.codec.decode(self.link.receive(0.1))
         for message in new:
-            self.heard[message.name].append(message)
+            self.received[message.name].append(message)
         return new
 
-    def wait_for(self, name: str, count: int = 1) -> list[Heard]:
-        until(lambda: self.listen() and len(self.heard[name]) >= count, f"{count} {name}")
-        return self.heard[name]
+    def wait_for(self, name: str, count: int = 1) -> list[Received]:
+        until(lambda: self.listen() and len(self.received[name]) >= count, f"{count} {name}")
+        return self.received[name]
 
 
 @contextlib.contextmanager

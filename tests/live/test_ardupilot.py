@@ -39,7 +39,7 @@ def watched(aircraft: Aircraft, *troubles: Trouble, **options: Any) -> tuple[Ses
     now_s = 0.0
     for leg in legs(flight, PLANE, Settings(message_hz=40.0, troubles=tuple(troubles))):
         times_us = leg.vehicle.time_us
-        leg.vehicle.hear(said("PARAM_REQUEST_LIST"), 0)
+        leg.vehicle.receive(said("PARAM_REQUEST_LIST"), 0)
         for index in range(times_us.size):
             now_s = leg.begun_s + 1e-6 * float(times_us[index] - times_us[0])
             codec.skip(air.jump(now_s))
@@ -137,8 +137,8 @@ def test_an_answer_to_another_reader_at_the_start_is_no_change(aircraft: Aircraf
     session.take(EPOCH_S + 4.0, codec.encode("PARAM_VALUE", answer | {"param_index": 65_535}))
     assert "SERVO_VOLZ_RANGE" not in session.waiting()
     session.take(EPOCH_S + 60.0, codec.encode("PARAM_VALUE", answer | {"param_index": 65_535, "param_value": 160.0}))
-    (heard,) = session.vehicles.values()
-    assert any("200 -> 160: calibration follows" in news for news in heard.news)
+    (only,) = session.vehicles.values()
+    assert any("200 -> 160: calibration follows" in news for news in only.news)
 
 
 @pytest.mark.slow
@@ -150,20 +150,20 @@ def test_a_pause_of_the_log_around_arming_is_no_event(stalled_s: float, tmp_path
     field = Field.of({0: aircraft_of_the_card(tmp_path)}, remote_log=True)
     field.fly(plane)
     assert field.end() == []
-    (heard,) = field.session.vehicles.values()
-    assert heard.log is not None
-    assert [monitor.was_judged for monitor in heard.monitors.values()] == [True] * 3
+    (only,) = field.session.vehicles.values()
+    assert only.log is not None
+    assert [monitor.was_judged for monitor in only.monitors.values()] == [True] * 3
 
 
 def test_positions_cannot_be_asked_for_and_are_not(aircraft: Aircraft) -> None:
     plane = vehicle(lively(duration_s=3.0))
-    answers = plane.hear(command(511, 251, 25_000), 0)
+    answers = plane.receive(command(511, 251, 25_000), 0)
     assert [a.fields.get("text") for a in answers if a.name == "STATUSTEXT"] == ["No ap_message for mavlink id (251)"]
     assert ask(plane, 251, 25_000) == 2
     field = Field.of({0: aircraft})
     asked: list[Any] = []
-    hear = plane.hear
-    plane.hear = lambda heard, now_us: asked.append(heard.fields.get("param1")) or hear(heard, now_us)  # type: ignore[func-returns-value,method-assign]
+    receive = plane.receive
+    plane.receive = lambda message, now_us: asked.append(message.fields.get("param1")) or receive(message, now_us)  # type: ignore[func-returns-value,method-assign]
     field.fly(plane)
     assert 36.0 in asked
     assert 251.0 not in asked
@@ -173,10 +173,10 @@ def test_positions_cannot_be_asked_for_and_are_not(aircraft: Aircraft) -> None:
 def test_answers_that_come_late_are_not_taken_for_others(aircraft: Aircraft) -> None:
     """Of a link of 2.5 s there and back: 50 Hz are denied, and 40 granted; nobody takes 25."""
     field, plane = Field.of({0: aircraft}), vehicle(lively(duration_s=30.0))
-    hear, waiting = plane.hear, []
+    receive, waiting = plane.receive, []
 
-    def late(heard: Any, now_us: int) -> list[Any]:
-        waiting.append((now_us + 2_500_000, hear(heard, now_us)))
+    def late(message: Any, now_us: int) -> list[Any]:
+        waiting.append((now_us + 2_500_000, receive(message, now_us)))
         return []
 
     turn = plane.turn
@@ -187,7 +187,7 @@ def test_answers_that_come_late_are_not_taken_for_others(aircraft: Aircraft) -> 
         waiting[:] = [entry for entry in waiting if entry[0] > now_us]
         return [*turn(index), *due]
 
-    plane.hear, plane.turn = late, with_answers  # type: ignore[method-assign]
+    plane.receive, plane.turn = late, with_answers  # type: ignore[method-assign]
     field.fly(plane)
     notes = [note for note in field.session.notes if note.startswith("SERVO_OUTPUT_RAW")]
     assert notes == ["SERVO_OUTPUT_RAW at 50 Hz denied", "SERVO_OUTPUT_RAW at 40 Hz granted"]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from logparsers.codec import Heard
+    from logparsers.codec import Received
 
 SERVO_OUTPUT_RAW, NAMED_VALUE_FLOAT = 36, 251
 ACCEPTED, DENIED = 0, 2
@@ -43,10 +43,10 @@ def linked(*troubles: Trouble, duration_s: float = 20.0) -> Iterator[tuple[Groun
         yield ground, counted, flight
 
 
-def listened(*troubles: Trouble, **options: Any) -> tuple[list[tuple[float, Heard]], Any]:
+def listened(*troubles: Trouble, **options: Any) -> tuple[list[tuple[float, Received]], Any]:
     """All that comes of a flight, each with its arrival [s of the flight], and the flight."""
     with linked(*troubles, **options) as (ground, counted, flight):
-        heard: list[tuple[float, Heard]] = []
+        heard: list[tuple[float, Received]] = []
 
         def step() -> bool:
             heard.extend((SPEED * time.monotonic(), message) for message in ground.listen())
@@ -59,12 +59,12 @@ def listened(*troubles: Trouble, **options: Any) -> tuple[list[tuple[float, Hear
 
 def asked(ground: Ground, message: int, interval_us: int) -> dict[str, Any]:
     """Ask for an interval; gives the answer."""
-    known = len(ground.heard["COMMAND_ACK"])
+    known = len(ground.received["COMMAND_ACK"])
     ground.say("COMMAND_LONG", command=511, param1=message, param2=interval_us)
     return dict(ground.wait_for("COMMAND_ACK", known + 1)[-1].fields)
 
 
-def stamps_s(heard: list[tuple[float, Heard]], name: str = "SERVO_OUTPUT_RAW") -> np.ndarray[Any, Any]:
+def stamps_s(heard: list[tuple[float, Received]], name: str = "SERVO_OUTPUT_RAW") -> np.ndarray[Any, Any]:
     return np.array([1e-6 * m.fields["time_usec"] for _, m in heard if m.name == name])
 
 
@@ -107,7 +107,7 @@ def test_40_hz_are_granted_and_50_refused() -> None:
     with linked() as (ground, _, _):
         assert asked(ground, SERVO_OUTPUT_RAW, 20_000)["result"] == DENIED
         assert asked(ground, SERVO_OUTPUT_RAW, 25_000)["result"] == ACCEPTED
-        known = len(ground.heard["SERVO_OUTPUT_RAW"])
+        known = len(ground.received["SERVO_OUTPUT_RAW"])
         rows = ground.wait_for("SERVO_OUTPUT_RAW", known + 100)[known + 10 :]
     pace_us = np.diff([row.fields["time_usec"] for row in rows])
     assert 1e6 / pace_us.mean() == pytest.approx(40.0, abs=0.5)
@@ -127,7 +127,7 @@ def test_named_value_float_cannot_be_requested_and_each_try_is_told_to_everybody
     with linked() as (ground, _, _):
         for tries in (1, 2):
             assert asked(ground, NAMED_VALUE_FLOAT, 25_000)["result"] == DENIED
-            texts = [m.fields["text"] for m in ground.heard["STATUSTEXT"]]
+            texts = [m.fields["text"] for m in ground.received["STATUSTEXT"]]
             assert texts.count("No ap_message for mavlink id (251)") == tries
 
 
@@ -174,7 +174,7 @@ def test_blocks_stall_at_arming_while_everything_else_comes() -> None:
     longest = int(np.argmax(np.diff(at_s)))
     assert np.diff(at_s)[longest] == pytest.approx(5.0, abs=0.8)
     assert at_s[longest] == pytest.approx(6.0, abs=0.8)
-    rows = [1e-6 * m.fields["time_usec"] for m in ground.heard["SERVO_OUTPUT_RAW"]]
+    rows = [1e-6 * m.fields["time_usec"] for m in ground.received["SERVO_OUTPUT_RAW"]]
     assert np.diff(rows).max() <= 0.1
 
 

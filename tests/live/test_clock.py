@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from logparsers.codec import Heard
+from logparsers.codec import Received
 from servofd.live.clock import VehicleClock
 
 WRAP_MS = 2**32
 
 
-def beat(ms: int) -> Heard:
-    return Heard("ATTITUDE", 1, 1, {"time_boot_ms": ms % WRAP_MS})
+def beat(ms: int) -> Received:
+    return Received("ATTITUDE", 1, 1, {"time_boot_ms": ms % WRAP_MS})
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.8])
@@ -84,5 +84,5 @@ def test_microseconds_overflow_every_71_minutes() -> None:
     clock = VehicleClock()
     for k in range(0, 90_000, 5):
         clock.time_s(beat(1000 + 1000 * k), 10.0 + k)
-        stamp = Heard("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": (1_000_000 * k + 1_020_000) % 2**32})
+        stamp = Received("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": (1_000_000 * k + 1_020_000) % 2**32})
         assert clock.time_s(stamp, 10.03 + k) == pytest.approx(1.02 + k, abs=1e-6)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from logparsers.codec import Codec, Heard
+from logparsers.codec import Codec, Received
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.live.clock import Latency, VehicleClock
 from servofd.live.session import Session
@@ -123,18 +123,18 @@ def test_messages_without_a_stamp_belong_to_those_around_them() -> None:
     clock = VehicleClock()
     for k in range(100):
         late_s = 0.0 if k < 50 else 10.0
-        clock.time_s(Heard("ATTITUDE", 1, 1, {"time_boot_ms": 10_000 + 100 * k}), 500.0 + 0.1 * k + late_s)
-        beat = clock.time_s(Heard("HEARTBEAT", 1, 1, {}), 500.05 + 0.1 * k + late_s)
+        clock.time_s(Received("ATTITUDE", 1, 1, {"time_boot_ms": 10_000 + 100 * k}), 500.0 + 0.1 * k + late_s)
+        beat = clock.time_s(Received("HEARTBEAT", 1, 1, {}), 500.05 + 0.1 * k + late_s)
         assert beat == pytest.approx(10.05 + 0.1 * k)
-        pulse = Heard("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": 10_030_000 + 100_000 * k})
+        pulse = Received("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": 10_030_000 + 100_000 * k})
         assert clock.time_s(pulse, 500.06 + 0.1 * k + late_s) == pytest.approx(10.03 + 0.1 * k)
 
 
 def test_a_copy_of_the_stream_that_comes_late_is_no_restart() -> None:
     clock = VehicleClock()
     for k in range(200):
-        clock.time_s(Heard("ATTITUDE", 1, 1, {"time_boot_ms": 10_000 + 100 * k}), 500.0 + 0.1 * k)
+        clock.time_s(Received("ATTITUDE", 1, 1, {"time_boot_ms": 10_000 + 100 * k}), 500.0 + 0.1 * k)
         if k > 100 and k % 10 == 0:
             for old in range(k - 60, k - 50):
-                clock.time_s(Heard("ATTITUDE", 1, 1, {"time_boot_ms": 10_000 + 100 * old}), 500.0 + 0.1 * k)
+                clock.time_s(Received("ATTITUDE", 1, 1, {"time_boot_ms": 10_000 + 100 * old}), 500.0 + 0.1 * k)
     assert clock.restarts == 0

@@ -62,7 +62,7 @@ def test_pymavlink_flies_with_it_as_with_a_vehicle() -> None:
     at = np.searchsorted(np.round(flight.time_s * 1e6), [row.time_usec for row in rows])
     assert [row.servo2_raw for row in rows] == flight.pulse_us[at, 0].tolist()
     assert 1e6 * (len(rows) - 1) / (rows[-1].time_usec - rows[0].time_usec) == pytest.approx(40.0, abs=0.5)
-    assert counted[0].heard >= 6
+    assert counted[0].received >= 6
 
 
 @contextlib.contextmanager
@@ -151,7 +151,7 @@ def test_a_signed_link_hears_only_who_has_the_key() -> None:
         ground.say("COMMAND_LONG", command=511, param1=SERVO, param2=27_000)
         (answer,) = ground.wait_for("COMMAND_ACK")
         assert answer.fields["target_system"] == 253
-    assert counted[0].heard == 1
+    assert counted[0].received == 1
 
 
 @pytest.mark.slow

@@ -82,7 +82,7 @@ class Field:
                 for name, fields in [m for m in self.sent if m[1].get("target_system", 0) == plane.system]:
                     for datagram in self.up.through(monitor.encode(name, fields)):
                         for heard in speakers[plane.system].decode(datagram):
-                            self._down([speakers[plane.system].encode(*m) for m in plane.hear(heard, now_us)])
+                            self._down([speakers[plane.system].encode(*m) for m in plane.receive(heard, now_us)])
             self.sent.clear()
             self.events += self.session.step(self.now_s)
 
@@ -209,7 +209,7 @@ def test_what_another_station_slows_down_is_asked_for_again(aircraft: Aircraft) 
 
     def slowed(index: int) -> Any:
         if index == 1500:  # 30 s; MAVProxy does so every few seconds unless it is told not to
-            plane.hear(said("REQUEST_DATA_STREAM", req_stream_id=0, req_message_rate=4, start_stop=1), 0)
+            plane.receive(said("REQUEST_DATA_STREAM", req_stream_id=0, req_message_rate=4, start_stop=1), 0)
         return turn(index)
 
     plane.turn = slowed  # type: ignore[method-assign]

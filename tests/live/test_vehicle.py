@@ -108,7 +108,7 @@ def test_rates_are_granted_as_ardupilot_grants_them(loop_hz: float, interval_us:
 
 
 def test_50_hz_are_denied_in_words_and_granted_when_allowed() -> None:
-    answers = vehicle().hear(command(511, SERVO, 20_000), 0)
+    answers = vehicle().receive(command(511, SERVO, 20_000), 0)
     pieces = fields(answers, "STATUSTEXT")
     words = "Requested rate for message ID 36 too fast. Increase SCHED_LOOP_RATE"
     assert "".join(piece["text"] for piece in sorted(pieces, key=lambda piece: piece["chunk_seq"])) == words
@@ -122,55 +122,55 @@ def test_what_it_cannot_do_it_says() -> None:
     plane = vehicle()
     assert ask(plane, 59_999, 100_000) == DENIED
     assert ask(plane, SERVO, -2) == DENIED
-    assert plane.hear(command(400, 1), 0)[0].fields["result"] == UNSUPPORTED  # arming
-    assert plane.hear(command(511, float("nan"), 1e5), 0)[0].fields["result"] == DENIED
-    assert plane.hear(command(511, SERVO, 1e5, target_system=2), 0) == []
-    assert plane.hear(command(511, SERVO, 1e5, sender=(1, 1)), 0) == []
-    assert plane.hear(said("HEARTBEAT"), 0) == []
+    assert plane.receive(command(400, 1), 0)[0].fields["result"] == UNSUPPORTED  # arming
+    assert plane.receive(command(511, float("nan"), 1e5), 0)[0].fields["result"] == DENIED
+    assert plane.receive(command(511, SERVO, 1e5, target_system=2), 0) == []
+    assert plane.receive(command(511, SERVO, 1e5, sender=(1, 1)), 0) == []
+    assert plane.receive(said("HEARTBEAT"), 0) == []
 
 
 def test_intervals_can_be_read_back_stopped_and_reset() -> None:
     plane = vehicle()
 
     def told() -> Any:
-        return fields(plane.hear(command(510, SERVO), 0), "MESSAGE_INTERVAL")[0]["interval_us"]
+        return fields(plane.receive(command(510, SERVO), 0), "MESSAGE_INTERVAL")[0]["interval_us"]
 
     assert told() == 1_000_000
     assert (ask(plane, SERVO, 25_999), told()) == (ACCEPTED, 25_000)  # whole milliseconds
     assert (ask(plane, SERVO, -1), told()) == (ACCEPTED, -1)
     assert fields(everything(plane), "SERVO_OUTPUT_RAW") == []
     assert (ask(plane, SERVO, 0), told()) == (ACCEPTED, 1_000_000)
-    plane.hear(said("REQUEST_DATA_STREAM", req_stream_id=3, req_message_rate=4, start_stop=1), 0)
+    plane.receive(said("REQUEST_DATA_STREAM", req_stream_id=3, req_message_rate=4, start_stop=1), 0)
     assert told() == 250_000  # a ground station's habit overrides what was asked for, as on the real one
-    plane.hear(said("REQUEST_DATA_STREAM", req_stream_id=0, req_message_rate=50, start_stop=1), 0)
+    plane.receive(said("REQUEST_DATA_STREAM", req_stream_id=0, req_message_rate=50, start_stop=1), 0)
     assert told() == 25_000
 
 
 def test_single_messages_can_be_requested() -> None:
     plane = vehicle()
-    names = [message.name for message in plane.hear(command(512, SERVO), 1_000_000)]
+    names = [message.name for message in plane.receive(command(512, SERVO), 1_000_000)]
     assert names == ["COMMAND_ACK", "SERVO_OUTPUT_RAW"]
-    version = plane.hear(command(512, 148), 0)[1]
+    version = plane.receive(command(512, 148), 0)[1]
     assert (version.name, version.fields["flight_sw_version"] >> 24) == ("AUTOPILOT_VERSION", 4)
-    assert plane.hear(command(512, 1), 0)[0].fields["result"] == DENIED
-    assert plane.hear(said("MISSION_REQUEST_LIST"), 0)[0].fields.get("count", 0) == 0
+    assert plane.receive(command(512, 1), 0)[0].fields["result"] == DENIED
+    assert plane.receive(said("MISSION_REQUEST_LIST"), 0)[0].fields.get("count", 0) == 0
 
 
 def test_every_parameter_comes_once_with_its_place() -> None:
     plane = vehicle()
-    plane.hear(said("PARAM_REQUEST_LIST"), 0)
+    plane.receive(said("PARAM_REQUEST_LIST"), 0)
     listed = fields(everything(plane), "PARAM_VALUE")
     assert [row["param_index"] for row in listed] == list(range(len(listed)))
     assert {row["param_count"] for row in listed} == {len(listed)}
     values = {row["param_id"]: row["param_value"] for row in listed}
     assert len(values) == len(listed)
     assert (values["SERVO2_FUNCTION"], values["SERVO2_MAX"], values["SCHED_LOOP_RATE"]) == (19.0, 2000.0, 50.0)
-    (single,) = plane.hear(said("PARAM_REQUEST_READ", param_id="SERVO2_MAX", param_index=-1), 0)
+    (single,) = plane.receive(said("PARAM_REQUEST_READ", param_id="SERVO2_MAX", param_index=-1), 0)
     assert (single.fields["param_value"], single.fields["param_type"]) == (2000.0, 4)
-    (first,) = plane.hear(said("PARAM_REQUEST_READ", param_index=0), 0)
+    (first,) = plane.receive(said("PARAM_REQUEST_READ", param_index=0), 0)
     assert first.fields == listed[0]
-    assert plane.hear(said("PARAM_REQUEST_READ", param_id="NONSENSE", param_index=-1), 0) == []
-    assert plane.hear(said("PARAM_REQUEST_READ", param_index=999), 0) == []
+    assert plane.receive(said("PARAM_REQUEST_READ", param_id="NONSENSE", param_index=-1), 0) == []
+    assert plane.receive(said("PARAM_REQUEST_READ", param_index=999), 0) == []
 
 
 def test_the_clock_wraps_after_71_6_minutes() -> None:
@@ -185,9 +185,9 @@ def test_the_clock_wraps_after_71_6_minutes() -> None:
 
 
 def test_timesync_tells_the_clock_in_nanoseconds() -> None:
-    (answer,) = vehicle().hear(said("TIMESYNC", tc1=0, ts1=77), 1_234_567)
+    (answer,) = vehicle().receive(said("TIMESYNC", tc1=0, ts1=77), 1_234_567)
     assert (answer.fields["tc1"], answer.fields["ts1"]) == (1_234_567_000, 77)
-    assert vehicle().hear(said("TIMESYNC", tc1=5, ts1=77), 0) == []
+    assert vehicle().receive(said("TIMESYNC", tc1=5, ts1=77), 0) == []
 
 
 def status(seqno: int, arrived: bool = True, **options: Any) -> Any:
@@ -201,12 +201,12 @@ def streamed(plane: Vehicle, *, from_turn: int = 0, loss: float = 0.0) -> dict[i
     for index in range(plane.time_us.size):
         now_us = int(plane.time_us[index])
         if index == from_turn:
-            plane.hear(status(RemoteLogCommand.START), now_us)
+            plane.receive(status(RemoteLogCommand.START), now_us)
         for row in fields(plane.turn(index), "REMOTE_LOG_DATA_BLOCK"):
             if rng.random() >= loss:
                 blocks[row["seqno"]] = bytes(row["data"])
                 if rng.random() >= loss:
-                    plane.hear(status(row["seqno"]), now_us)
+                    plane.receive(status(row["seqno"]), now_us)
     return blocks
 
 
@@ -244,27 +244,27 @@ def test_a_client_that_comes_late_gets_definitions_and_the_rest() -> None:
 
 def test_a_client_that_falls_silent_is_given_up_and_may_come_back() -> None:
     plane = vehicle(flown(duration_s=30.0))
-    plane.hear(status(RemoteLogCommand.START), 0)
+    plane.receive(status(RemoteLogCommand.START), 0)
     sent = [fields(plane.turn(index), "REMOTE_LOG_DATA_BLOCK") for index in range(1000)]
     assert {row["seqno"] for rows in sent for row in rows} == set(range(39))  # the buffer, over and over
     assert plane.dropped_rows > 500
     last = max(index for index, rows in enumerate(sent) if rows)
     assert plane.time_us[last] == pytest.approx(10_000_000, abs=300_000)
-    plane.hear(status(RemoteLogCommand.START), int(plane.time_us[1000]))
+    plane.receive(status(RemoteLogCommand.START), int(plane.time_us[1000]))
     assert [row["seqno"] for row in fields(plane.turn(1001), "REMOTE_LOG_DATA_BLOCK")] == list(range(8))
 
 
 def test_blocks_go_to_the_first_client_until_it_stops() -> None:
     plane = vehicle()
-    plane.hear(status(RemoteLogCommand.START), 0)
-    plane.hear(status(RemoteLogCommand.START, sender=(254, 1)), 0)
-    plane.hear(status(RemoteLogCommand.STOP, sender=(254, 1)), 0)
+    plane.receive(status(RemoteLogCommand.START), 0)
+    plane.receive(status(RemoteLogCommand.START, sender=(254, 1)), 0)
+    plane.receive(status(RemoteLogCommand.STOP, sender=(254, 1)), 0)
     rows = fields(plane.turn(0), "REMOTE_LOG_DATA_BLOCK")
     assert [row["seqno"] for row in rows] == list(range(8))
     assert {(row["target_system"], row["target_component"]) for row in rows} == {(255, 190)}
-    plane.hear(status(0, arrived=False), int(plane.time_us[0]))
+    plane.receive(status(0, arrived=False), int(plane.time_us[0]))
     assert 0 in [row["seqno"] for row in fields(plane.turn(1), "REMOTE_LOG_DATA_BLOCK")]
-    plane.hear(status(RemoteLogCommand.STOP), 0)
+    plane.receive(status(RemoteLogCommand.STOP), 0)
     assert fields(plane.turn(2), "REMOTE_LOG_DATA_BLOCK") == []
 
 
@@ -285,7 +285,7 @@ def test_nothing_that_is_said_to_it_brings_it_down() -> None:
                 number = layout.fields["command"]
                 payload[number.offset : number.offset + 2] = int(rng.integers(509, 521)).to_bytes(2, "little")
             (heard,) = Codec(9, 9).decode(frame(layout, bytes(payload)))
-            for message in (*plane.hear(heard, int(plane.time_us[turn])), *plane.turn(turn)):
+            for message in (*plane.receive(heard, int(plane.time_us[turn])), *plane.turn(turn)):
                 answered.add(message.name)
                 assert own.encode(*message)
     assert answered >= {"COMMAND_ACK", "MESSAGE_INTERVAL", "AUTOPILOT_VERSION", "PARAM_VALUE", "MISSION_COUNT"}

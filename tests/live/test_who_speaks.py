@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from logparsers.codec import Codec, Heard
+from logparsers.codec import Codec, Received
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli import main
 from servofd.live.channels import ChannelTable
@@ -27,8 +27,8 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     return load_aircraft(path)
 
 
-def position(component: int, deg: float) -> Heard:
-    return Heard("NAMED_VALUE_FLOAT", 1, component, {"name": "SRVP2", "value": deg})
+def position(component: int, deg: float) -> Received:
+    return Received("NAMED_VALUE_FLOAT", 1, component, {"name": "SRVP2", "value": deg})
 
 
 def test_only_the_autopilot_and_who_is_named_are_sensors() -> None:

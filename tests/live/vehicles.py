@@ -8,7 +8,7 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from logparsers.codec import Codec, Heard
+from logparsers.codec import Codec, Received
 from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
 from logparsers.link import open_link
@@ -52,20 +52,20 @@ def vehicle(flight: SimulatedFlight | None = None, **settings: Any) -> Vehicle:
     return Vehicle(flight or flown(), PLANE, Settings(**settings))
 
 
-def said(name: str, *, sender: tuple[int, int] = GROUND, **fields: Any) -> Heard:
+def said(name: str, *, sender: tuple[int, int] = GROUND, **fields: Any) -> Received:
     """A message of a ground station, with the fields that its frame would have."""
     ground = Codec(*sender)
-    (heard,) = ground.decode(ground.encode(name, {"target_system": 1, "target_component": 1} | fields))
-    return heard
+    (message,) = ground.decode(ground.encode(name, {"target_system": 1, "target_component": 1} | fields))
+    return message
 
 
-def command(number: int, param1: float = 0.0, param2: float = 0.0, **fields: Any) -> Heard:
+def command(number: int, param1: float = 0.0, param2: float = 0.0, **fields: Any) -> Received:
     return said("COMMAND_LONG", command=number, param1=param1, param2=param2, **fields)
 
 
 def ask(of: Vehicle, message: int, interval_us: int) -> int:
     """Ask for an interval; gives the MAV_RESULT."""
-    answers = of.hear(command(511, message, interval_us), 0)
+    answers = of.receive(command(511, message, interval_us), 0)
     (result,) = [answer.fields["result"] for answer in answers if answer.name == "COMMAND_ACK"]
     return int(result)
 
@@ -119,7 +119,7 @@ def flying(
     `record` gets every byte that it hears.
     """
     counted: list[Flown] = []
-    heard = bytearray() if record is None else record
+    received = bytearray() if record is None else record
     link = until(lambda: _opened(endpoint), f"{endpoint} could be opened")
     known = Settings(**settings)
     made, air = legs(flight or flown(), PLANE, known), Air(known.troubles)
@@ -135,7 +135,7 @@ def flying(
             if stop.is_set():
                 raise KeyboardInterrupt
             data: bytes = link.receive(timeout_s)
-            heard.extend(data)
+            received.extend(data)
             return data
 
         def close(self) -> None:

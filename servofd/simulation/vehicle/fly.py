@@ -39,7 +39,7 @@ class Flown:
     """Turns of the main loop."""
     sent: int = 0
     """Messages."""
-    heard: int = 0
+    received: int = 0
     """Messages."""
 
 
@@ -97,7 +97,7 @@ def fly(
     Parameters
     ----------
     link : Link
-        Where it is heard; left open.
+        Where it is received; left open.
     air : Air, optional
         What is between it and the link.
     """
@@ -122,7 +122,7 @@ class _Session:
     def wait(self) -> None:
         """Say that it is there, and stand still."""
         now_us = int(self._vehicle.time_us[0])
-        while not self.flown.heard:
+        while not self.flown.received:
             self._send([self._vehicle.heartbeat()])
             self._listen(_BEAT_S, now_us)
 
@@ -151,9 +151,9 @@ class _Session:
         data = self._link.receive(timeout_s)
         if not self._air.passes(self._at_s):
             return bool(data)
-        for heard in self._codec.decode(data):
-            self.flown.heard += 1
-            self._send(self._vehicle.hear(heard, now_us))
+        for message in self._codec.decode(data):
+            self.flown.received += 1
+            self._send(self._vehicle.receive(message, now_us))
         return bool(data)
 
     def _send(self, messages: Iterable[Send]) -> None:

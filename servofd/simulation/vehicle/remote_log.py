@@ -46,7 +46,7 @@ class RemoteLog:
         self.dropped = 0
         """Rows that found no room."""
 
-    def hear(self, client: Client, seqno: int, *, arrived: bool, now_us: int) -> None:
+    def receive(self, client: Client, seqno: int, *, arrived: bool, now_us: int) -> None:
         """Take a REMOTE_LOG_BLOCK_STATUS.
 
         `client`: system and component that sent it; the first to begin gets the log. `seqno`: number of a block, one

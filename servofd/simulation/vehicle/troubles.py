@@ -87,14 +87,14 @@ class Stall(Trouble):
 
 @dataclass(frozen=True, slots=True)
 class Freeze(Trouble):
-    """The servos' bus repeats what it last heard of all of them, for so long [s]."""
+    """The servos' bus repeats the last positions of all of them, for so long [s]."""
 
     for_s: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class Edit(Trouble):
-    """Somebody sets a parameter.
+    """A parameter is set.
 
     SERVO_VOLZ_RANGE scales what a pulse asks of every servo; SERVOn_TRIM shifts and SERVOn_REVERSED mirrors the pulses
     of one output, which its servo obeys; others are just set. What follows from it is computed for servos

@@ -23,7 +23,7 @@ from servofd.simulation.vehicle.troubles import Edit, Stall, Trouble
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from logparsers.codec import Heard
+    from logparsers.codec import Received
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
@@ -105,7 +105,7 @@ class Vehicle:
         self._edits = sorted(
             ((begun_us + round(1e6 * t.start_s), t.name, t.value) for t in settings.troubles if isinstance(t, Edit)),
         )
-        self._answers: dict[str, Callable[[Heard, int], list[Send]]] = {
+        self._answers: dict[str, Callable[[Received, int], list[Send]]] = {
             "COMMAND_LONG": self._command,
             "COMMAND_INT": self._command,
             "REQUEST_DATA_STREAM": self._data_stream,
@@ -113,7 +113,7 @@ class Vehicle:
             "PARAM_REQUEST_READ": self._read_parameter,
             "PARAM_SET": self._read_parameter,
             "TIMESYNC": self._time_sync,
-            "AUTOPILOT_VERSION_REQUEST": lambda heard, now_us: [self._version()],  # noqa: ARG005
+            "AUTOPILOT_VERSION_REQUEST": lambda message, now_us: [self._version()],  # noqa: ARG005
             "MISSION_REQUEST_LIST": self._no_mission,
             "REMOTE_LOG_BLOCK_STATUS": self._log_status,
         }
@@ -135,84 +135,84 @@ class Vehicle:
         return [*sent, *self._parameters.due(), *self._log.due(now_us)]
 
     def heartbeat(self) -> Send:
-        """What a vehicle sends that waits for somebody to speak with."""
+        """Message of a vehicle that waits for a ground station."""
         return self._telemetry.newest("HEARTBEAT", int(self.time_us[0]), again=True)[0]
 
-    def hear(self, heard: Heard, now_us: int) -> list[Send]:
+    def receive(self, message: Received, now_us: int) -> list[Send]:
         """Answer a message; what is meant for other vehicles, or what it does not know, is passed over.
 
         The component that is meant does not matter: ArduPilot itself takes what it cannot forward to another link.
         """
-        answer = self._answers.get(heard.name)
-        is_own = heard.system == self.system and heard.component == Component.AUTOPILOT1
-        if answer is None or is_own or heard.fields.get("target_system", 0) not in (0, self.system):
+        answer = self._answers.get(message.name)
+        is_own = message.system == self.system and message.component == Component.AUTOPILOT1
+        if answer is None or is_own or message.fields.get("target_system", 0) not in (0, self.system):
             return []
-        return answer(heard, now_us)
+        return answer(message, now_us)
 
-    def _command(self, heard: Heard, now_us: int) -> list[Send]:
-        given = heard.fields
+    def _command(self, message: Received, now_us: int) -> list[Send]:
+        given = message.fields
         command, what, value = given["command"], given["param1"], given["param2"]
         if not (np.isfinite(what) and np.isfinite(value)):
-            return [_result(heard, Result.DENIED)]
+            return [_result(message, Result.DENIED)]
         name = message_name(int(what)) or ""
         if command == Command.SET_MESSAGE_INTERVAL:
-            return self._set_interval(heard, name, int(value))
+            return self._set_interval(message, name, int(value))
         if command == Command.REQUEST_MESSAGE:
             asked = [self._version()] if name == "AUTOPILOT_VERSION" else self._once(name, now_us)
-            return [_result(heard, Result.ACCEPTED if asked else Result.DENIED), *asked]
+            return [_result(message, Result.ACCEPTED if asked else Result.DENIED), *asked]
         if command == Command.GET_MESSAGE_INTERVAL:
             interval_us = self._schedule.interval_us(name)
-            told = Send("MESSAGE_INTERVAL", {"message_id": int(what) & 0xFFFF, "interval_us": interval_us})
-            return [_result(heard, Result.ACCEPTED), told]
+            sent = Send("MESSAGE_INTERVAL", {"message_id": int(what) & 0xFFFF, "interval_us": interval_us})
+            return [_result(message, Result.ACCEPTED), sent]
         if command == Command.REQUEST_AUTOPILOT_CAPABILITIES:
-            return [_result(heard, Result.ACCEPTED), self._version()]
-        return [_result(heard, Result.UNSUPPORTED)]
+            return [_result(message, Result.ACCEPTED), self._version()]
+        return [_result(message, Result.UNSUPPORTED)]
 
-    def _set_interval(self, heard: Heard, name: str, interval_us: int) -> list[Send]:
+    def _set_interval(self, message: Received, name: str, interval_us: int) -> list[Send]:
         if name in _POSITIONS:
-            number = int(heard.fields["param1"])
-            return [*_chunks(f"No ap_message for mavlink id ({number})"), _result(heard, Result.DENIED)]
+            number = int(message.fields["param1"])
+            return [*_chunks(f"No ap_message for mavlink id ({number})"), _result(message, Result.DENIED)]
         if name not in self._telemetry.names or interval_us < -1:
-            return [_result(heard, Result.DENIED)]
+            return [_result(message, Result.DENIED)]
         try:
             self._schedule.ask(name, interval_us)
         except TooFastError:
-            number = int(heard.fields["param1"])
+            number = int(message.fields["param1"])
             words = f"Requested rate for message ID {number} too fast. Increase SCHED_LOOP_RATE"
-            return [*_chunks(words), _result(heard, Result.DENIED)]
-        return [_result(heard, Result.ACCEPTED)]
+            return [*_chunks(words), _result(message, Result.DENIED)]
+        return [_result(message, Result.ACCEPTED)]
 
     def _once(self, name: str, now_us: int) -> list[Send]:
         return self._telemetry.newest(name, now_us, again=True) if name in self._telemetry.names else []
 
-    def _data_stream(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002 - all answers share a form
-        given = heard.fields
+    def _data_stream(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002 - all answers share a form
+        given = message.fields
         names = [n for group in _GROUPS.values() for n in group] if given["req_stream_id"] == 0 else []
         for name in (*names, *_GROUPS.get(given["req_stream_id"], ())):
             self._schedule.ask_rate(name, given["req_message_rate"] if given["start_stop"] else 0)
         return []
 
-    def _list_parameters(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002
+    def _list_parameters(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002
         self._parameters.list_all()
         return []
 
-    def _read_parameter(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002
-        return self._parameters.read(heard.fields["param_id"], heard.fields.get("param_index", -1))
+    def _read_parameter(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002
+        return self._parameters.read(message.fields["param_id"], message.fields.get("param_index", -1))
 
-    def _time_sync(self, heard: Heard, now_us: int) -> list[Send]:
-        if heard.fields["tc1"] != 0:
+    def _time_sync(self, message: Received, now_us: int) -> list[Send]:
+        if message.fields["tc1"] != 0:
             return []
-        to = {"target_system": heard.system, "target_component": heard.component}
-        return [Send("TIMESYNC", {"tc1": 1000 * now_us, "ts1": heard.fields["ts1"], **to})]
+        to = {"target_system": message.system, "target_component": message.component}
+        return [Send("TIMESYNC", {"tc1": 1000 * now_us, "ts1": message.fields["ts1"], **to})]
 
-    def _no_mission(self, heard: Heard, now_us: int) -> list[Send]:  # noqa: ARG002
-        to = {"target_system": heard.system, "target_component": heard.component}
-        return [Send("MISSION_COUNT", {**to, "mission_type": heard.fields.get("mission_type", 0)})]
+    def _no_mission(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002
+        to = {"target_system": message.system, "target_component": message.component}
+        return [Send("MISSION_COUNT", {**to, "mission_type": message.fields.get("mission_type", 0)})]
 
-    def _log_status(self, heard: Heard, now_us: int) -> list[Send]:
-        given = heard.fields
-        client = (heard.system, heard.component)
-        self._log.hear(client, given["seqno"], arrived=given["status"] == 1, now_us=now_us)
+    def _log_status(self, message: Received, now_us: int) -> list[Send]:
+        given = message.fields
+        client = (message.system, message.component)
+        self._log.receive(client, given["seqno"], arrived=given["status"] == 1, now_us=now_us)
         return []
 
     def _version(self) -> Send:
@@ -233,9 +233,9 @@ def _schedule(names: tuple[str, ...], loop_hz: float, settings: Settings) -> Sch
     return Schedule({n: usual_ms[n] for n in names}, loop_us=round(1e6 / loop_hz), any_rate=settings.any_rate)
 
 
-def _result(heard: Heard, result: int) -> Send:
-    to = {"target_system": heard.system, "target_component": heard.component}
-    return Send("COMMAND_ACK", {"command": heard.fields["command"], "result": result, **to})
+def _result(message: Received, result: int) -> Send:
+    to = {"target_system": message.system, "target_component": message.component}
+    return Send("COMMAND_ACK", {"command": message.fields["command"], "result": result, **to})
 
 
 def _span_us(stall: Stall, begun_us: int) -> tuple[int, int]:
@@ -288,12 +288,12 @@ class Parameters:
         return [self._value(index)] if 0 <= index < len(self._names) else []
 
     def set(self, name: str, value: float) -> list[Send]:
-        """Set one, as somebody with other means did; every ground station is told, without its place in the list."""
+        """Set a parameter by other means than the link; the message, without its place in the list, goes to all."""
         if name not in self._known:
             return []
         self._known[name] = value
-        told = self._value(self._names.index(name))
-        return [Send(told.name, {**told.fields, "param_index": NO_INDEX})]
+        sent = self._value(self._names.index(name))
+        return [Send(sent.name, {**sent.fields, "param_index": NO_INDEX})]
 
     def _value(self, index: int) -> Send:
         name = self._names[index]
