@@ -29,7 +29,9 @@ IN_MEMORY_MB: Final = 1024
 """Of all that is compressed within one file of MATLAB or HDF5, in the same way."""
 
 MOST_MEMBERS: Final = 10_000
+"""Files in an archive at most."""
 BLOCK: Final = 1 << 20
+"""Bytes that are inflated at once."""
 
 STREAMS: Final[dict[bytes, Callable[[BinaryIO], Any]]] = {
     b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),

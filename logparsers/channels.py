@@ -105,7 +105,7 @@ class LazyChannels(Mapping[str, Channel]):
     def only(self, wanted: Only, path: Path, others: Iterable[str] = ()) -> LazyChannels:
         """Restrict to those that are wanted.
 
-        `others`: messages of the file that are not among these channels, because nobody asked for them.
+        `others`: messages of the file that are not among these channels, because they were not asked for.
         """
         if not self._series and (wanted.patterns is None or not others):
             raise EmptyLog(f"{path}: no message with numbers and a time stamp in it; was the log copied completely?")

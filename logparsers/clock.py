@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from logparsers.records import FloatArray
 
 FEW_ROWS = 5
+"""Rows out of order that are dropped at least before a clock counts as broken."""
 FEW_SHARE = 0.01
 """Rows out of order up to `FEW_ROWS`, or up to this share of all rows, are dropped; more is a broken clock."""
 
 GAP_PERIODS = 5.0
+"""Median periods that a gap is longer than."""
 GAP_S = 0.1
-"""A gap is longer than `GAP_PERIODS` median periods and longer than this: fast logs hiccup for a few samples."""
+"""A gap is also longer than this [s]: fast logs miss a few samples now and then."""
 
 CLOCK_JUMP_S = 3600.0
 """No flight recorder pauses for an hour; a clock that is set by GPS jumps by years."""

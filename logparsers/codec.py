@@ -15,11 +15,16 @@ from logparsers.protocol import SIGNATURE_BYTES, SIGNED
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_SIGNING_EPOCH_S: Final = 1_420_070_400  # 1 January 2015
+_SIGNING_EPOCH_S: Final = 1_420_070_400
+"""1 January 2015 in seconds since 1970, from which signatures count time (MAVLink 2, message signing)."""
 _SIGNING_TICKS_PER_S: Final = 100_000
+"""Signatures count time in 10 us (MAVLink 2, message signing)."""
 _KEY_SIZE: Final = 32
+"""Bytes of a key."""
 _MARKER_1, _MARKER_2 = 0xFE, 0xFD
+"""First byte of a frame of version 1, and of version 2."""
 _SHORTEST = 12
+"""Bytes of the shortest frame of version 2: header and check-sum."""
 
 
 @dataclass(slots=True)
@@ -120,7 +125,7 @@ class _Kind:
 
 
 class _Fields(Mapping[str, Any]):
-    """Values of a message, read when the first of them is asked for: most messages of a stream are nobody's."""
+    """Values of a message, read when the first of them is asked for: most messages of a stream are never used."""
 
     __slots__ = ("_kind", "_payload", "_values")
 
@@ -203,7 +208,7 @@ class Codec:
     def frames(self, data: bytes) -> list[tuple[bytes, Received | None]]:
         """Bytes of each frame that was completed, and its message.
 
-        None for damaged bytes, messages that nobody knows, and frames that are not signed as they should be.
+        None for damaged bytes, unknown messages, and frames that are not signed as they should be.
         """
         found: list[tuple[bytes, Received | None]] = []
         at = self._whole(data, found) if self._is_open and self._mav.buf_len() == 0 else 0

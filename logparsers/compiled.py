@@ -51,7 +51,7 @@ def made_by() -> str:
 
 
 def _keep_in_cache_folder() -> None:
-    """Have the compiler keep its code there; where nobody can write, it finds another place by itself."""
+    """Have the compiler keep its code there; where that is read-only, it finds another place by itself."""
     with suppress(OSError):
         cache_folder().mkdir(parents=True, exist_ok=True)
         if os.access(cache_folder(), os.W_OK):

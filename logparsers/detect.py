@@ -40,7 +40,7 @@ class Format:
     """One format: how it is recognised, and who reads it.
 
     `name`: what people call it. `matches`: does a file that starts with these bytes have it? `read`: reader; of a
-    format that is only known well enough to say so, what to give instead.
+    format that is recognised but not read, what to give instead.
     """
 
     name: str

@@ -17,6 +17,7 @@ _HELP: Final = (
 _NAME: Final = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?")
 _DEVICE: Final = re.compile(r"(/dev/(?!.*\.\.)[\w./-]+|COM\d+)")
 _USUAL_BAUD: Final = 115_200
+"""Rate of a serial device unless another is given [bit/s]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,6 +49,7 @@ CLOCKS: Final = ("timestamp", "TimeUS", "%time")
 NAMED: Final = ("name", "key")
 """Columns by which several senders share a message."""
 WRAP_US: Final = 2.0**32
+"""A 32-bit count of microseconds begins anew after this [us]."""
 _CLOCKS: Final = "time_boot_ms", "time_usec"
 
 

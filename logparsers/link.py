@@ -17,14 +17,18 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _PIECE: Final = 65_536
-_RECEIVE_BUFFER: Final = 4 * 1024 * 1024  # a burst of some 10 000 messages; the usual 200 kB overflows silently
+"""Bytes that are read at once: the longest datagram."""
+_RECEIVE_BUFFER: Final = 4 * 1024 * 1024
+"""Bytes of the socket's buffer: a burst of some 10 000 messages, while the usual 200 kB overflows silently."""
 _MOST_PEERS: Final = 16
+"""Stations that are remembered and sent to."""
 _PATIENCE_S: Final = 5.0
+"""How long a connection may take [s]."""
 _AGAIN_S: Final = 1.0
 
 
 class Link(Protocol):
-    """A live link; what is sent while nobody listens is lost."""
+    """A live link; what is sent without a receiver is lost."""
 
     def send(self, data: bytes) -> None:
         """Send whole frames."""
@@ -76,7 +80,7 @@ def _why(endpoint: Endpoint, error: OSError) -> str:
             errno.ENOENT: "is it plugged in?",
         }
     if isinstance(error, ConnectionRefusedError | TimeoutError):
-        return f"nobody answers there ({text}); start the other end first, or wait for it with tcpin:"
+        return f"no answer from there ({text}); start the other end first, or wait for it with tcpin:"
     advice = helps.get(error.errno or 0)
     return f"{text}; {advice}" if advice else text
 
@@ -115,7 +119,7 @@ class _UdpIn:
     def receive(self, timeout_s: float) -> bytes:
         if not _readable([self._socket], timeout_s):
             return b""
-        with contextlib.suppress(OSError):  # a datagram of ours that found nobody
+        with contextlib.suppress(OSError):  # a datagram of ours without a receiver
             data, peer = self._socket.recvfrom(_PIECE)
             self._peers.pop(peer, None)
             self._peers[peer] = None
@@ -129,7 +133,7 @@ class _UdpIn:
 
 
 class _UdpOut:
-    """Sends to one address, and hears nobody else."""
+    """Sends to one address, and receives from it alone."""
 
     def __init__(self, endpoint: Socket) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -142,7 +146,7 @@ class _UdpOut:
         self._socket.setblocking(False)
 
     def send(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody listens yet
+        with contextlib.suppress(OSError):  # there is no receiver yet
             self._socket.send(data)
 
     def receive(self, timeout_s: float) -> bytes:
@@ -287,7 +291,7 @@ class _SerialLink(_Redialled):
 
 
 def _prepared(connection: socket.socket) -> socket.socket:
-    """Small frames leave at once; a peer that reads nothing holds nobody up for long."""
+    """Small frames leave at once; a peer that reads nothing delays the others only briefly."""
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.settimeout(_AGAIN_S)
     return connection

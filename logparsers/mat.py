@@ -27,9 +27,13 @@ if TYPE_CHECKING:
 CODES4: Final = ("f8", "f4", "i4", "i2", "u2", "u1")
 CODES5: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 UTF8: Final = 16
+"""Number of UTF-8 text among the data types of MAT-files of level 5."""
 MATRIX, COMPRESSED = 14, 15
+"""Numbers of an array and of a compressed element among them."""
 CELL, STRUCTURE, TEXT, NUMERIC = 1, 2, 4, range(6, 16)
+"""Numbers of the array classes: cell, structure, text, and all numeric ones."""
 COMPLEX: Final = 0x0800
+"""Flag of an array that has imaginary parts."""
 DEEPEST: Final = 16
 """Structures within structures; deeper ones are forged."""
 MOST_PARTS: Final = 200_000

@@ -54,7 +54,8 @@ _CLOCK_FIELDS = {
 }
 """Fields that say when a message was made, and how long one count lasts [s]; 0 = see its unit."""
 
-_RELEASES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))  # FIRMWARE_VERSION_TYPE
+_RELEASES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))
+"""Lowest number of each kind of release, and its suffix (MAVLink, FIRMWARE_VERSION_TYPE)."""
 _TICK_S = {"us": 1e-6, "ms": 1e-3}
 
 
@@ -256,7 +257,7 @@ def enum_name(enum: str, value: int) -> str:
 
 
 def message_name(number: int) -> str | None:
-    """Name of a message, or None if nobody knows it.
+    """Name of a message, or None if it is unknown.
 
     Examples
     --------

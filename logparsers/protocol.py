@@ -102,6 +102,7 @@ NO_INDEX: Final = 65_535
 SIGNED: Final = 1
 """Flag of a MAVLink 2 frame that a signature follows."""
 SIGNATURE_BYTES: Final = 13
+"""Bytes of the signature at the end of a signed frame."""
 
 
 def kind_of(vehicle: str, parameters: Mapping[str, float]) -> str:

@@ -59,7 +59,7 @@ def own(values: ArrayLike) -> FloatArray:
         and values.base is None
         and not values.flags.writeable
     ):
-        return values  # nobody else can change it either
+        return values  # it cannot be changed elsewhere either
     array: FloatArray = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -107,7 +107,7 @@ class Channel:
 
     @property
     def is_constant(self) -> bool:
-        """True if no finite value ever differs from another; such a channel measures nothing."""
+        """True if all finite values are equal, so that the channel measures nothing."""
         finite = self.values[np.isfinite(self.values)]
         return finite.size == 0 or bool(np.ptp(finite) == 0.0)
 
@@ -174,6 +174,7 @@ class Text:
 
 
 MOST_ALIKE = 3
+"""Damage of the same wording that is listed one by one at most."""
 _MESSAGE = re.compile(r"^\S+: ")
 
 
@@ -302,7 +303,7 @@ class FlightLog:
             words = _MESSAGE.sub("", damage.note) if damage.kind == "out_of_order" else damage.note
             alike.setdefault((damage.kind, re.sub(r"[\d.]+", "#", words)), []).append(damage)
         return tuple(
-            told for group in alike.values() for told in (group if len(group) <= MOST_ALIKE else [_together(group)])
+            each for group in alike.values() for each in (group if len(group) <= MOST_ALIKE else [_together(group)])
         )
 
     @property

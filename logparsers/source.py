@@ -34,6 +34,7 @@ _ADDRESS = re.compile(r"\w{2,}:/")
 HEAD_BYTES = 4096
 """Bytes from which the format is recognised: room for a HDF5 signature behind a MATLAB header, or for two frames."""
 _BLOCK = 1 << 20
+"""Bytes that are read at once."""
 _ZEROS = bytes(1024)
 """No format begins with as many."""
 

@@ -35,7 +35,7 @@ class TableLayout:
     Parameters
     ----------
     columns : tuple of str
-        Names for a file without a header line, in order; such a file's first line is data.
+        Names for a file without a header line, in order; its first line is data then.
     time : str
         Name of the time column.
     time_unit : {"s", "ms", "us", "ns"}

@@ -1,7 +1,7 @@
 """Text tables: from bytes to columns that all have the same number of cells, and from these to numbers.
 
 Lines are counted in one pass over the bytes, so that every complaint can name the line, and numpy only meets
-well-formed rows; where it cannot convert them they are looked at cell by cell.
+well-formed rows; where it cannot convert them they are read cell by cell.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 
 CONTROL = bytes(c for c in range(32) if c not in b"\t\n\f\r") + b"\x7f"
+"""Control characters, which no text has, apart from tabulator and ends of lines."""
 NO_CONTROL = bytes(c for c in range(256) if c not in CONTROL)
 NEWLINE, MARK = b"\n", b"\xef\xbb\xbf"
 BLOCK_BYTES = 1 << 18
@@ -37,7 +38,7 @@ BLOCK_BYTES = 1 << 18
 MOST_QUOTED = 1 << 22
 """Of a header with quotes, in which delimiters tell nothing [bytes]."""
 SAMPLE_BYTES = 1 << 16
-"""As much of a table is looked at to tell decimal commas from decimal points."""
+"""Part of a table that is searched for decimal commas [bytes]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LAYOUT_LIMIT: Final = 2048  # a log has at most 255 types; forged ones could define a new one every 89 bytes
+LAYOUT_LIMIT: Final = 2048
+"""Message definitions that are taken: a log has at most 255 types, while forged ones could define a new one every 89
+bytes."""
 
 
 class BinaryStore(Store):

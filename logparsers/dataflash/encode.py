@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 FIRST_FREE_TYPE: Final = 129
+"""First type number that is given to messages; 128 is that of FMT."""
 UNITS: Final[Mapping[str, str]] = {
     "-": "", "?": "UNKNOWN", "#": "instance", "s": "s", "d": "deg", "k": "deg/s", "%": "%", "v": "V",
     "A": "A", "O": "degC", "Y": "us", "m": "m", "n": "m/s", "P": "Pa", "o": "m/s/s", "E": "rad/s",

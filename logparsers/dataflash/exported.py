@@ -23,10 +23,13 @@ INSTANCES: Final = ("I", "Id", "Inst", "Instance", "C", "IMU", "chan", "Type")
 LINE: Final = "LineNo"
 """Where Mission Planner found a row."""
 MOST_INSTANCES: Final = 255
+"""Largest instance number, which has one byte."""
 MOST_US: Final = 2.0**53
+"""Latest time stamp [us]; larger ones are no exact float64."""
 CSRV_UNITS: Final = {"s#dtk%dvAOO-": "deg", "s#---%dvAOO-": "rad"}
 """Units of CSRV, by which its two generations are distinguished; the definition they belong to is never exported."""
 DEGREES_SINCE: Final = (4, 7)
+"""ArduPilot version from which on CSRV holds degrees."""
 
 
 def is_exported(messages: Mapping[str, Mapping[str, Any]]) -> bool:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     """Message and instance."""
 
 HEAD_SIZE: Final = 8192
+"""Bytes at the beginning in which the form of a log is recognised."""
 GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
 # Since that year, UTC is this much behind GPS time [s].
 LEAP_SECONDS: Final = (
@@ -50,7 +51,9 @@ LEAP_SECONDS: Final = (
     (2006, 14),
     (0, 13),
 )
+"""Since that year, UTC is this much behind GPS time [s] (IERS Bulletin C); half a year is 1 July."""
 FIX_3D: Final = 3
+"""GPS status from which on the time is good (ArduPilot, GPS.Status)."""
 VEHICLES: Final = {
     "ArduPlane": "fixed wing", "ArduRover": "ground rover", "Rover": "ground rover", "ArduSub": "submarine",
     "AntennaTracker": "antenna tracker", "Blimp": "airship",
@@ -59,7 +62,8 @@ FRAMES: Final = {
     1: "quadrotor", 2: "hexarotor", 3: "octorotor", 4: "octorotor", 5: "hexarotor", 6: "helicopter", 7: "tricopter",
     8: "coaxial", 9: "coaxial", 10: "coaxial", 11: "helicopter", 12: "dodecarotor", 13: "helicopter",
 }  # fmt: skip
-FIRST_WEEK: Final = 1000  # before 1999 there was no autopilot
+FIRST_WEEK: Final = 1000
+"""GPS week before which there was no autopilot (March 1999)."""
 
 
 @dataclass(frozen=True, slots=True)

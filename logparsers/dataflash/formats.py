@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-HEADER_SIZE: Final = 3  # A3 95 and the message type
+HEADER_SIZE: Final = 3
+"""Bytes before a record's fields: A3 95 and the message type."""
 
 # One character per column: how it is stored, and the divisor that turns it into its unit. Dividing by 100
 # is what pymavlink does; multiplying by 0.01 gives other last bits.

@@ -15,8 +15,11 @@ _HEAD: Final = b"\xa3\x95"
 _FMTU: Final = "QBNN"
 _WIDE: Final = {"d": "d", "q": "q", "Q": "Q"}
 _PATIENCE_S, _AGAIN_S = 2.0, 0.2
+"""A missing block is given up after the first time, and asked for again after each of the second [s]."""
 _MOST_AHEAD: Final = 2_000
+"""Blocks ahead of a missing one that are kept; a stream that begins later than this is joined in the middle."""
 _MOST_NACKS: Final = 20
+"""Missing blocks that are asked for at once."""
 _REMEMBERED: Final = 1024
 """Blocks that may come again because their acknowledgement was lost: autopilots keep 40, or some hundreds, of them."""
 

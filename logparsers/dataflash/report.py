@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 
     from logparsers.dataflash.store import Store, Stretch
 
-REBOOT_US: Final = 1_000_000  # set between two runs of the clock in one file; the true pause is unknown
-JUMP_US: Final = 86_400_000_000  # no log pauses for a day: such a stamp is damaged
-PAGE: Final = 528  # boards that log to flash pages leave up to this many bytes unused at the end
+REBOOT_US: Final = 1_000_000
+"""Pause that is put between two runs of the clock in one file [us]; the true one is unknown."""
+JUMP_US: Final = 86_400_000_000
+"""Longest pause of a log [us], a day: a stamp that is further ahead is damaged."""
+PAGE: Final = 528
+"""Bytes that boards which log to flash pages leave unused at the end at most."""
 WORDS: Final = {
     "zeros": "zeros",
     "erased": "erased memory (FF)",

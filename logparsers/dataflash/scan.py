@@ -26,11 +26,16 @@ if TYPE_CHECKING:
 
     Ints = array[int]
 
-COMPILE_FROM: Final = 12 << 20  # bytes; below, the plain walk beats the import of numba (0.3 s of processor time)
+COMPILE_FROM: Final = 12 << 20
+"""Bytes from which on the walk is compiled: below, the plain one beats the import of numba (0.3 s of processor
+time)."""
 
 # state
-AT, DONE_FMT, CLOCK, PENDING, SETTLED, WAITING_US, WAITING_AT = 0, 1, 2, 3, 4, 5, 9  # SETTLED: no more definitions
-CONFIRM: Final = 4  # records that must agree before a jump of the clock is believed
+AT, DONE_FMT, CLOCK, PENDING, SETTLED, WAITING_US, WAITING_AT = 0, 1, 2, 3, 4, 5, 9
+"""Places of the walk's state. SETTLED: no more definitions come. From WAITING_AT on: where the waiting records
+are."""
+CONFIRM: Final = 4
+"""Records that must agree before a jump of the clock is believed."""
 STATE_SIZE: Final = WAITING_AT + CONFIRM
 
 # why walk() returned
@@ -39,13 +44,18 @@ FULL, NEW_FORMAT, END = 0, 1, 2
 # kinds of damaged stretches
 BAD_HEADER, BAD_CUT, BAD_TAIL = 0, 1, 2
 
-GAP_US: Final = 1_000_000  # silence of all messages that is worth a line in the report
-BACK_US: Final = 2_000_000  # some messages carry the time of their measurement, not of their writing
+GAP_US: Final = 1_000_000
+"""Silence of all messages that is worth a line in the report [us]."""
+BACK_US: Final = 2_000_000
+"""How far a stamp may go back [us]: some messages carry the time of their measurement, not of their writing."""
 AHEAD_US: Final = 86_400_000_000
+"""How far a stamp may jump ahead [us], a day."""
 NO_TIME: Final = -1
 
-BATCH: Final = 1 << 18  # records per call
+BATCH: Final = 1 << 18
+"""Records of a call of the compiled walk."""
 EVENTS: Final = 1 << 12
+"""Damaged stretches, and jumps of the clock, that a call can hold."""
 
 
 def is_header(data: memoryview, at: int, size: int, length: Ints) -> bool:

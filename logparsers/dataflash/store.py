@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 
     from logparsers.dataflash.formats import Layout
 
-MOST_US: Final = 2**48  # more than eight years
-LISTED: Final = 1000  # stretches, steps and notes that are listed one by one
+MOST_US: Final = 2**48
+"""Latest time stamp [us]: more than eight years."""
+LISTED: Final = 1000
+"""Stretches, steps and notes that are listed one by one."""
 
 
 @dataclass(frozen=True, slots=True)

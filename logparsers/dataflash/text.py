@@ -19,11 +19,14 @@ if TYPE_CHECKING:
     from logparsers.dataflash.formats import Field
 
 NAME_SIZE: Final = 4
+"""Characters of a message's name at most."""
 BYTES_AT_ONCE: Final = 1 << 20
+"""Bytes in which the ends of lines are looked for at once."""
 LINES_AT_ONCE: Final = 1 << 13
+"""Lines whose names are compared at once."""
 BAD: Final = -1
 LOOP_US: Final = 100_000
-"""ArduPilot of 2012 to 2014 logged attitude from its loop of 10 Hz unless it was told otherwise."""
+"""ArduPilot of 2012 to 2014 logged attitude from its loop of 10 Hz unless another rate was set."""
 GPS_CLOCKS: Final = ("T", "TimeMS", "Time")
 """Columns of GPS that count milliseconds, since boot or since the week began."""
 SPIKE_MS: Final = 60_000.0

@@ -27,7 +27,8 @@ _BREAKS = {
     "clock_jump": "the vehicle's clock was set forward; times run on by arrival time",
     "arrival_jump": "the receiver's clock was set; the vehicle's own time stamps are not affected",
 }
-_MOST_BREAKS = 100  # listed one by one
+_MOST_BREAKS = 100
+"""Breaks of the clock that are listed one by one."""
 _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")  # often stamped by someone else
 
 
@@ -80,7 +81,7 @@ class TelemetryClock:
 
     @cached_property
     def start_utc(self) -> datetime | None:
-        """Date and time at 0 s; None if nobody knew it."""
+        """Date and time at 0 s; None if it was not known."""
         if "SYSTEM_TIME" in self._table.messages:
             since_1970 = self._table.column("SYSTEM_TIME", "time_unix_usec") * 1e-6
             starts = since_1970 - self.time_s("SYSTEM_TIME", None)

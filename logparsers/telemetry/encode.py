@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     Bytes = NDArray[np.uint8]
 
-_AROUND = 8 + 10 + 2  # arrival time, header, check-sum
+_AROUND = 8 + 10 + 2
+"""Bytes around a message's fields: arrival time, header, check-sum."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-_SAMPLE_BYTES = 1 << 17  # read again in other dialects, where something cannot be read in the default one
+_SAMPLE_BYTES = 1 << 17
+"""Bytes that are read again in other dialects, where something cannot be read in the default one."""
 _INTEGERS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}  # MAV_PARAM_TYPE
 _BANNER = re.compile(r"(Ardu\w+|APM:\w+|PX4|Rover|Blimp|AntennaTracker)[ -]?V?\d")
 _NO_SERIES = ("PARAM_", "MISSION_", "STATUSTEXT", "FILE_TRANSFER", "LOG_", "REMOTE_LOG", "TERRAIN_DATA")
@@ -181,7 +182,7 @@ class TelemetryFile(MessageTable):
         return {name for name, count in given.items() if count == 1}
 
     def _of(self, message: str, source: Sender | None, prefix: str, alone: Collection[object]) -> dict[str, Series]:
-        """Series of one sender's messages of one type; no prefix for names that nobody else gives."""
+        """Series of one sender's messages of one type; no prefix for names that no other sender gives."""
         layout = self.layout(message)
         clock = layout.clock[0].name if layout.clock else ""
         fields = [f for f in layout.fields.values() if not f.is_text and f.name not in (clock, layout.instance)]

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     Slots = NDArray[np.int32]
 
 STAMP_BYTES = 8
+"""Bytes of the arrival time before each frame."""
 _V1, _V2 = 0xFE, 0xFD
+"""First byte of a frame of version 1, and of version 2."""
 
 BAD_CHECKSUM, LOST_SYNC, TRUNCATED = 1, 2, 3
 """Kinds of a damaged stretch."""
@@ -29,7 +31,10 @@ SPAN = np.dtype([("offset", "<i8"), ("length", "<i8"), ("kind", "<i8")])
 """A damaged stretch of a file [bytes]."""
 
 _NOT_A_FRAME, _BAD, _BEYOND, _UNKNOWN, _GOOD = 0, 1, 2, 3, 4
+"""What bytes can be: no frame, a frame with a wrong check-sum, one that goes on beyond the end, one of an unknown
+message, a good one."""
 _LOOKAHEAD = 4
+"""Frames that must follow one of an unknown message, which has no check-sum that could be tested."""
 
 
 def _crc_table() -> NDArray[np.uint16]:
@@ -85,7 +90,7 @@ def _inspect(data: Bytes, at: int, slots: Slots, seeds: Bytes) -> tuple[int, int
 
 @compiled
 def _leads_on(data: Bytes, start: int, slots: Slots, seeds: Bytes) -> bool:
-    """Tell whether a frame nobody can check ends where another begins."""
+    """True if a frame of an unknown message, which has no check-sum to test, ends where another begins."""
     for _ in range(_LOOKAHEAD):
         if start == data.size:
             return True

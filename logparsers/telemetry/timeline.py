@@ -1,6 +1,6 @@
 """One time base for a telemetry log: seconds since the vehicle's first boot.
 
-Three clocks meet in such a log. The vehicle stamps most messages with its time since boot (exact, but
+Three clocks meet in a telemetry log. The vehicle stamps most messages with its time since boot (exact, but
 the counter overflows, and restarts with the vehicle). The receiver stamps every frame when it arrives
 (late by the link, and its clock may be set). A companion computer may use a third. Pure functions of
 arrays; no clock is read here.
@@ -27,9 +27,12 @@ BACKWARD_S = 1.0
 """A counter that falls by more, and stays there, has restarted: links reorder by less."""
 FORWARD_S = 5.0
 """A clock that gains more on the other at once has been set: nothing arrives before it was sent."""
-_PERSISTS = 20  # samples that must confirm a restart,
-_AT_LEAST = 3  # and how many of them the file must hold
-_YOUNG_S = 120.0  # a vehicle is heard again within two minutes of its restart; later, its clock was set back
+_PERSISTS = 20
+"""Samples that must confirm a restart."""
+_AT_LEAST = 3
+"""How many of these the file must hold."""
+_YOUNG_S = 120.0
+"""Time within which a vehicle sends again after its restart [s]; a later one is a clock that was set back."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,14 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
     IntArray = NDArray[np.int64]
 
-_ABSURD_S = 3 * 86_400.0  # no message waits longer than three days for the next
-_BINS = 512  # points that a lower line is drawn under
-_DRIFT_LIMIT = 1e-3  # crystals are 10 to 100 times better
-_DRIFT_SPAN_S = 60.0  # below this, drift cannot be distinguished from delay
+_ABSURD_S = 3 * 86_400.0
+"""Longest wait between two messages [s]: three days."""
+_BINS = 512
+"""Parts of a log with one lowest point each, under which a line is drawn."""
+_DRIFT_LIMIT = 1e-3
+"""Largest drift between two clocks that is believed; crystals are 10 to 100 times better."""
+_DRIFT_SPAN_S = 60.0
+"""Length of a log below which drift cannot be distinguished from delay [s]."""
 
 
 def despike(time_s: ArrayLike) -> FloatArray:

@@ -22,11 +22,16 @@ if TYPE_CHECKING:
 
     from logparsers.ulog.sieve import Samples
 
-_MAX_FIELDS = 200_000  # over all topics of a file; the richest logs have some ten thousand
+_MAX_FIELDS = 200_000
+"""Fields of all topics of a file at most; the richest logs have some ten thousand."""
 _MAX_FORMATS = 10_000
-_MAX_MESSAGE = 65_535  # fields: a message has at most as many bytes
-_MAX_DEPTH = 16  # messages within messages; PX4 nests two
-_MAX_SKIPS = 20_000  # times that pyulog may look for the next message byte by byte
+"""Message formats at most."""
+_MAX_MESSAGE = 65_535
+"""Fields of a message at most: it has no more bytes."""
+_MAX_DEPTH = 16
+"""Messages within messages at most; PX4 nests two."""
+_MAX_SKIPS = 20_000
+"""Times that pyulog may look for the next message byte by byte."""
 _FAILURES = (
     ULogException,
     ArithmeticError,

@@ -1,4 +1,4 @@
-"""Leaves the topics nobody asked for out of a PX4 log, so that its decoder need not look at them."""
+"""Leaves topics that are not asked for out of a PX4 log, so that they are not decoded."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     Bytes = NDArray[np.uint8]
 
 _HEADER = 16
+"""Bytes of the header of a PX4 log."""
 _ADD, _DATA, _DROPOUT, _PARAMETER = ord("A"), ord("D"), ord("O"), ord("P")
 _TEXT, _TAGGED = ord("L"), ord("C")
 _KNOWN = np.zeros(256, dtype=np.bool_)
@@ -54,8 +55,8 @@ def _walk(data: Bytes, topics: NDArray[np.int64], dropped: NDArray[np.bool_], ou
 
 def chain(data: Bytes) -> int:
     """Find the end of the last whole message [bytes]; the length of the file if nothing is cut or damaged."""
-    nothing = np.zeros(0, dtype=np.uint8)
-    end, _, _ = _walk(data, np.zeros(0, dtype=np.int64), np.zeros(1 << 16, dtype=np.bool_), nothing)
+    no_bytes = np.zeros(0, dtype=np.uint8)
+    end, _, _ = _walk(data, np.zeros(0, dtype=np.int64), np.zeros(1 << 16, dtype=np.bool_), no_bytes)
     return int(end)
 
 
@@ -68,14 +69,14 @@ def sieve(data: Bytes, wanted: Container[str]) -> Bytes | None:
     if data.size < _HEADER + 43 or (data[_HEADER + 2] == ord("B") and data[_HEADER + 11] & _APPENDED):
         return None
     keep_all = np.zeros(1 << 16, dtype=np.bool_)
-    nothing = np.zeros(0, dtype=np.uint8)
-    end, found, _ = _walk(data, np.zeros(0, dtype=np.int64), keep_all, nothing)
+    no_bytes = np.zeros(0, dtype=np.uint8)
+    end, found, _ = _walk(data, np.zeros(0, dtype=np.int64), keep_all, no_bytes)
     if not _is_cut(data, end):
         return None
     topics = np.zeros(found, dtype=np.int64)
-    _walk(data, topics, keep_all, nothing)
+    _walk(data, topics, keep_all, no_bytes)
     dropped = _unwanted(data, topics, wanted)
-    _, _, kept = _walk(data, topics, dropped, nothing)
+    _, _, kept = _walk(data, topics, dropped, no_bytes)
     out = np.empty(_HEADER + kept + data.size - end, dtype=np.uint8)
     out[:_HEADER] = data[:_HEADER]
     out[_HEADER + kept :] = data[end:]
@@ -123,17 +124,17 @@ def set_aside(data: Bytes, wanted: Container[str]) -> tuple[Bytes, Samples] | No
     """A log without any sample, and the samples of the wanted topics; None if only the whole of it will do."""
     if data.size < _HEADER + 43 or (data[_HEADER + 2] == ord("B") and data[_HEADER + 11] & _APPENDED):
         return None
-    nothing, nobody = np.zeros(0, dtype=np.uint8), np.zeros(0, dtype=np.int64)
+    no_bytes, no_numbers = np.zeros(0, dtype=np.uint8), np.zeros(0, dtype=np.int64)
     all_, none = np.ones(1 << 16, dtype=np.bool_), np.zeros(1 << 16, dtype=np.bool_)
-    end, found, kept = _walk(data, nobody, all_, nothing)
+    end, found, kept = _walk(data, no_numbers, all_, no_bytes)
     if not _is_cut(data, end):
         return None
     topics = np.zeros(found, dtype=np.int64)
-    _walk(data, topics, none, nothing)
+    _walk(data, topics, none, no_bytes)
     dropped = _unwanted(data, topics, wanted)
     sizes = np.zeros((2, 1 << 16), dtype=np.int64)
     counts = np.zeros(3, dtype=np.int64)
-    if not _collect(data, end, dropped, counts, nobody, nobody, sizes, nobody, nobody):
+    if not _collect(data, end, dropped, counts, no_numbers, no_numbers, sizes, no_numbers, no_numbers):
         return None
     places, numbers, dropouts_us, parameters_us = (np.zeros(counts[k], dtype=np.int64) for k in (0, 0, 1, 2))
     _collect(data, end, dropped, counts, places, numbers, sizes, dropouts_us, parameters_us)

@@ -1,1 +1,1 @@
-"""Many logs: found, told apart by their content, and spread over processes or machines."""
+"""Many logs: found, distinguished by their content, and spread over processes or machines."""

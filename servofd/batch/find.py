@@ -124,7 +124,7 @@ def is_folder(text: str) -> bool:
     """Whether it names a folder on this machine."""
     try:
         return Path(text).is_dir()
-    except OSError:  # no file has such a name
+    except OSError:  # no file can have this name
         return False
 
 

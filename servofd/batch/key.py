@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import ThresholdKind
 
 _DIGEST_BYTES = 16
+"""Length of the digest that stands for a log."""
 _OF_DIGEST = 8
+"""Characters of it in the name of a log's page."""
 
 
 @dataclass(frozen=True, slots=True)

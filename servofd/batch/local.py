@@ -48,7 +48,7 @@ def run_local(
 ) -> Iterator[tuple[_Item, _Result | Exception]]:
     """Do a task for each item, in processes; results come as they are ready.
 
-    A process that dies (killed, out of memory, crashed) takes nobody with it: what was handed out by then is done
+    A process that dies (killed, out of memory, crashed) takes no other with it: what was handed out by then is done
     again, each item in a process of its own, and only the one that dies again is given up.
 
     Parameters
@@ -151,7 +151,7 @@ def _one_thread_each() -> Iterator[None]:
 
 @contextmanager
 def interrupts_wait() -> Iterator[None]:
-    """Within the block Ctrl-C waits for its end; processes that start in it never hear of it."""
+    """Within the block Ctrl-C waits for its end; processes that start in it never receive it."""
     with _without_script():
         if not hasattr(signal, "pthread_sigmask"):
             yield
@@ -189,6 +189,7 @@ def _end_with_parent() -> None:
 
 
 _PATIENCE_S = 10.0
+"""How long a Dask scheduler has to answer [s]."""
 _ADDRESS = re.compile(r"\w+://\S+")
 _INSTALL = "pip install 'servofd[cluster]'"
 

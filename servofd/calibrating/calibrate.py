@@ -46,17 +46,24 @@ if TYPE_CHECKING:
     from servofd.estimate.fit import Fit
 
 _PAYS: Final = 1.01
+"""Ratio of the error without an effect to that with it, on data not fitted, from which on the effect is listed."""
 _FAST_M_S: Final = 25.0
+"""Airspeed for which the deflection under air load is given [m/s]."""
 
 _WORTH_FLYING: Final = 0.1
+"""Share by which more flights must shrink a smallest fault to be worth a note."""
 _SLOWER_THAN_FLIGHT_M_S: Final = 8.0
+"""An airspeed that never exceeds this was not measured in flight [m/s]."""
 _VAGUE: Final = 4.0
 """A parameter is vague if its variance is so many times the usual one between flights."""
 
 _RESTING: Final = {"friction_deg": "friction", "deadband_deg": "dead band", "play_deg": "play"}
 _NOTHING: Final = 1e-3
+"""Parameters of an effect that are all smaller than this are none."""
 _FLYING: Final = 0.1
+"""Median dynamic pressure, over its unit in the model, above which the calibration flew."""
 _LEAST_SHOWN_DEG: Final = 0.02
+"""Smallest width of play, friction or dead band that is given as a lower bound [deg]."""
 
 
 def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> CalibratedSurface:
@@ -160,7 +167,7 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
     """What three more flights for each of these would show, if good flights differ by as little as they may."""
     surer = foreseen(known, fitted)
     then = detectable([watched(surer, record) for record in records])
-    told = [
+    shown = [
         f"{words.format(after)} ({'none' if before is None else format(before, form)} now)"
         for words, form, before, after in (
             ("an offset of {:.2g} deg", ".2g", now.bias_deg, then.bias_deg),
@@ -173,7 +180,7 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
     ]
     more = 3 * len(records)
     text = f"{more} more flights like {'this one' if more == 3 else 'these'} would show "
-    text += f"{', '.join(told)} at best" if told else "hardly less"
+    text += f"{', '.join(shown)} at best" if shown else "hardly less"
     ratio = np.diag(known.covariance) / np.array([prior.between for prior in PRIORS]) ** 2
     unsure = [SPOKEN[key] for key, value in zip(NAMES, ratio.tolist(), strict=True) if value > _VAGUE]
     return (

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from servofd.outputs.document import Document
 
 _A_FEW = 16
+"""Logs up to which each has a table of its own."""
 _SOME = 8
 """Runs that are named in a line."""
 

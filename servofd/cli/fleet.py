@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from servofd.fleets.run import JudgedLog
 
 _SHOWN = 3
+"""Flights with a fault, and files passed over, that are listed by name."""
 
 
 def run(options: Options) -> int:

@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0: done; `NOT_MINE`: somebody else's file; 1: a log, but one that cannot be judged (stderr says why).
+        0: done; `NOT_MINE`: a file for another reader; 1: a log, but one that cannot be judged (stderr says why).
 
     Examples
     --------

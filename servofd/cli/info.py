@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from servofd.jobs.survey import Survey
 
 _SHOWN = 3
+"""Alarms of another program whose times are listed."""
 _ON_BOARD = (
     "in flight: `servofd onboard AIRCRAFT.toml -o servofd.lua` writes the script that watches these servos on the "
     "autopilot; copy it to APM/scripts, set SCR_ENABLE = 1"

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _PACKED = (".gz", ".zip", ".bz2", ".xz")
 _HEAD_BYTES = 2000
+"""Beginning of a page in which its source is looked for."""
 _WORST_FIRST = ("fault", "suspect", "unknown", "no_data", "healthy")
 
 
@@ -99,7 +100,7 @@ def _written(options: Options, report: Document) -> Path | None:
 
 
 def _is_of(page: Path, log: str) -> bool:
-    """Whether a page is ours, and of the same log: only such a one is written over without being asked."""
+    """Whether a page is ours, and of the same log: only then it is overwritten without a question."""
     try:
         return source_tag(log).encode() in beginning(page, _HEAD_BYTES)
     except OSError:

@@ -53,7 +53,7 @@ class Outputs:
         self._waited = ""
         self._failed: dict[str, str] = {}
         self._told: set[str] = set()
-        """Of these failures, those that stderr has been told."""
+        """Of these failures, those that were written to stderr."""
 
     @classmethod
     @contextlib.contextmanager
@@ -147,7 +147,7 @@ class Outputs:
         surfaces = list(dict.fromkeys(name for craft in aircraft.values() for name in craft.surfaces))
         port = options.viewer_port if options.serve else None
         path = Path(options.rrd) if options.rrd else None
-        # Of several vehicles nobody could tell whose surface it was.
+        # Of several vehicles it would not be known whose surface it was.
         known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
         recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
         open_.callback(recording.close)

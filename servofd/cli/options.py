@@ -21,12 +21,14 @@ Options = argparse.Namespace
 COULD_NOT_TELL = 2
 FLEET_PAGE = "fleet.html"
 SERVE_PORT, MOST_MB = 8787, 4096
+"""Port of `servofd serve`, and the largest log that it takes [MB]."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 SHELLS = ("bash", "zsh", "tcsh")
 SIMULATED = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
 _LARGEST, _SMALLEST = 1.7e308, 5e-324
 """Of the numbers that are finite, and of those above zero."""
 _DIGITS = 10
+"""A whole number has fewer digits than this."""
 _FILE = re.compile(r"LOG|FILE|RECORDING|\.(?:toml|rrd|py|png)\b")
 """Words of the help that stand for a file."""
 _JUDGED = "Exit code 0: healthy; 1: a fault was found; 2: could not tell."
@@ -127,11 +129,14 @@ def _span(text: str) -> tuple[float, float]:
 
 _DEGREES = _number("a positive number of degrees", _SMALLEST, _LARGEST)
 _POSITIVE, _SECONDS = _number("a positive number", _SMALLEST, _LARGEST), _number("a time in seconds", -1e12, 1e12)
+"""Readers of a positive number and of a time."""
 _LASTING, _SPEED = _number("a positive number of seconds", _SMALLEST), _number("a positive number, or 0", 0.0, _LARGEST)
 _PER_HOUR = _number("a number of false alarms per hour between 1e-12 and 1000", 1e-12, 1e3)
 _WORKERS = _whole("a number of processes from 1 to 1024", 1, 1024)
 _ADDRESS, _PORT = _whole("an id from 1 to 255", 1, 255), _whole("a port from 1 to 65535", 1, 65_535)
+"""Readers of a MAVLink id and of the port of a server."""
 _FREE_PORT, _SIZE = _whole("a port from 0 to 65535", 0, 65_535), _whole("a number from 1 to 1000000", 1, 1_000_000)
+"""Readers of a port that may be 0 for a free one, and of a count."""
 
 
 def _audit(parser: Parser) -> None:
@@ -241,7 +246,7 @@ def _calibrate(parser: Parser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
     rate = (
         "wanted of all axes together, where motion is calibrated (default: 1); of servos that report their "
-        "position the measured rate is told"
+        "position the measured rate is given"
     )
     parser.add_argument("--false-alarms-per-hour", type=_PER_HOUR, metavar="X", help=rate)
     parser.surface("calibrate only this one")
@@ -334,7 +339,7 @@ def _onboard(parser: Parser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="FILE.lua", help="the script")
     parser.surface("watch only this surface")
     parser.flag("--stream-only", "only send measured positions, for a log or a monitor on the ground")
-    rate = "how often each servo is looked at (default: 50)"
+    rate = "how often each servo is judged (default: 50)"
     parser.add_argument("--rate-hz", type=float, default=50.0, metavar="HZ", help=rate)
     count = "SCR_VM_I_COUNT of the autopilot, the instructions of one call (default: 10000, as ArduPilot's)"
     parser.add_argument("--instructions", type=int, default=10_000, metavar="N", help=count)
@@ -389,14 +394,14 @@ def _simulate(parser: Parser) -> None:
 def _stream(live: argparse._ArgumentGroup) -> None:
     """Options of a vehicle that is simulated live; none has a default, so that they can be refused for a file."""
     live.add_argument("--speed", type=float, metavar="X", help="seconds of flight per second (default: 1)")
-    live.add_argument("--wait", action="store_true", default=None, help="take off when somebody has said something")
+    live.add_argument("--wait", action="store_true", default=None, help="take off when the first message has arrived")
     live.add_argument("--system", type=int, metavar="N", help="number of the vehicle, 1 to 255 (default: 1)")
     feedback = (
         "how it tells positions: named (NAMED_VALUE_FLOAT, default), port (SERVO_OUTPUT_RAW, port 2) or array "
         "(DEBUG_FLOAT_ARRAY); DataFlash over MAVLink, for whoever asks, is there in each case"
     )
     live.add_argument("--feedback", metavar="NAME", help=feedback)
-    rate = "rate of SERVO_OUTPUT_RAW until somebody asks for another (default: 1, as ArduPlane)"
+    rate = "rate of SERVO_OUTPUT_RAW until another is asked for (default: 1, as ArduPlane)"
     live.add_argument("--message-hz", type=float, metavar="HZ", help=rate)
     grant = "grant rates up to that of the main loop; ArduPlane gives 0.8 of it"
     live.add_argument("--any-rate", action="store_true", default=None, help=grant)

@@ -60,7 +60,7 @@ def _row(servo: Servo) -> list[str]:
 
 
 def poles_text(poles_rad_s: ComplexArray) -> str:
-    """Real poles, then pairs, of which each is told once [rad/s]."""
+    """Real poles, then pairs, of which each is listed once [rad/s]."""
     real = [f"{p.real:.2f}" for p in poles_rad_s if p.imag == 0.0]
     pairs = [f"{p.real:.2f} ± {p.imag:.2f}i" for p in poles_rad_s if p.imag > 0.0]
     return ", ".join(real + pairs)

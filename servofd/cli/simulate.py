@@ -31,9 +31,13 @@ if TYPE_CHECKING:
     from servofd.simulation.vehicle.troubles import Trouble
 
 _LOOP_HZ = 50.0
+"""Main loop of a simulated vehicle, as ArduPlane's [Hz]."""
 _FILE_S, _LIVE_S = 60.0, 600.0
+"""Duration of a simulated log, and of a simulated vehicle [s]."""
 _AIRFRAME_S, _STORM = 180.0, 10.0
+"""Duration of a flight without servo feedback [s], and the strongest turbulence."""
 _MOST_CLOCK_S = 1e7
+"""Latest start of the vehicle's clock [s]: 116 days."""
 _OF_STREAM = (
     *("speed", "wait", "system", "feedback", "message_hz", "any_rate"),
     *("mavlink1", "signing_key", "clock_s", "trouble"),

@@ -203,7 +203,7 @@ def _style(cell: str) -> str:
 
 @contextmanager
 def progress(what: str, total: int, done: int | None = None) -> Iterator[Callable[..., None]]:
-    """Show how far a job is, on stderr and only if somebody looks; gives the function to call after each step.
+    """Show how far a job is, on stderr and only on a terminal; gives the function to call after each step.
 
     Of many items, some of which are done, it shows how many they are and how long the rest will take.
     """

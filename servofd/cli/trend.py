@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from servofd.cli.options import Options
 
 _SHOWN = 5
+"""Logs that could not be used and are listed by name."""
 
 
 def run(options: Options) -> int:

@@ -31,7 +31,7 @@ class ModelOrigin(BaseModel):
     explained_share: _Share | None = None
     """Share of the motion's power there that the model explains: 1 all of it, below 0 worse than no model."""
     good_runs: Annotated[int, Field(ge=1)] | None = None
-    """How many runs, known to be good, model and threshold come from; None: nobody knows them to be good."""
+    """How many runs, known to be good, model and threshold come from; None if none is known to be good."""
     fitted_between_s: tuple[float, float] | None = None
     """Which part of the log that is judged the model was fitted to; None where it was not fitted to it."""
 

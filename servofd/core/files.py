@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _LONGEST_NAME = 80
+"""Characters of a file's name at most."""
 
 
 def distinct_file_names(names: Sequence[str]) -> list[str]:

@@ -32,7 +32,9 @@ _DAMPING, _MOST_DAMPED, _BOLDER, _TIMIDER = 1e-4, 1e6, 6.0, 10.0
 _CLOSE: Final = 1e-4
 """Misfit by which a step must improve, far below the 1 that one standard deviation of a number makes."""
 _AT_BOUND: Final = 1e-9
+"""Distance from a bound below which a number is at it."""
 _NO_CURVATURE: Final = 1e-12
+"""Added to a curvature, so that a number without any influence divides by no zero."""
 _LEAST: Final = 1e-24
 """Mean square below which a simulation is exact."""
 

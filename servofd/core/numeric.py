@@ -9,7 +9,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _GOLDEN = (3.0 - sqrt(5.0)) / 2.0
+"""Share of an interval at which golden-section search places its next point."""
 _MOST_STEPS = 200
+"""Steps of a search at most."""
 
 
 def root(function: Callable[[float], float], low: float, high: float, tolerance: float = 1e-12) -> float:

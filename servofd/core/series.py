@@ -54,6 +54,7 @@ def rms(values: FloatArray) -> float:
 
 
 _OUTLINE_PARTS = 60
+"""Parts of a record whose extremes outline it."""
 
 
 def outline(time_s: FloatArray, residual_deg: FloatArray, level_deg: FloatArray) -> tuple[float | None, ...]:

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 _NonNegative = Annotated[float, Field(ge=0.0, lt=1e3, strict=True)]
+"""Type of a tolerance: zero or more, and below 1000."""
 _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
 _WIDEST = {"gain": 0.9, "bandwidth": 0.9, "rate": 0.9, "delay_s": 999.0, "bias_deg": 999.0, "noise_deg": 999.0}
 

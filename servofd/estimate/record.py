@@ -3,7 +3,7 @@
 Where commands were lost on a link, those between two that arrived are taken to lie on a straight line. A command that
 stepped by d at an unknown instant of a gap differs from that line, at a share s of the gap, by a standard deviation of
 d sqrt(s (1 - s)); so does a random walk which ends d away (a Brownian bridge of variance d^2 / gap per second). What
-went on between is not only what is left of it at the end: the walk is as lively as it lately was.
+went on between is not only what is left of it at the end: the walk moves as much as it lately did.
 
 The servo passes this on. A lag passes no more of the standard deviation of its input than of the input itself, so that
 the same lag, driven by the standard deviation, bounds that of the position.
@@ -159,7 +159,7 @@ class Record:
         """Prepare a segment.
 
         By the usual supply and airspeed, for flights that logged none: that of this segment if None; 0 if
-        nobody knew any.
+        none was known.
         """
         commands = segment.command_s, segment.command_deg
         sent = None if segment.sent_period_s is None else (*commands, segment.sent_period_s)

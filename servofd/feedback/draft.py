@@ -70,10 +70,12 @@ def what_to_log(log: FlightLog) -> str:
 
 
 _FULL_NORM_DEG = 25.0
+"""Deflection for a normalised command of 1, where nothing says how far it goes [deg]."""
 _ANGLES = {"deg", "rad"}
 
 
 _FEWEST_PULSES, _SAME_COMMAND = 100, 0.9
+"""Commands that a comparison with pulses needs, and the correlation that it has to reach."""
 _REPEATED_AFTER_S = np.arange(0.0, 0.11, 0.01)
 """How much later than its pulse a log may have the angle that a servo was asked for: ArduPlane's driver of Volz servos,
 which asks in a thread of its own, has it 20 to 30 ms later."""

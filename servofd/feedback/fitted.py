@@ -1,4 +1,4 @@
-"""Servos fitted to the very log that is judged: what is done where nobody has named or calibrated them."""
+"""Servos fitted to the very log that is judged: what is done where none is named or calibrated."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from servofd.core.types import Marks
 
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
+"""Sample periods between which a servo is fitted [s]."""
 _FAR_GAINS: Final = (1.0 / 3.0, 3.0)
 """A scale that is further from one is no servo's: the command is another unit, or reversed."""
 _SCALES: Final = (0.005, 200.0)
 """A position in radians, or one of a command in them, moves by a 57th or 57 times as much."""
 _PARTS: Final = 3
+"""Parts of a log whose scales are compared."""
 _SAME_SLOPE: Final = 0.3
 """Share by which the slopes of two parts differ that are one."""
 
@@ -64,7 +66,7 @@ def at_once(fitted: Callable[[Asked], Given], each: Sequence[Asked]) -> list[Giv
 def found_in(
     log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks], *, free_scale: bool = False
 ) -> Found:
-    """Return what a log tells of the servo of a surface; where nobody knows the scale of its command, that as well."""
+    """Servo of a surface as fitted to a log, with the scale of its command where that is not known."""
     nothing = Found(Line(), ModelOrigin(origin="none"))
     try:
         segment = cut(log, name, aircraft, bus)

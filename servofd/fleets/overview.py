@@ -32,7 +32,7 @@ class SurfaceCount:
 
 @dataclass(frozen=True, slots=True)
 class AxisCount:
-    """What motion told of one axis over all logs that were judged by it."""
+    """What motion showed of one axis over all logs that were judged by it."""
 
     axis: str
     members: tuple[str, ...]
@@ -115,7 +115,7 @@ def log_status(log: dict[str, Any]) -> str:
 
 
 def _axes(log: dict[str, Any]) -> dict[str, Any]:
-    """What motion told, if the log was judged by it."""
+    """What motion showed, if the log was judged by it."""
     return dict(log["document"].get("axes", {}))
 
 

@@ -180,6 +180,7 @@ _SCHEMA = "servofd.fleets/1"
 _EARLIER = "earlier"
 _KEY = re.compile(r"\w+")  # it names a folder
 _LOGS_PER_PART = 64
+"""Logs in a file of each table at most."""
 _SECONDS_PER_PART = 10.0
 """A thousand quick logs give sixteen files per table; a run that is killed loses the work of these seconds at most."""
 
@@ -417,7 +418,7 @@ def locked(folder: Path) -> BinaryIO:
             raise ConfigError(
                 f"{folder}: another audit writes its results here; wait for it, or choose another folder"
             ) from None
-        # A file system that knows no locks: nobody can be kept out.
+        # A file system that knows no locks: other processes cannot be kept out.
     return file
 
 

@@ -185,7 +185,7 @@ def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order
         if response is not None:
             starts = [fit_response(response, n)]
             if n == 2 and 1 in fits:
-                # The response of a far pole is hardly told from that of a delay: motion is asked for a near one, too.
+                # The response of a far pole hardly differs from that of a delay: motion is asked for a near one, too.
                 starts.append(with_second_pole(fits[1].servo.linear, FAR_POLES[0]))
             fits[n] = min((fit_motion(runs, ServoCandidate(each)) for each in starts), key=lambda fit: fit.rms_deg)
         else:

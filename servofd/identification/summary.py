@@ -45,7 +45,7 @@ _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s"
 def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Estimate]:
     """95 % intervals of everything that is reported, about the values of `servo`.
 
-    Where one more pole fits as well, nobody knows which model is true: the intervals embrace both.
+    Where one more pole fits as well, either model may be true: the intervals embrace both.
     """
     fit = choice.fit
     quantities: dict[str, Callable[[ServoCandidate], float]] = {

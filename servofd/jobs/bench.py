@@ -39,7 +39,7 @@ class BenchTest:
     source: str
     """Channels and how they were read, in words."""
     pulse_us: FloatArray | None = None
-    """Commands as pulses [us], shape (n,), if nobody knows how many degrees one asks for."""
+    """Commands as pulses [us], shape (n,), if it is not known how many degrees they ask for."""
 
 
 def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | None = None) -> tuple[BenchTest, ...]:

@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from servofd.servo.effect import Effect
 
 _SAME_FAULT_S = 3.0
+"""Two onsets closer than this are one fault [s]."""
 UNKNOWN = "unknown"
-"""Name of a servo that nobody knows."""
+"""Name of an unknown servo."""
 UNKNOWN_SERVO = Servo(
     title="third order, its poles fitted",
     numerator=(200.0 * 31.4**2,),
@@ -281,7 +282,7 @@ def _same_loads(logs: Sequence[FlightLog]) -> list[str]:
     for name in sorted(set.intersection(*(set(log.channels) for log in logs))) if len(logs) > 1 else []:
         values = np.unique(np.concatenate([log[name].values for log in logs]))
         if name.startswith("load_") and values.size == 1:
-            found.append(f"{name} is {values[0]:.6g} in every run: what goes with it cannot be told")
+            found.append(f"{name} is {values[0]:.6g} in every run: its influence cannot be found")
     return found
 
 

@@ -21,12 +21,15 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
 
 _FASTEST_RATE_HZ = 10_000.0
+"""Fastest rate of positions for which odds are given [Hz]."""
 _LARGEST_NOISE_DEG = 10.0
 """A position that scatters more is none: surfaces move by some 25 deg."""
 _APART_TIME_CONSTANTS = 7.5
+"""Peaks of the residual further apart than so many time constants of its filter are independent."""
 _SAME_RATE = 0.1
+"""Share by which the sample times of two logs may differ to be taken together."""
 _SHORTEST_S = 10.0
-"""As in the audit: less does not tell the noise."""
+"""Shortest record that gives the noise [s], as in the audit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

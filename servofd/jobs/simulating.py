@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _SURFACES = ("elevator", "aileron", "rudder")
 _USUAL_HZ, _USUAL_S = 100.0, 60.0
+"""Rate [Hz] and duration [s] of a simulated flight, unless others are asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

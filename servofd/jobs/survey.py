@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from logparsers import Channel, FlightLog
 
 _GAP_PERIODS = 5.0
+"""Longer than so many sample periods is a gap."""
 _RATE_PER_BANDWIDTH = 10.0
 """Samples that a period of the fastest motion needs, so that a residual filter can follow it."""
 
@@ -151,8 +152,10 @@ def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[SurfaceSurvey
         except NoMeasurement as reason:
             yield replace(found, verdict=f"{found.verdict}; {reason}", current=source.channel)
             continue
-        told = "by its current whether it is blocked or has no power, and once calibrated whether it binds or wears"
-        verdict = f"{found.verdict}; and {told}" if found.verdict.startswith("yes") else f"yes, {told}"
+        by_current = (
+            "by its current whether it is blocked or has no power, and once calibrated whether it binds or wears"
+        )
+        verdict = f"{found.verdict}; and {by_current}" if found.verdict.startswith("yes") else f"yes, {by_current}"
         yield replace(found, verdict=verdict, current=source.channel, current_hz=rate_hz)
 
 

@@ -118,8 +118,11 @@ SweepStatus = Literal["go", "no_go", "unknown"]
 _THRESHOLDS = 2.0
 """A stuck servo must show twice the threshold, on both sides."""
 _LEAST_DEG = 3.0
+"""Smallest travel to either side that a sweep needs [deg]."""
 _FEWEST_SAMPLES = 30
+"""Positions that a surface needs to be judged."""
 _SHORT_SHARE = 0.05
+"""Share of the expected travel that may be missing."""
 _SMALL_PLAY_DEG = 0.6
 """Twice the bias that a fleet of healthy servos may have: play of that width shifts no position by more."""
 

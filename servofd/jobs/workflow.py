@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from servofd.flight.judge import FlightAlone
 
 _SAME_RATE = 1.01
+"""Two rates whose ratio is below this are the same."""
 
 
 class UnmeasuredLog(NoMeasurement):
@@ -75,7 +76,7 @@ def audit(
 
 
 def _alone(run: FlightLog, reason: str, job: Job) -> UnmeasuredLog:
-    """What one flight tells by itself, where nobody knows its aircraft."""
+    """What one flight shows by itself, without an aircraft file."""
     from servofd.flight.judge import judge_flight
 
     flight = judge_flight(run) if job.aircraft is None else None

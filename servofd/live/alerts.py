@@ -81,6 +81,7 @@ def _fitted(plain: str, room: int) -> str:
 
 
 _NAME_LONGEST: Final = 10
+"""Characters of the name of a NAMED_VALUE_FLOAT (MAVLink)."""
 _LEAST_ROOM: Final = 12
 """For a surface's name, however long the rest of a text would like to be."""
 _KINDS: Final = {"deadband": "dead band", "loss_of_effectiveness": "loss of effectiveness", "unknown": "at fault"}

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _LARGEST = 1e6
 """Degrees, microseconds and counts of no servo and no supply are as large."""
 _MOST_OTHERS = 64
+"""Other senders of a wanted message that are remembered, so that each is reported once."""
 _NAME = re.compile(r"(?:(\d+)/(\d+):)?([A-Z0-9_]+)(?:\[([^\]]*)\])?\.(\w+)(?:\[(\d+)\])?")
 
 

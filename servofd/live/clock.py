@@ -114,6 +114,7 @@ _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")
 """Often stamped by someone else."""
 _BACKWARD_S = 1.0
 _STRAYED_S = 10.0
+"""A stamp further than this from the clock's newest one is of another boot or another clock [s]."""
 _PERSISTS, _PERSISTS_S = 3, 0.3
 """Old stamps in a row, and for how long, that make a restart; a copy of the stream that comes late makes bursts."""
 _GONE_BACK_S = 5.0

@@ -17,12 +17,15 @@ _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
 _SELDOM_HZ: Final = (5.0, 2.0, 1.0)
 """Of airspeed and supply."""
 _PATIENCE_S, _TRIES = 1.0, 3
+"""How long an answer is waited for before the question is asked again [s], and how often it is asked."""
 _DEADLINE_S = 5.0
 """An answer that is later than this will not come. It does not say what it answers: what is asked next waits for it."""
 _UNASKED = ("NAMED_VALUE", "DEBUG")
 """Sent by scripts: no autopilot grants them, and ArduPilot complains on every ground station."""
 _AGAIN_S = 30.0
+"""Time after the last request before a slow message is asked for again [s]."""
 _TOO_SLOW = 0.6
+"""A message that comes at less than this share of its granted rate is asked for again."""
 
 
 @dataclass(slots=True)
@@ -126,6 +129,7 @@ _QUIET_S: Final = 3.0
 LOG_SILENCE_S: Final = 10.0
 """When an autopilot gives up whoever does not answer; before, a pause of its log is none of its servos'."""
 _REVIEW_S: Final = 10.0
+"""How often the losses of a log over the link are counted [s]."""
 _MUCH: Final = 0.05
 """Share of the log that may get lost without a word: every twentieth position."""
 _DROPPED: Final = "DMS.Dp"

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from servofd.live.alarms import Published
 
 _GROUND_SYSTEM = 255
+"""System id of ground stations, which are no vehicles."""
 _SYNC_S = 5.0
 """How often the delay of a link is asked for; ground stations ask every 10 s."""
 _LATEST_US = 2**64 - 1

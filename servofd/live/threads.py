@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _POLL_S = 0.1
+"""How long a thread waits for data before it looks whether it should end [s]."""
 _CHUNKS = 20_000
+"""Pieces of data that may wait to be judged."""
 _JOIN_S = 5.0
+"""How long the end of a thread is waited for [s]."""
 
 
 class Queue(Generic[T]):
@@ -124,6 +127,7 @@ ALLOWED = frozenset(
 )
 """COMMAND_LONG for message intervals alone: nothing that moves the vehicle or changes a setting of it."""
 _ROOM = 256
+"""Batches that may wait to be written."""
 
 
 class Speaker:

@@ -35,6 +35,7 @@ Samples = tuple[list[float], list[float]]
 """Times and values of one channel."""
 
 _SILENCE_S = 2.0
+"""A vehicle without any message for longer is lost [s]."""
 _GAP_S = 1.0
 """Longer than any pause between two messages of a vehicle on the link."""
 _JUMP_S = 1.0
@@ -44,14 +45,17 @@ _READ_FIRST_S = 10.0
 recorded it): ArduPilot answers a name in the same way as it tells of a change."""
 _NONE = np.zeros(0)
 _REORDERED = 200
+"""A sequence number so far ahead, of 256, is an old frame that came late."""
 _DISORDER_S, _LONGEST_WAIT_S = 30.0, 0.5
 """So long messages that overtake each other are remembered; whatever comes later than the latter is left out."""
 _REMEMBERED = 128
 """Samples of a channel, to tell copies: 2.5 s at 50 Hz."""
 _COUNT_S = 5.0
+"""How often the rates of messages are counted [s]."""
 _READS = 3
+"""Times that missing parameters are asked for."""
 _CHECK_S = 0.1
-"""How often it is looked whether something has fallen silent."""
+"""How often the vehicle is checked for silence [s]."""
 
 
 @dataclass(slots=True)

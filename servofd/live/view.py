@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from servofd.live.vehicle import Vehicle
 
 _BAR = 8
+"""Characters of the bar of a residual."""
 _KEPT = 50
 """Lines that are kept for the bottom of the screen."""
 _TABLE, _WIDE = 48, 96

@@ -38,6 +38,7 @@ grows with the square of the distance and that of rounding with its inverse."""
 _MOST_CANCELLATION = 400.0
 """Sum of the modes' weights, and of the filter's: 32-bit numbers then keep 1e-3 deg of a deflection of 40 deg."""
 _CENTRE_US = 1500.0
+"""Pulse width of a neutral servo, from which pulses are counted [us]."""
 _WIDTHS = {"deadband_deg": 0.5, "insensitive_deg": 0.5, "backlash_deg": 0.5, "friction_deg": 1.0}
 _WIDTHS |= {"command_step_deg": 0.5, "output_step_deg": 0.5}
 _KNOWN = frozenset(
@@ -51,9 +52,11 @@ _KNOWN = frozenset(
 _SHORTEST_CALL_MS = 5
 """Between two calls; less is less than a main loop of 300 Hz leaves for scripts."""
 _CALL_COST, _SURFACE_COST, _MODE_COST, _ORDER_COST = 270, 1150, 170, 200
+"""Instructions of a call, and of each surface, mode and order of its servo in it (``benchmarks/onboard.py``)."""
 _RATE_COST, _RATE_MODE_COST = 700, 190
-"""Instructions at most, in a call in which a glitch is sorted out while the servo runs at its rate limit: from
-``benchmarks/onboard.py``, which measured them for servos of one to three poles (within 60 of the sum)."""
+"""Instructions more, and for each mode more, while the servo runs at its rate limit. All are the most that
+``benchmarks/onboard.py`` counted, in calls in which a glitch is sorted out, for servos of one to three poles (within
+60 of the sum)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +123,7 @@ class OnboardPlan:
     surfaces: tuple[OnboardSurface, ...]
     period_ms: int
     turns: int
-    """In how many calls all surfaces are looked at, some of them in each."""
+    """In how many calls all surfaces are judged, some of them in each."""
     notes: tuple[str, ...] = ()
     """What the script will not do, for the user."""
     table_key: int = 161

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from servofd.onboard.plan import OnboardPlan, OnboardSurface
 
 _FOLDED_AT = 112
+"""Columns of a line of the script at most."""
 _STREAM_HZ = 25.0
+"""Rate at which the script sends positions [Hz]."""
 
 
 def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:

@@ -329,8 +329,8 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
         ("smallest faults", seen(surface.detectable) or "none would have been seen"),
     ]
     if surface.false_alarms_per_hour is not None:
-        told = "as measured on simulated aircraft" if model.origin == "calibrated" else "were the residual Gaussian"
-        rows.append((f"false alarms, {told}", plain_rate(surface.false_alarms_per_hour)))
+        basis = "as measured on simulated aircraft" if model.origin == "calibrated" else "were the residual Gaussian"
+        rows.append((f"false alarms, {basis}", plain_rate(surface.false_alarms_per_hour)))
     return rows
 
 
@@ -353,8 +353,11 @@ def _span(start_s: float | None, end_s: float | None) -> str:
 
 
 _MOST_OF_IT = 0.998
+"""Share of the samples that the scale of an axis' chart holds; the rest is drawn beyond its ends."""
 _HEADROOM = 1.1
+"""Height of the chart of distances, over its largest value."""
 _HIGHEST = 20.0
+"""Largest distance from healthy that is drawn, in thresholds."""
 
 
 def axis_chart(axis: AxisAudit) -> Chart:
@@ -396,6 +399,7 @@ def axis_chart(axis: AxisAudit) -> Chart:
 
 
 _JITTER_QUANTILE = 0.95
+"""Quantile of the intervals between samples that stands for their jitter."""
 
 
 def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
@@ -452,10 +456,14 @@ def _gap(time_s: FloatArray) -> str:
 
 _OUTPUT = re.compile(r"(?:RCOU|RCO2|SERVO_OUTPUT_RAW)\.(?:C|Ch|servo)(\d+)(?:_raw)?")
 _LEAST_US, _MOST_US = 900.0, 2200.0
+"""Pulse widths [us] outside these are no command of an output: 900 to 2200 us is what servos and speed controllers
+take."""
 _LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
+"""Ends of an output's range [us] unless the parameters of the log say otherwise."""
 _AT_LIMIT_US = 5.0
-"""Nearer to its end an output is saturated: nothing is left for control."""
+"""Nearer to its end [us] an output is saturated: nothing is left for control."""
 _RUNS_SHARE = 0.05
+"""Share of the range above its lower end from which on a motor turns."""
 _ASKED = "What was asked of its motors"
 _MOTORS = (
     "Its outputs turn motors and no surfaces, so that there is no deflection to judge. While they ran, their mean "

@@ -51,8 +51,8 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
     kept = f"; left as they were: {', '.join(map(spoken, found.kept))}" if found.kept else ""
     by_position = [spoken(one.surface) for one in found.surfaces]
     by_current = [spoken(name) for name in found.currents]
-    told = [", ".join(by_position)] * bool(by_position) + [f"current of {', '.join(by_current)}"] * bool(by_current)
-    calibrated = "; ".join(told) or "nothing"
+    kinds = [", ".join(by_position)] * bool(by_position) + [f"current of {', '.join(by_current)}"] * bool(by_current)
+    calibrated = "; ".join(kinds) or "nothing"
     drawn = [_drawn(name, current) for name in found.currents if (current := _current(found, name)) is not None]
     return Document(
         title="Calibration",
@@ -180,7 +180,7 @@ def motion_report(model: MotionModel) -> Document:
         )
     if model.days == model.flights > 1:
         notes.append(
-            "each flight counts as a day of its own; several of one day are told by the date in a log, or in its name"
+            "each flight counts as a day of its own; flights of one day are recognised by the date in a log or its name"
         )
     notes += [f"left out: {why}" for why in model.left_out]
     flights = "1 flight" if model.flights == 1 else f"{model.flights} flights"

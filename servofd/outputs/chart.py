@@ -24,9 +24,11 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT = 4000, 1000
 """Units of the drawing: four to a column of pixels of a wide screen, four to a row of a tall panel."""
 _TIME_STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200, 86400)
+"""Steps of the time axis [s]: the smallest of them that needs no more labels than fit is taken."""
 _BRIDGED_PERIODS, _BRIDGED_S = 5.0, 0.1
-"""A line is broken where samples are missing for longer than both, as gaps of a log are told."""
+"""A line is broken where samples are missing for longer than both: this many periods, and this many seconds."""
 _MOST_TIME_TICKS, _MOST_VALUE_TICKS = 6, 4
+"""Labels at most on the time axis and on the axis of values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,7 @@ class Chart:
 
     title: str
     text: str
-    """What somebody must know who cannot see it."""
+    """What it shows, for readers who cannot see it."""
     first_s: float
     last_s: float
     panels: tuple[Panel, ...]
@@ -221,6 +223,8 @@ def nice_ticks(low: float, high: float, most: int) -> list[float]:
 MOST_FAULTS = 4
 """Faults that are shown from near; the table lists all."""
 _MARGIN_S, _MARGIN = 2.0, 0.35
+"""Shown before and after a fault: this many seconds, or this share of the time from onset to alarm if that is
+more."""
 _SLACK = 0.06
 """Of a panel's height, above and below its curves."""
 
@@ -326,7 +330,9 @@ def current_charts(surface: SurfaceAudit) -> list[Chart]:
 
 
 _NEAR_S = 10.0
+"""Time before the onset and after the alarm in a close-up of a current [s]."""
 _WITHIN_SIGMAS = 3.0
+"""Half width of the band in which a healthy current stays, in standard deviations."""
 
 
 def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Panel]:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 _RANKS = ("fault", "suspect", "healthy", "unknown", "no_data", "")
 _ROOM = 1.15
+"""Length of the axis over the largest bar."""
 _LEAST_DEG = 0.1
+"""Shortest axis [deg], where all bars are smaller."""
 _FEWEST = 2
 
 

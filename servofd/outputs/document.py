@@ -86,7 +86,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Pictures, drawn only where somebody can see them."""
+    """Pictures, drawn only where they can be seen."""
 
     draw: Callable[[], Sequence[Picture | Chart]]
 

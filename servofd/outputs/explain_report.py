@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from servofd.discrepancy.varying import Varying
 
 _EXCERPT_S = 6.0
+"""Length of the excerpt of the motion that is drawn [s]."""
 _BEFORE, _AFTER, _FLOOR = COLOURS["fault"], COLOURS["simulated"], COLOURS["command"]
 _LAG_S = 1.0
 _SEGMENT_S = 4.0
+"""Length of Welch's segments [s], which resolve 0.25 Hz."""
 
 
 def explain_figures(found: Explanation, name: str) -> list[Picture]:
@@ -35,7 +37,7 @@ def explain_figures(found: Explanation, name: str) -> list[Picture]:
     return [
         _traces(found, f"{name}-traces"),
         _ladder(found, f"{name}-ladder"),
-        _foretold(found, f"{name}-foretold"),
+        _predicted(found, f"{name}-predicted"),
         _maps(found, f"{name}-maps"),
         _memory(found, f"{name}-memory"),
         *(_varying(each, f"{name}-varying-{k}") for k, each in enumerate(found.varying, start=1)),
@@ -137,15 +139,15 @@ def _maps(found: Explanation, name: str) -> Picture:
     return Picture(name, "What the error depends on", text, figure)
 
 
-def _foretold(found: Explanation, name: str) -> Picture:
-    """How much of the gap each quantity tells, and how linearly the position follows."""
+def _predicted(found: Explanation, name: str) -> Picture:
+    """How much of the gap each quantity predicts, and how linearly the position follows."""
     record, nominal = found.record, found.selection.nominal
     shares = [each for each in maps(record, nominal.error_deg, found.selection.sigma_deg) if each.quantity != "time"]
     figure, (left, right) = new_figure(1, 2, height=1.2 + 0.24 * len(shares), share_x=False)
     place = np.arange(len(shares), dtype=float)
-    told = np.array([each.share for each in shares])
-    reach = np.abs(np.array([[each.low, each.high] for each in shares]).T - told)
-    left.barh(place, told, xerr=reach, color=_BEFORE, ecolor="0.4", error_kw={"lw": 1.0})
+    share = np.array([each.share for each in shares])
+    reach = np.abs(np.array([[each.low, each.high] for each in shares]).T - share)
+    left.barh(place, share, xerr=reach, color=_BEFORE, ecolor="0.4", error_kw={"lw": 1.0})
     left.set_yticks(place, [each.quantity for each in shares], fontsize=8)
     left.invert_yaxis()
     left.set_xlim(0.0, 1.05)
@@ -157,11 +159,11 @@ def _foretold(found: Explanation, name: str) -> Picture:
     right.set_ylim(0.0, 1.02)
     finish(left, right, x="frequency [Hz]", y=["", "coherence"])
     text = (
-        "Left, the share of the gap that each quantity foretells in blocks from which it was not learnt; the lines are "
+        "Left, the share of the gap that each quantity predicts in blocks to which it was not fitted; the lines are "
         "what chance makes of it in 99 of 100 logs, all quantities together. Right, coherence of command and position: "
         "1 where the position follows linearly, whatever the servo; it also falls where nothing was asked."
     )
-    return Picture(name, "What foretells the gap", text, figure)
+    return Picture(name, "What predicts the gap", text, figure)
 
 
 def _memory(found: Explanation, name: str) -> Picture:
@@ -220,6 +222,7 @@ def _draw_floor(axes: Axes, sigma_deg: float) -> None:
 
 
 _MOST_RIVALS = 5
+"""Rivals of an effect that are listed at most."""
 _STATUS = {"nothing_missing": "healthy", "explained": "healthy", "partly_explained": "suspect", "unexplained": "fault"}
 _METHOD = (
     "The servo is simulated with its model as it is known, and with each effect of a catalogue added to it. All "
@@ -325,7 +328,7 @@ def _numbers(document: dict[str, Any]) -> str:
     before, after = (document[key]["held_out_rms_deg"] for key in ("nominal", "final"))
     names = " and ".join(_name(step) for step in document["steps"])
     shrinks = f"the error shrinks from {before:.3g} to {after:.3g} deg rms on samples that were not fitted"
-    told = {
+    text = {
         "nothing_missing": f"{before:.3g} deg rms are left",
         "explained": f"{names} explains the gap: {shrinks}",
         "partly_explained": f"{names} explains a part: {shrinks}, and something stays",
@@ -333,9 +336,9 @@ def _numbers(document: dict[str, Any]) -> str:
     }[document["conclusion"]]
     if document["fault_s"] is not None:
         left = f"with {names} what came before shrinks from {before:.3g} to {after:.3g} deg rms"
-        told = f"a fault sets in at {document['fault_s']:.1f} s; "
-        told += left if names else f"{before:.3g} deg rms are left of what came before"
-    return f"{told}; the noise floor is {document['noise_floor_rms_deg']:.3g} deg."
+        text = f"a fault sets in at {document['fault_s']:.1f} s; "
+        text += left if names else f"{before:.3g} deg rms are left of what came before"
+    return f"{text}; the noise floor is {document['noise_floor_rms_deg']:.3g} deg."
 
 
 def _name(step: dict[str, Any]) -> str:

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from servofd.outputs.chart import Chart
 
 _TITLE_COLUMNS = 130
+"""Characters in a line of a figure's title."""
 _WIDEST = 4000
-"""Points drawn per curve; more cannot be told apart, and slow the drawing down."""
+"""Points drawn per curve; more cannot be seen, and slow the drawing down."""
 _WIDTHS = {"simulated": 2.0, "threshold": 1.0, "alarm": 5.0}
 _COLOURS = {"residual": "black", "threshold": COLOURS["fault"], "alarm": COLOURS["fault"]}
 
@@ -43,7 +44,7 @@ def audit_figure(audit: SurfaceAudit) -> Figure:
 
 
 def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-    """Draw a chart of a page, all of it, or into somebody's axes as many of its panels as these are."""
+    """Draw a chart of a page, all of it, or into given axes as many of its panels as these are."""
     if ax is None:
         figure, all_axes = new_figure(len(chart.panels), height=6.5, width=11.0, ratios=(3, 2, 2)[: len(chart.panels)])
     else:

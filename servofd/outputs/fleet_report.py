@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from servofd.outputs.document import Part
 
 _MOST_ROWS = 200
+"""Rows of a table on the page at most: logs that were not judged, and faults."""
 _MOST_FLIGHTS = 2000
+"""Flights on the page at most."""
 _STATUSES = ("healthy", "suspect", "fault", "not judged")
 FLIGHTS_HEAD = ("flight", "verdict", "begun (UTC)", "length", "residual", "what")
 _FAULTS_HEAD = ("log", "begun (UTC)", "surface", "kind", "onset [s]", "end [s]", "parameters", "probability")
@@ -51,7 +53,7 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
         rows.append(flight_row(name, status, flight | {"sentence": said_of_it}, page, rank))
     of_surfaces, of_axes = ("surface", "servo", *_STATUSES), ("axis", "surfaces", *_STATUSES)
     lost = [(flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in not_judged[:_MOST_ROWS]]
-    told = [
+    parts_of_faults = [
         Table("Each fault, in s after the beginning", _FAULTS_HEAD, [_fault(one) for one in faults[:_MOST_ROWS]]),
         *_more(faults, _MOST_ROWS, "faults"),
     ]
@@ -76,7 +78,7 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
         evidence=[
             *_more(flights, _MOST_FLIGHTS, "logs"),
             Words(_LINE, style="soft"),
-            *([Section("All faults, with onset and parameters", told, folded=True)] if faults else []),
+            *([Section("All faults, with onset and parameters", parts_of_faults, folded=True)] if faults else []),
             Table("Not judged, and why", ("log", "why"), lost),
             *_more(not_judged, _MOST_ROWS, "logs"),
             Section("What to do next", [Words(_NEXT)], folded=True),

@@ -27,8 +27,11 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
 
 _EXCERPT_S = 4.0
+"""Length of the excerpt of the motion that is drawn [s]."""
 _STEP_S = 0.6
+"""Time after a step that is drawn [s]."""
 _RAW_POINTS = 3000
+"""About how many points of the raw response are drawn."""
 _SERVOS = ("#0072b2", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
 
 

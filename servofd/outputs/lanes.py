@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 MOST = 12
 """Lanes of a page: with `_POINTS` each they are 40 kB of it."""
 _POINTS = 500
+"""Points of a lane."""
 _ROOM = 0.06
-_TOLD = re.compile(
+"""Room above and below a lane, as a share of its range."""
+_SHOWN = re.compile(
     r"(?:ATT\.(?:Roll|Pitch|Yaw)|ARSP(?:\[0\])?\.Airspeed|BAT(?:\[0\])?\.(?:Volt|Curr)|POWR\.V(?:Servo|cc)|MODE\.ModeNum"
     r"|CTUN\.ThO|BARO(?:\[0\])?\.Alt|ATTITUDE\.(?:roll|pitch|yaw)|VFR_HUD\.(?:airspeed|throttle|alt)"
     r"|SYS_STATUS\.(?:voltage|current)_battery|HEARTBEAT\.custom_mode|airspeed\[0\]\.indicated_airspeed_m_s"
@@ -38,7 +40,7 @@ def lanes_of(log: FlightLog) -> list[dict[str, Any]]:
     wanted = [
         name
         for name in log.channels
-        if (_TOLD.fullmatch(name) if log.is_of_autopilot else not _OF_SURFACES.fullmatch(name))
+        if (_SHOWN.fullmatch(name) if log.is_of_autopilot else not _OF_SURFACES.fullmatch(name))
     ]
     lanes = []
     for name in wanted[:MOST]:

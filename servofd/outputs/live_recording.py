@@ -34,9 +34,11 @@ if TYPE_CHECKING:
     from servofd.servo.context import Context
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
+"""Time between two batches to the viewer, and to the file [s]."""
 _PATIENCE_S = 5.0
 """A sink that has not taken a batch by then is given up."""
 _ROOM = 4_000
+"""Entries that may wait for the next batch; the oldest are dropped."""
 _LEVELS = {"alarm": "ERROR", "named": "ERROR", "no_data": "WARN", "link_lost": "WARN"}
 _ABOUT = "Recorded in flight. `servofd review` of this recording gives the verdicts, as an audit of the log would."
 

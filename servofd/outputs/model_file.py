@@ -89,7 +89,7 @@ def _table(found: Explanation) -> EffectTable:
     """The effects, and what the servo's own numbers came to beside them."""
     final, known = found.selection.final, found.record.plant.neutral
     poles = next(each for each in OWN if each.fixed["slow_place"] == final.place)
-    # Of a servo that nobody knew the poles are written as its own, if they can be.
+    # Of an unknown servo the poles are written as its own, if they can be.
     own: list[type[Effect]] = [*([] if found.is_servo_of_its_own else [poles]), Gain, Delay, Bias]
     fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}
     beside = []

@@ -27,12 +27,20 @@ if TYPE_CHECKING:
 _COLOURS = ("#0072b2", "#009e73", "#e69f00", "#d55e00", "#cc79a7")
 """Okabe and Ito's palette."""
 _FAULT_SIGMAS = (3.0, 4.0, 5.0, 6.0, 8.0)
+"""Sizes of the bias faults of the left chart, in standard deviations of the residual; larger where the threshold
+is."""
 _LOWEST_RATE, _HIGHEST_RATE = 1e-6, 1e3
+"""Ends of the axis of false alarms [1/h]."""
 _THRESHOLDS, _SIZES = 30, 14
+"""Points of a curve over the threshold, and of one over the size of the fault."""
 _LARGEST_SIZE = 2.5
+"""Largest fault of the right chart, in thresholds."""
 _SMALLEST_DELAY_S, _LONGEST_DELAY_S = 3e-3, 100.0
+"""Ends of the axis of delays [s]."""
 _SIMULATED_S = 20.0
+"""Time after the onset for which the residual is simulated [s]."""
 _MOST_SAMPLES = 4000
+"""Samples after the onset that are simulated at most."""
 
 
 def save_odds_figure(odds: SurfaceOdds, path: Path) -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from servofd.detection.probability import Operating, Quoted
 
 _SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
+"""Delays below the first are shown as that, and above the second as over an hour [s]."""
 
 
 def odds_report(odds: Sequence[SurfaceOdds], left_out: Mapping[str, str], failed: Mapping[str, str]) -> Document:

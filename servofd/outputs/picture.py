@@ -30,7 +30,7 @@ class Picture:
     name: str
     title: str
     text: str
-    """What somebody must know who cannot see it."""
+    """What it shows, for readers who cannot see it."""
     figure: Figure
 
     def png(self) -> bytes:

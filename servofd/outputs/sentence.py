@@ -40,6 +40,7 @@ _MOST_NAMED = 2
 _CLAUSE = re.compile(r"[:;]| \(|, ")
 """Where the first clause of a reason ends."""
 _RARE_PER_HOUR = 1e-6
+"""Rates below this are given as a bound [1/h]."""
 
 
 def worst(surfaces: Sequence[SurfaceAudit | AxisAudit]) -> Status:
@@ -74,8 +75,8 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
     if len(faulty) > _MOST_NAMED:
         return f"{len(faulty)} SERVOS AT FAULT: {_surfaces(faulty)}. Do not fly."
     if faulty:
-        told = "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in faulty)
-        return f"{told}. Do not fly."
+        each = "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in faulty)
+        return f"{each}. Do not fly."
     if suspect:
         by_current = all(s.suspicions and all(f.witness == "current" for f in s.suspicions) for s in suspect)
         witness = (
@@ -99,8 +100,8 @@ def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> s
         did = "drew the current of a healthy servo" if by_current else "followed its command"
         text = f"{spoken(healthy[0].surface).capitalize()} {did}."
     else:
-        told = "that could be judged " if missing or untried else ""
-        text = f"All {len(healthy)} surfaces {told}followed their commands"
+        which = "that could be judged " if missing or untried else ""
+        text = f"All {len(healthy)} surfaces {which}followed their commands"
         text += f" ({_surfaces(by_current)} by current alone)." if by_current else "."
     verb = "was" if len(untried) == 1 else "were"
     not_moved = f"{_surfaces(untried).capitalize()} {verb} not tried." if untried else ""
@@ -127,15 +128,15 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
     weaker = {axis.axis: axis.lost_share for axis in axes if axis.is_weaker and axis.lost_share}
     healthy = [axis.axis for axis in axes if axis.status == "healthy"]
     dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis not in (*weaker, "thrust")]
-    told = [f"{_listed(healthy).capitalize()} answered as on healthy days."] if healthy else []
+    sentences = [f"{_listed(healthy).capitalize()} answered as on healthy days."] if healthy else []
     for axis, lost_share in weaker.items():  # without an alarm, and yet surely: how much, and how rare that is
         value, low, high = (f"{100.0 * share:.0f}" for share in lost_share)
         size = f"{value}% weaker ({low} to {high}%)"
-        told.append(
+        sentences.append(
             f"{axis.capitalize()} is probably {size}, as one healthy flight in 40 seems to be: look at the next ones."
         )
-    told = told or ["Could not tell."]
-    return " ".join([*told, f"No verdict on {', '.join(dark)}."] if dark else told)
+    sentences = sentences or ["Could not tell."]
+    return " ".join([*sentences, f"No verdict on {', '.join(dark)}."] if dark else sentences)
 
 
 def _what(fault: Fault) -> str:
@@ -248,7 +249,7 @@ def minute_of(start_utc: str | None) -> str:
 
 
 def plain_rate(per_hour: float) -> str:
-    """How often something happens, as somebody would say it who does not count in powers of ten.
+    """How often something happens, without powers of ten.
 
     Examples
     --------
@@ -267,6 +268,7 @@ def plain_rate(per_hour: float) -> str:
 
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _WIDTH = 64
+"""Columns at most of a line of bars."""
 
 
 def sparkline(shares: Sequence[float | None]) -> str:

@@ -156,7 +156,7 @@ class _Routes:
 
     async def take_form(self, request: Request) -> Response:
         """Logs of a form, as browsers send it that run no script."""
-        told: list[tuple[str | Cell, ...]] = []
+        rows: list[tuple[str | Cell, ...]] = []
         upload: Upload | None = None
         wrong = ""
         try:
@@ -169,23 +169,23 @@ class _Routes:
                     elif upload is not None:
                         taken, upload = await run_in_threadpool(upload.finish), None
                         link = f"/flights/{taken.flight.id}" if taken.flight else ""
-                        told.append((Cell(name, link=link), taken.notice or "It is being judged."))
+                        rows.append((Cell(name, link=link), taken.notice or "It is being judged."))
                 except TooLarge as error:
                     if upload is not None:
                         upload.abandon()
                     upload, wrong = None, str(error)
                 if some is None:
-                    told += [(name, f"{wrong}.")] if wrong else []
+                    rows += [(name, f"{wrong}.")] if wrong else []
                     wrong = ""
         except ClientDisconnect:
             return JSONResponse({"error": "did not arrive completely"}, 400)
         finally:
             if upload is not None:
                 upload.abandon()
-        if not told:
+        if not rows:
             raise HTTPException(400, "No file was chosen.")
-        count = f"{len(told)} {'file' if len(told) == 1 else 'files'} arrived."
-        return _page(Document("Files", "no_data", count, parts=[Table("Files", ("file", "what became of it"), told)]))
+        count = f"{len(rows)} {'file' if len(rows) == 1 else 'files'} arrived."
+        return _page(Document("Files", "no_data", count, parts=[Table("Files", ("file", "what became of it"), rows)]))
 
     async def act(self, request: Request) -> Response:
         """Something to do with the flights that are ticked."""

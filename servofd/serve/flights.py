@@ -46,6 +46,7 @@ SHIPPED = ("faser", "bench")
 _TASKS, _CHOICE, _UPLOAD = "tasks", "choice.json", ".upload-"
 _ID = re.compile(r"[0-9a-f]{32}")
 _KEPT_FREE_BYTES = 200 * 1024 * 1024
+"""Room that is left on the disk when a log is taken."""
 _DIED = "Could not be judged: its process ended before it was done (out of memory, or stopped)."
 
 
@@ -55,7 +56,7 @@ class TooLarge(ConfigError):  # noqa: N818 - reads better without "Error"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What a flight is judged with, where somebody chose it on the page."""
+    """What a flight is judged with, where it was chosen on the page."""
 
     aircraft: str = ""
     """Its file in the folder, or the name of one that comes with servofd."""
@@ -209,7 +210,7 @@ class Flights:
         if flight.state == "at work":
             return f"{flight.name} is being judged; delete it when it is done."
         make_folder(self.folder / RESULTS / BIN)
-        with suppress(FileNotFoundError):  # somebody took it away by hand
+        with suppress(FileNotFoundError):  # it was taken away by hand
             _moved(flight.log, self.folder / RESULTS / BIN, flight.name)
         return f"{flight.name} is in the bin (the folder {RESULTS}/{BIN})."
 

@@ -1,4 +1,4 @@
-"""Who may talk to the page, what browsers may do with it, and the server, whose socket is open before it is told."""
+"""Who may talk to the page, what browsers may do with it, and the server, open before its address is shown."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Guard:
     def _refused(self, scope: Scope, headers: Headers) -> PlainTextResponse | RedirectResponse | None:
         host = headers.get("host", "")
         if not self._token and not _OWN.fullmatch(host):
-            # A name of somebody else's that was led to this machine.
+            # A name of another host that was led to this machine.
             return PlainTextResponse("open this page as http://127.0.0.1", 421)
         origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:

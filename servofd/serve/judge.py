@@ -111,7 +111,7 @@ def _curves(audit: LogAudit) -> bytes:
 
 
 def curves_in(folder: Path) -> dict[str, Track]:
-    """What each surface of a flight did; empty if nobody knows."""
+    """What each surface of a flight did; empty if not known."""
     try:
         with np.load(folder / _CURVES, allow_pickle=False) as known:
             return {
@@ -123,7 +123,7 @@ def curves_in(folder: Path) -> dict[str, Track]:
 
 
 def progress_in(folder: Path) -> str:
-    """How far the judging of a flight is, in words; empty if nobody knows."""
+    """How far the judging of a flight is, in words; empty if not known."""
     try:
         return (folder / _PROGRESS).read_text(encoding="utf-8")
     except OSError:

@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _HEAD_BYTES = 64 * 1024
+"""Beginning of a file that is read for the preview."""
 _ROWS = 50
+"""Rows of the preview."""
 _MOSTLY = 0.9
 """Share of the cells of a column that have to be numbers for a column of numbers; the others are missing or damaged."""
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")

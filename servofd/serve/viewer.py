@@ -27,6 +27,7 @@ FILES = {
 _STRANGERS = re.compile(rb"<link[^>]*(?:fonts\.googleapis|fonts\.gstatic)[^>]*>", re.DOTALL)
 """Fonts that the viewer's page would load from the network; it does without."""
 _PATIENCE_S, _AGAIN_S = 20.0, 0.1
+"""How long a start of the viewer may take, and how often it is tried [s]."""
 
 
 def viewer_files(folder: Path) -> Path | None:

@@ -54,7 +54,7 @@ def _varied(effects: tuple[type[Effect], ...]) -> tuple[type[Effect], ...]:
 FEWEST_RUNS = 5
 """Fewer runs show no line over a condition."""
 ALIKE = 0.98
-"""Correlation beyond which two conditions cannot be told apart."""
+"""Correlation above which two conditions cannot be separated."""
 _SHARES = (-0.3, -0.1, 0.1, 0.3)
 """Slopes of a line over a condition from which a search starts, as shares of the typical size."""
 
@@ -149,7 +149,7 @@ def effects_installed(physics: Physics, table: Mapping[str, Mapping[str, float |
 
 
 def effect_of(name: str, given: Mapping[str, float | str]) -> Effect:
-    """One effect of such a table, with its values.
+    """One effect of an effects table, with its values.
 
     Examples
     --------

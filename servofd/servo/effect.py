@@ -187,7 +187,7 @@ class Effect:
     form: ClassVar[str] = ""
     """Which machine it is, where several go by one name."""
     family: ClassVar[str] = ""
-    """Effects that are alike at low frequency, and hardly told apart where anything else is unexplained."""
+    """Effects that are alike at low frequency, and hardly separated where anything else is unexplained."""
     needs: ClassVar[tuple[Surroundings, ...]] = ()
     """What the log must hold beside commands and positions."""
     fixed: ClassVar[Mapping[str, float]] = {}
@@ -211,7 +211,7 @@ class Effect:
     memory: ClassVar[int] = 0
     """How many numbers it remembers from step to step; at rest the first is what passes, the others are 0."""
     longest_s: ClassVar[float] = 2.5e-3
-    """Longest step in which it is held: half of it changes a lively flight by less than 0.002 deg rms
+    """Longest step in which it is held: half of it changes a flight with much manoeuvring by less than 0.002 deg rms
     (tests/laws/test_stepper.py)."""
     sees: ClassVar[tuple[str, ...]] = ()
     """Fields of `Physics` that `act` is given; if none is given, those of its parameters."""

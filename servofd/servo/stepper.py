@@ -242,10 +242,10 @@ def run(
     """
     commands, instants, count = effective_s.size, at_s.size, p.shape[0]
     now_s, u, s, commanded = clock[0], clock[1], clock[2], clock[3] > 0.0
-    commanding, erring, loaded, grips, races, stops, hangs, reads, bends = (
+    commanding, erring, loaded, has_friction, is_rate_limited, stops, hangs, reads, bends = (
         acts[0], acts[1], acts[2], acts[3], acts[4], acts[5], acts[6], acts[7], acts[8],
     )  # fmt: skip
-    inside = commanding or erring or loaded or grips or races or stops
+    inside = commanding or erring or loaded or has_friction or is_rate_limited or stops
     logged = around.shape[0] > 0
     pressure, supply, power, current, external = 0.0, math.inf, 1.0, 0.0, 0.0
     # The last step of an interval is up to half as long again, and none is longer than those that are kept.
@@ -357,7 +357,7 @@ def run(
                                 by_v + over * (rate[3] * by_y + rate[4] * by_v + rate[5] * by_w + by[5]),
                                 by_w + over * (rate[6] * by_y + rate[7] * by_v + rate[8] * by_w + by[8]),
                             )
-                        if grips:
+                        if has_friction:
                             effort = abs(bent) if rate[5] != 1.0 else 0.5 * abs(w + w1) / per_error
                             slips = Now(
                                 at, h, middle * gain, fast * gain, error_s, effort * gain, away,
@@ -369,7 +369,7 @@ def run(
                             y1 = y if held and fast == 0.0 else y1 + by_y * brake
                             v1 = 0.0 if held else v1 + by_v * brake
                             w1 += by_w * brake
-                        if races:
+                        if is_rate_limited:
                             most = speed(v1 * gain, now, p, v, m)
                             if most != v1 * gain:
                                 most /= gain

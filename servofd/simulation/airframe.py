@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
 
 _STEP_S: Final = 0.01
+"""Step of the integration [s]."""
 
 
 @dataclass(frozen=True, slots=True)

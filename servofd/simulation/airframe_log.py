@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from servofd.simulation.airframe import AirframeFlight
 
 _OUTPUTS: Final = 14
+"""Outputs of an RCOU record."""
 _VERSION: Final = "4.6.0"
 
 

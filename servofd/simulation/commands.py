@@ -15,9 +15,13 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
 
 _FIRST_TURN_S = 8.0
+"""Start of the first turn of the pattern [s]."""
 _LEG_S = 12.0
+"""Usual length of a leg between two turns [s]."""
 _TURN_S = 7.0
+"""Length of a turn [s]."""
 _STICK_DEG = 15.0
+"""Deflection of a stick at its end [deg]."""
 
 
 class _Style(NamedTuple):

@@ -21,9 +21,13 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
 
 _CONTEXT_HZ: Final = 10.0
+"""Rate of attitude, airspeed and supply in the log [Hz]."""
 _GPS_HZ: Final = 5.0
-_GPS_EPOCH_US: Final = 315_964_800_000_000 - 18_000_000  # 6 January 1980, less the leap seconds since
+"""Rate of GPS in the log [Hz]."""
+_GPS_EPOCH_US: Final = 315_964_800_000_000 - 18_000_000
+"""6 January 1980 in Unix time, less the 18 leap seconds since [us]: GPS time begins then."""
 _WEEK_US: Final = 7 * 86_400_000_000
+"""A week of GPS time [us]."""
 _CSRV: Final = ["TimeUS", "Id", "Pos", "Force", "Speed", "Pow", "PosCmd", "V", "A", "MotT", "PCBT", "Err"]
 
 
@@ -48,6 +52,7 @@ GENERATIONS: Final[Mapping[str, Generation]] = {g.name: g for g in (VOLZ, DRONEC
 """By the name that the command line uses."""
 
 _VOLZ_STEP_DEG: Final = 200.0 / 3840.0
+"""Step of a Volz servo's position [deg]."""
 
 
 def dataflash_log(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation = VOLZ) -> bytes:

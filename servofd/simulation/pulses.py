@@ -25,12 +25,15 @@ MOST_OUTPUTS: Final = 14
 THROTTLE: Final = 3
 """Output of the throttle, which turns no surface."""
 THROTTLE_FUNCTION: Final = 70
+"""Function of an output that is the throttle (ArduPilot, SERVOn_FUNCTION)."""
 THROTTLE_US: Final = 1620
 """What it is sent, all the time [us]."""
 
 _HALF_RANGE_US: Final = 500
+"""Pulse width from trim to either end [us]."""
 _FLAP: Final = 2
-_ANYTHING: Final = 94  # Script1: an output that only its script knows
+_ANYTHING: Final = 94
+"""Function of an output that only its script knows (ArduPilot, SERVOn_FUNCTION: Script1)."""
 _USUAL: Final[dict[int, int]] = {
     4: 1,
     19: 2,

@@ -18,9 +18,13 @@ EPOCH_US: Final = 1_700_000_000_000_000
 _STALLED_A, _NEAR_DEG, _ALL_DEG, _PUSHES_S = 1.2, 0.4, 3.0, 0.3
 """A small servo that is held further away than that draws up to so much, so many degrees later, and after so long."""
 _SPEED_M_S = 22.0
+"""Mean airspeed [m/s]."""
 _RAIL_V = 7.4
+"""Supply of the servos without load [V]."""
 _EARTH_M_PER_DEG = 111_195.0
-_FIELD_DEG = (44.725, -93.075)  # UMore Park, where FASER flew
+"""Length of a degree of latitude [m]."""
+_FIELD_DEG = (44.725, -93.075)
+"""Latitude and longitude of UMore Park, where FASER flew [deg]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

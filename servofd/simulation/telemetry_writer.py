@@ -29,11 +29,16 @@ FEEDBACK: Final = ("named", "port", "array")
 """Messages that tell positions: see `servo_rows`."""
 
 _FASTEST_LINK_US: Final = 12_000
+"""Delay of the fastest message on the link [us]."""
 _WAITING_US: Final = 3_000
-_ARMED_AUTO: Final = 128 | 16 | 8 | 4 | 1  # MAV_MODE_FLAG
+"""Mean time that a message waits beyond it, of an exponential distribution [us]."""
+_ARMED_AUTO: Final = 128 | 16 | 8 | 4 | 1
+"""Mode of an armed aircraft in AUTO (MAVLink, MAV_MODE_FLAG)."""
 _WRAP: Final = 2**32
+"""Time stamps of 32 bits begin anew after this count."""
 _POSITION_PORT: Final = 2
 _ARRAY_SIZE: Final = 58
+"""Numbers of a DEBUG_FLOAT_ARRAY (MAVLink)."""
 
 
 def telemetry_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:

@@ -26,10 +26,14 @@ if TYPE_CHECKING:
 MOST_SERVOS: Final = 8
 """Controls of the topic ``actuator_servos``."""
 
-_RELEASE: Final = 0x010F00FF  # 1.15.0
-_SERVO_1, _MOTOR_1 = 201, 101  # PWM_MAIN_FUNCn
+_RELEASE: Final = 0x010F00FF
+"""Version 1.15.0, a release, as PX4 packs it into four bytes."""
+_SERVO_1, _MOTOR_1 = 201, 101
+"""Functions of the first servo and the first motor (PX4, PWM_MAIN_FUNCn)."""
 _DEBUG_SLOTS, _OUTPUT_SLOTS = 58, 16
+"""Numbers of a debug_array, and outputs of actuator_outputs."""
 _CUSTOM: Final = 12
+"""Type of a surface that PX4 has no name for (CA_SV_CSn_TYPE)."""
 _TYPES: Final = {  # of ArduPilot's functions in CA_SV_CSk_TYPE
     4: 15, 19: 3, 21: 4, 77: 5, 78: 6, 79: 7, 80: 8, 24: 1, 25: 2, 2: 9, 110: 11, 16: 17, 17: 18,
 }  # fmt: skip

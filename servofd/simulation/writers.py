@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
 
 _BIG_ENDIAN_SINGLE = 1010
+"""Type of a level 4 MAT-file's matrix: big-endian, single precision."""
 _CSV_DECIMALS = 9
+"""Decimals of the numbers of a table."""
 
 
 @dataclass(frozen=True, slots=True)

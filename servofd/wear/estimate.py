@@ -141,7 +141,8 @@ class FlownServo:
 
 
 _FORGOTTEN_S = 1.0
-"""After a start the servo was somewhere nobody knows; the slowest ones of the library forget it by then."""
+"""Left out after a start [s], since where the servo was before is not known: the slowest ones of the library need
+that long to forget it."""
 _FORGOTTEN_SHARE = 0.1
 """Of a short test, which begins at rest."""
 _MEMORY_S = 1.0
@@ -241,7 +242,7 @@ class Quantity:
     """From the number to what is shown in `unit`."""
     digits: int = 2
     of_axis: bool = False
-    """Told by the motion of an aircraft whose servos report nothing."""
+    """Found by the motion of an aircraft whose servos report nothing."""
 
 
 QUANTITIES: Mapping[str, Quantity] = MappingProxyType(

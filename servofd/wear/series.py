@@ -157,7 +157,7 @@ def pieces(number: FloatArray, value: FloatArray, deviation: FloatArray) -> tupl
     """Cut flights where one line does not do, and two lines do: a jump, or another slope.
 
     A cut must be less likely by chance than `CHANCE`, by the F test of two lines against one with clipped squares,
-    times the number of places where it could be; then both parts are looked at again.
+    times the number of places where it could be; then both parts are cut in the same way.
     """
     whole = Piece(number, value, deviation)
     cut = _best_cut(whole)
@@ -304,7 +304,7 @@ FEWEST_FLIGHTS = 8
 TOO_FEW = "too few flights for a trend"
 """Reason of a forecast that only more flights can bring."""
 HORIZON = 4.0
-"""Nobody knows what happens after four times as many flights as were seen."""
+"""A forecast reaches at most four times as many flights as were seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,7 +329,7 @@ class Forecast:
 
     @property
     def is_alarm(self) -> bool:
-        """Whether somebody should do something."""
+        """Whether it calls for an action."""
         return self.kind != "none"
 
 

@@ -239,7 +239,7 @@ def test_a_flight_ends_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["--stream", "udpin:127.0.0.1:{taken}"], "another program listens there"),
         (["--stream", "udpin:192.0.2.1:14550"], "no such address"),
-        (["--stream", "tcp:127.0.0.1:{free}"], "nobody answers there"),
+        (["--stream", "tcp:127.0.0.1:{free}"], "no answer from there"),
         (["--stream", "udpout:no.such.host.invalid:14550"], "no host of this name"),
         (["--stream", "/dev/no_such_device"], "No such file or directory"),
         (["--stream", "/bin/true"], "not a MAVLink endpoint"),

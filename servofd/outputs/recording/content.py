@@ -50,7 +50,7 @@ class Trace:
 
     @classmethod
     def of(cls, surface: SurfaceAudit) -> Self | None:
-        """Curves that an audit looked at; None if it had none."""
+        """Curves that an audit judged; None if it had none."""
         segment, residuals = surface.segment, surface.residuals
         if segment is None or residuals is None:
             return None
@@ -103,7 +103,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """An audit, and the curves it looked at."""
+    """An audit, and the curves that it judged."""
 
     audit: LogAudit
     """Its log has no channels any more, its surfaces no segments."""

@@ -181,7 +181,7 @@ def _values(chunk: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 def _drawn(stored: _Stored, surface: str, current: CurrentAudit) -> CurrentAudit:
-    """What a current told, with its curves."""
+    """The verdict of a current, with its curves."""
     found = stored.curves(surface_place(surface, "current"))
     if found is None:
         return current

@@ -26,7 +26,9 @@ AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"
 """Where attitude, local and geographic position, airspeed and supply are kept as numbers."""
 
 _BODY_RGBA = 0xB0B0B0FF
+"""Colour of the aircraft's body: light grey."""
 _GHOST_OPACITY = 0.6
+"""Opacity of the simulated surface beside the measured one."""
 
 
 def send_scene(recorder: Recorder, recording: Recording) -> None:
@@ -149,6 +151,8 @@ _PLACES: tuple[tuple[str, Hinge], ...] = (
     ("(left|_l$)", Hinge((-0.045, -0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
     ("(right|_r$)|aileron", Hinge((-0.045, 0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
 )
+"""Hinge of a surface by words of its name: place, axis and half sizes [m] on the drawn aircraft, which is no
+particular one."""
 
 
 def hinges(names: list[str]) -> dict[str, Hinge]:

@@ -25,6 +25,7 @@ MARKER_HEIGHT = 4.6
 """Of onset markers in the overview, whose plot reaches to 5 thresholds."""
 
 _MARGIN = 1.12
+"""Height of a plot over the range of its curves."""
 
 
 def plot_range(values: FloatArray, least: float) -> tuple[float, float]:
@@ -48,7 +49,7 @@ def residual_range(trace: Trace) -> tuple[float, float]:
 def send_surface(
     recorder: Recorder, surface: SurfaceAudit, trace: Trace | None, start_s: float, tint: str = "simulated"
 ) -> None:
-    """Send everything that an audit found about a surface, and looked at."""
+    """Send everything that an audit read and found about a surface."""
     place = surface_place(surface.surface)
     recorder.texts(f"{place}/events", events(trace, surface, start_s))
     if surface.current is not None:
@@ -167,7 +168,7 @@ def send_axis(recorder: Recorder, axis: AxisAudit) -> None:
 
 
 def _states(axis: AxisAudit) -> list[tuple[float, str]]:
-    """When the state changes: what was judged, and what is told of it."""
+    """Times at which the state changes, and the new state: judged or not, and the verdict."""
     usable = axis.inputs.usable
     words = np.where(usable, "OK", "NO DATA")
     said = "FAULT" if axis.status == "fault" else "SUSPECT"

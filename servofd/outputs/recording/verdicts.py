@@ -30,7 +30,7 @@ LIVE = "recorded in flight"
 """Note of a recording whose verdicts have still to be made."""
 
 MANY_VEHICLES = "servofd.monitor/1"
-"""Schema of a recording of several vehicles at once, whose surfaces belong to nobody."""
+"""Schema of a recording of several vehicles at once, whose surfaces have no common aircraft."""
 
 _WITHOUT_VERDICTS = {
     MANY_VEHICLES: "several vehicles at once",
@@ -178,22 +178,22 @@ def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
 
 
 def _current(entry: Mapping[str, Any]) -> CurrentAudit | None:
-    """What a current told; its curves are read with the others."""
+    """The verdict of a current; its curves are read with the others."""
     if "current" not in entry:
         return None
-    told = entry["current"]
+    current = entry["current"]
     faults, suspicions = (
         tuple(fault for one in entry[which] if (fault := _fault(one)).witness == "current")
         for which in ("faults", "suspicions")
     )
     return CurrentAudit(
-        told["status"],
-        told["reason"],
-        told["explained_share"],
-        told["ratio_to_good"],
+        current["status"],
+        current["reason"],
+        current["explained_share"],
+        current["ratio_to_good"],
         faults,
         suspicions,
-        judged_share=told["judged_share"],
+        judged_share=current["judged_share"],
     )
 
 

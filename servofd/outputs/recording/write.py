@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 def save_recording(
     audit: LogAudit, path: str | Path, *, include_position: bool = False, online_map: bool = False
 ) -> None:
-    """Write everything the audit looked at and found into one .rrd file, with its layout inside.
+    """Write everything the audit read and found into one .rrd file, with its layout inside.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class AirTrim(Effect):
 
 
 class GravityLoad(Effect):
-    """Weight on the horn, hanging at 0 deg."""
+    """Weight on the horn, straight below it at 0 deg."""
 
     name, slot, rank = "gravity_load", Slot.LOAD, 26
     varies = True

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 _BEAT_S: Final = 0.5
 _TICK_S: Final = 0.02
+"""Pause of the loop that flies the vehicle [s]."""
 _MOST_AT_ONCE: Final = 256
+"""Pieces of data that are read in one turn of it."""
 
 
 class Leg(NamedTuple):

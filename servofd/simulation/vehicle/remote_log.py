@@ -16,11 +16,17 @@ if TYPE_CHECKING:
     from logparsers.dataflash.encode import Rows
 
 _BLOCK: Final = 200
-_BUFFER: Final = 40  # blocks of the usual 8 kB (HAL_LOGGING_MAV_BUFSIZE)
+"""Bytes of a block (MAVLink, REMOTE_LOG_DATA_BLOCK)."""
+_BUFFER: Final = 40
+"""Blocks of the usual buffer of 8 kB (ArduPilot, HAL_LOGGING_MAV_BUFSIZE)."""
 _PER_TURN: Final = 8
+"""New blocks that leave in one turn of the main loop."""
 _AGAIN_US: Final = 100_000
+"""A block that is not acknowledged leaves again after this [us]."""
 _GONE_US: Final = 10_000_000
-_HEAD: Final = 3  # bytes of a row before its time stamp
+"""A station without any acknowledgement for this long is given up [us]."""
+_HEAD: Final = 3
+"""Bytes of a row before its time stamp."""
 _PROLOGUE: Final = ("UNIT", "MULT", "FMTU", "PARM", "MSG")
 
 Client = tuple[int, int]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
 
 _LONGEST_S = 3600.0
+"""Longest time that a trouble may be given [s]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
 
 _4_7_0_DEV: Final = 0x04070000
+"""Version 4.7.0, development, as AUTOPILOT_VERSION packs it."""
 _POSITIONS: Final = ("NAMED_VALUE_FLOAT", "DEBUG_FLOAT_ARRAY")
 _GROUPS: Final[Mapping[int, tuple[str, ...]]] = {
     3: ("SERVO_OUTPUT_RAW",),  # MAV_DATA_STREAM_RC_CHANNELS
@@ -253,6 +254,7 @@ def _chunks(words: str) -> list[Send]:
 
 
 _PER_TURN: Final = 5
+"""Parameters of a list that leave in one turn of the main loop."""
 _WHOLE: Final = (
     (
         ("_REVERSED", "_DISARMED", "_REPLAY", "_TYPE", "_ENABLE", "_TRIM_AUTO", "_PROTOCOL", "_DRIVER"),
@@ -307,6 +309,7 @@ OFF: Final = 0
 """Interval of a message that is not sent [ms]."""
 
 _LONGEST_MS: Final = 60_000
+"""Longest interval of a message [ms]."""
 _NOW: Final = -1
 
 
