@@ -137,7 +137,7 @@ class CalibratedServo(BaseModel):
 
     @property
     def last_judged_m_s(self) -> float:
-        """Airspeed beyond which nobody knows what the air does to the servo; infinite where none was logged."""
+        """Airspeed up to which the effect of the air on the servo is known; infinite where none was logged."""
         return _BEYOND * max(self.fastest_m_s, _STANDING_M_S) if self.fastest_m_s else np.inf
 
     @property
@@ -161,8 +161,8 @@ def calibrated_to_toml(name: str, known: dict[str, Any], comments: Mapping[str, 
     lines = ["", f"[{heading}]", *toml_lines(plain), "between = [  # covariance between good flights, lower triangle"]
     lines += [f"    {toml_value(row)}," for row in known["between"]]
     lines += ["]", "", f"[{heading}.parameters]"]
-    told = {prior.name: f"{comments.get(prior.name, '')} {prior.unit}".strip() for prior in PRIORS}
-    lines += toml_lines({prior.name: known["parameters"][prior.name] for prior in PRIORS}, told)
+    comments_of = {prior.name: f"{comments.get(prior.name, '')} {prior.unit}".strip() for prior in PRIORS}
+    lines += toml_lines({prior.name: known["parameters"][prior.name] for prior in PRIORS}, comments_of)
     lines += ["", f"[{heading}.noise]", *toml_lines(known["noise"])]
     if known.get("thresholds"):
         lines += ["", f"[{heading}.thresholds]", *toml_lines(known["thresholds"])]

@@ -126,7 +126,7 @@ class CalibratedCurrent(BaseModel):
     limits: dict[Literal["blocked", "unpowered", "binding"], _Positive] = {}
     """Nats by which each fault must be likelier than a good servo: more than any stretch of good flights reached."""
     fitted_between_s: tuple[_Finite, _Finite] | None = None
-    """The part of a log that it was fitted to, where nobody calibrated it."""
+    """The part of a log that it was fitted to, where it was not calibrated."""
     wear: Wear | None = None
 
     @model_validator(mode="after")

@@ -43,8 +43,8 @@ def hub_outputs(log: FlightLog) -> dict[int, str]:
 
     Ids start at 0 on one bus and at 1 on another: the bit mask of the driver tells which.
     """
-    told = [(match, name) for name in log.channels if (match := _HUB.fullmatch(name)) and _has_numbers(log, name)]
-    found = {int(match[1]): name for match, name in told}
+    numbered = [(match, name) for name in log.channels if (match := _HUB.fullmatch(name)) and _has_numbers(log, name)]
+    found = {int(match[1]): name for match, name in numbered}
     mask = 0
     for name, value in log.parameters.items():
         if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and np.isfinite(value):
@@ -142,8 +142,8 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     volts_s = volts_v = np.zeros(0)
     if source.voltage and source.voltage in log.channels:
         volts = log[source.voltage]
-        told = np.isfinite(volts.values)
-        volts_s, volts_v = volts.time_s[told], volts.values[told]
+        known = np.isfinite(volts.values)
+        volts_s, volts_v = volts.time_s[known], volts.values[known]
     return CurrentChannel(time_s, current_a, volts_s, volts_v, tuple(notes))
 
 

@@ -30,7 +30,7 @@ class Why(IntEnum):
     GAP = 1
     """No command is known, or the last one is older than a second."""
     UNSETTLED = 2
-    """Within a second of an unknown beginning: nobody knows what moved the servo before."""
+    """Within a second of an unknown beginning: what moved the servo before is not known."""
     MISSING = 3
     """The log holds no value."""
     DUPLICATE = 4
@@ -81,7 +81,7 @@ _SILENT_S: Final = 1.0
 """A servo that has sent no row for so long does not report."""
 _FEWEST_RESTS: Final = 50
 """Rows at rest that tell for how long a reading usually stays the same: a second at 50 Hz."""
-_ASKED_TELLS, _MOST_TOLD, _TOLD = 6.0, 8.0, 12.0
+_ASKED_TELLS, _MOST_EVIDENCE, _ENOUGH_EVIDENCE = 6.0, 8.0, 12.0
 """Minus the logarithm of the chance that readings stay the same while telemetry lives: that of a servo that is asked to
 move (it may be jammed), the most that one servo adds, and what all together need: 6e-6, and no servo alone."""
 _FEWEST_ROWS: Final = 200
@@ -159,7 +159,7 @@ def _is_asked(m: FloatArray, time_s: float) -> bool:
 def _flickers(m: FloatArray) -> float:
     """How many usual runs of equal readings at rest the present one is long; 0 while that is not known.
 
-    Long runs count more in the mean, so that a reading which rests now and then is never taken for a lively one.
+    Long runs count more in the mean, so that a reading which rests now and then is never taken for one in motion.
     """
     if m[_RESTS] < _FEWEST_RESTS:
         return 0.0
@@ -177,7 +177,7 @@ def _all_stand(memory: FloatArray, time_s: float) -> tuple[bool, bool]:
     for j in range(memory.shape[0]):
         if memory[j, _REPEATS] >= 2.0 and time_s - memory[j, _NEWEST] <= _SILENT_S:
             latest_s = max(latest_s, memory[j, _CHANGED])
-    reporting, stirred, told = 0, False, 0.0
+    reporting, stirred, evidence = 0, False, 0.0
     for j in range(memory.shape[0]):
         m = memory[j]
         if time_s - m[_NEWEST] > _SILENT_S:
@@ -188,8 +188,8 @@ def _all_stand(memory: FloatArray, time_s: float) -> tuple[bool, bool]:
             continue
         reporting += 1
         stirred = stirred or m[_STIRRED] > 0.0 or m[_OWING] < np.inf
-        told += _ASKED_TELLS if _is_asked(m, time_s) else min(_flickers(m), _MOST_TOLD)
-    return reporting >= 2 and told >= _TOLD and time_s - latest_s >= FROZEN_S - TINY_DEG, stirred
+        evidence += _ASKED_TELLS if _is_asked(m, time_s) else min(_flickers(m), _MOST_EVIDENCE)
+    return reporting >= 2 and evidence >= _ENOUGH_EVIDENCE and time_s - latest_s >= FROZEN_S - TINY_DEG, stirred
 
 
 @compiled
@@ -458,7 +458,7 @@ def _echoes(rows: Rows, why: Marks) -> int:
 
 
 _LEAST_COMMAND_SPIKE_DEG: Final = 2.0
-"""Smaller ones move no servo by more than the smallest fault that is told."""
+"""Smaller ones move no servo by more than the smallest fault that is reported."""
 _COMMAND_SPIKE_S: Final = 0.0625
 """A command that was in force for at most three rows of 50 Hz, with 2.5 ms for their jitter."""
 _ANSWER_S, _ANSWER = 0.3, 0.1

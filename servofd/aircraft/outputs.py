@@ -374,7 +374,7 @@ def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     log : FlightLog
         Of an autopilot, or a plain table whose columns bear the names of the surfaces.
     aircraft : Aircraft
-        Whose surfaces name their outputs, or channels from which these can be told.
+        Whose surfaces name their outputs, or channels from which these follow.
 
     Examples
     --------
@@ -429,7 +429,7 @@ def of_other_messages(names: Sequence[str]) -> str:
         return ""
     return (
         f"{', '.join(names)}: calibrated on other messages than these, which have delays of their own: judged within "
-        "wide tolerances; a file that 'servofd calibrate' makes of such a log would show smaller faults"
+        "wide tolerances; a file that 'servofd calibrate' makes of this log would show smaller faults"
     )
 
 

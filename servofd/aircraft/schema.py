@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 
 
 _Positive = Annotated[float, Field(gt=0.0, lt=1e5, strict=True)]
+"""Type of a positive number of an aircraft file; larger ones are in a wrong unit."""
 _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
-"""Numbers in an aircraft file; what lies outside is a wrong unit."""
+"""Type of a share of an aircraft file."""
 
 
 class Limits(BaseModel):
@@ -64,7 +65,7 @@ class Limits(BaseModel):
 
 
 UNKNOWN_SERVO = "unknown"
-"""Nobody says which servo it is: it is fitted to the log."""
+"""Type of a servo that is not named: it is fitted to the log."""
 DEFAULT_THRESHOLD_DEG = 1.5
 """Thesis 4.2: the residuals of healthy HS-225BB servos on FASER commands stay within +-1.5 deg."""
 
@@ -174,7 +175,7 @@ class Surface(_Entry):
 
     @property
     def tells_small_faults(self) -> bool:
-        """Whether the model is known well enough for suspicions below the threshold: drafted thresholds are not."""
+        """Whether the model is exact enough for suspicions below the threshold, as drafted thresholds are not."""
         known = self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG
         return known and self.suspicions
 
@@ -240,7 +241,7 @@ class Aircraft(_Entry):
         Raises
         ------
         ConfigError
-            If nobody says which it is.
+            If it is not named.
         """
         name = self.surfaces[surface].servo
         if name == UNKNOWN_SERVO:

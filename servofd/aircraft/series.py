@@ -176,7 +176,7 @@ class Series:
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """Stretches that do not count, and why; single rows that repeat or are missing are not told.
+        """Stretches that do not count, and why; single rows that repeat or are missing are left out.
 
         Examples
         --------
@@ -184,8 +184,8 @@ class Series:
         >>> [each.sentence for each in Series("rudder", t, t, t, t, why=why).left_out]
         ['unsettled from 0.0 to 0.0 s', 'frozen from 2.0 to 3.0 s']
         """
-        told = ~np.isin(self.why, (Why.MISSING, Why.DUPLICATE, Why.HELD))
-        time_s, marks = self.measured_s[told], self.why[told]
+        listed = ~np.isin(self.why, (Why.MISSING, Why.DUPLICATE, Why.HELD))
+        time_s, marks = self.measured_s[listed], self.why[listed]
         found = [
             LeftOut(why.name.lower().replace("_", " "), float(time_s[a]), float(time_s[b - 1]))
             for why in Why
@@ -348,7 +348,7 @@ def too_far(segment: Series) -> str:
 
 
 UNSETTLED_S: Final = 1.0
-"""After the first command and position the servo may still be on its way from where nobody knows: a calibrated surface
+"""After the first command and position the servo may still be on its way from an unknown place: a calibrated surface
 has always been left alone for so long, and 66 of 75 healthy bench cycles that begin in motion were suspect without."""
 _TORQUE = re.compile(r"(torque|servo|motor).*(enabled?|_on|power(ed)?)$|^powered$", re.IGNORECASE)
 _STANDS_STILL = "all servos stopped reporting anything new while they were asked to move: look at the servo bus"
@@ -395,7 +395,7 @@ def settled_from_s(
 def is_unsettled(
     commands: tuple[FloatArray, FloatArray], measured_s: FloatArray, measured_deg: FloatArray, at_s: FloatArray
 ) -> BoolArray:
-    """Whether instants are so early that nobody knows what moved the servo before, of shape (n,).
+    """Whether instants are so early that what moved the servo before is not known, of shape (n,).
 
     Examples
     --------

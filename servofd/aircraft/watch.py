@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
 
 STANDS_STILL_S: Final = 1.0
-"""A bus that stands still for so long is reported: nobody knows then where any surface is."""
+"""A bus that stands still for so long is reported [s]: where any surface is, is not known then."""
 _KEPT_S, _KEPT_ROWS, _MOST_ROWS = 1.5, 100, 250
 """The rules look back by half a second and 34 fresh readings; what is older is dropped when 250 rows are there."""
 _ROWS_FOR_REFRESH = 200
@@ -153,8 +153,8 @@ class Watch:
         passed: list[tuple[float, float]] = []
         flags = stands.tolist() if stands is not None else [False] * time_s.size
         columns = time_s.tolist(), position_deg.tolist(), asked_deg.tolist(), flags
-        told = (position_deg if values is None else values).tolist()
-        for row, value in zip(zip(*columns, strict=True), told, strict=True):
+        values_deg = (position_deg if values is None else values).tolist()
+        for row, value in zip(zip(*columns, strict=True), values_deg, strict=True):
             if np.isfinite(row[1]) and not (self._rows and row[0] <= self._rows[-1][0]):
                 passed += self._next(row, value)
         passed += self._decided(final=False) if self._waiting else []

@@ -32,14 +32,19 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
 
 _WINDOWS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
+"""Lengths of windows that are tried [s]."""
 _CORNERS_HZ = (0.4, 1.0, 2.5)
+"""Corners of the axes' filter that are tried [Hz]."""
 _CORNER_PER_RATE = 0.11
 """Corners above this share of the sampling rate are not tried."""
 _FAST_HZ = (6.0,)
+"""Corner that is tried where slow motion explains little [Hz]."""
 _FAST_PER_RATE = 0.25
 """Of the corner that is tried where the autopilot answers gusts, so that slow motion tells less of its command."""
 _MOSTLY_EXPLAINED = 0.75
+"""Share of the motion that the best form explains, below which the fast corner is tried."""
 _DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
+"""Delays between command and motion that are tried [s]."""
 _WINDOW_PER_CORNER = 1.0
 """Windows shorter than so many periods of the filter's corner hold no more than one ripple."""
 _WHITENINGS = (0, 2)
@@ -47,6 +52,7 @@ _WELL_EXPLAINED = 0.5
 """Share of the command's effect from which on a form is judged by how soon it shows a loss; a worse one measures
 gusts that the autopilot answers."""
 _LEAST_SECONDS = 60.0
+"""Flight that a calibration needs [s]."""
 _LEAST_OF_A_FLIGHT_S = 15.0
 """Of steady flight: a log with less tells less than one window of how its flight differs from the others."""
 _COLOUR_SAMPLES = 30
@@ -381,6 +387,7 @@ more) better than none (2.5 and 3.2)."""
 
 
 _ROUNDS = 60
+"""Rounds of expectation and maximization."""
 
 
 def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
@@ -513,6 +520,7 @@ def _lost_half(windows: Windows) -> FloatArray:
 
 
 _PRIOR_INDEX, _PRIOR_WEIGHT = 2.5, 4.0
+"""Index of the tail before any flight is seen, and the largest statistics that it counts as."""
 _FAULT_PER_HOUR = 0.01
 """Once in a hundred hours is called a fault wrongly."""
 

@@ -49,15 +49,21 @@ _KIND_S = 20.0
 _LAGS_S = np.concatenate(([0.0], np.geomspace(0.02, 2.0, 47)))
 """Time constants that are tried, a tenth apart [s]."""
 _UNKNOWNS = 3
+"""Unknowns of an axis: lost share, offset, and what else moves it."""
 _CLEAR_S = 5.0
+"""Length of the windows that end an alarm [s]."""
 _CLEAR_SHARE = 0.25
+"""Share of the level of a suspicion below which an axis is well again."""
 _ONSET_S = 60.0
+"""Time before an alarm in which its onset is looked for [s]."""
 _OWN_PAST_S = 15.0
 """A flight that was judged for less does not tell what it was like before a fault."""
 _AT_ONCE_S = 10.0
 """What began within so many judged seconds is how this flight is, not what happened in it."""
 _LEARNING_S = 20.0
+"""Flight after which an axis is judged [s]."""
 _LEAST_EXPLAINED = 0.1
+"""Least share of the motion that a model is taken to explain."""
 _FAILED_LOSS, _FAILED_US = 0.25, 100.0
 """A single axis that differs by more from the beginning failed before take-off, or is of another aircraft."""
 
@@ -95,9 +101,9 @@ class _Draft:
     """Statistic beyond what the axis became with its latest event."""
     events: tuple[AxisEvent, ...]
     known: BoolArray
-    """Where a member that stood still would be told, and lambda is known to less than +-0.3."""
+    """Where a member that stood still would be found, and lambda is known to less than +-0.3."""
     shows: FloatArray
-    """Smallest loss, and offset [us], that would have been told at each sample; shape (2, n)."""
+    """Smallest loss, and offset [us], that would have been found at each sample; shape (2, n)."""
     whole: tuple[Estimate, Estimate] | None
 
 
@@ -121,7 +127,7 @@ class _Change:
 
 
 def _in_most(least: FloatArray) -> float:
-    """What is told in most of a flight."""
+    """What is found in most of a flight."""
     return float(np.quantile(least, MOST_OF_THE_FLIGHT, method="higher")) if least.size else math.inf
 
 
@@ -384,7 +390,7 @@ def _is_known(whole: tuple[Estimate, Estimate] | None) -> bool:
 
 
 def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> tuple[BoolArray, FloatArray]:
-    """Where lambda is known to less than +-0.3, in windows in which a member that stood still would be told.
+    """Where lambda is known to less than +-0.3, in windows in which a member that stood still would be found.
 
     And the smallest loss and offset that would be.
     """
@@ -392,14 +398,14 @@ def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> tup
         return np.zeros(inputs.usable.size, dtype=bool), np.full((2, inputs.usable.size), np.inf)
     windows = Windows.of(axis, inputs, rate_hz)
     least = windows.smallest()
-    known, told = np.zeros((2, inputs.usable.size), dtype=bool)
+    known, shows = np.zeros((2, inputs.usable.size), dtype=bool)
     for found, spread, (loss, _) in zip(windows.found, axis.spreads, least, strict=True):
         variance = np.nan_to_num(found.loss_var, nan=np.inf) + spread.loss_var
         known |= Z_95 * np.sqrt(variance) < _KNOWN_WITHIN
         length = spread.samples(rate_hz)
         still = loss < 1.0 / members
-        told |= np.convolve(still, np.ones(length))[length - 1 :] > 0.5  # all of a window that tells
-    return known & told, least.min(axis=0)
+        shows |= np.convolve(still, np.ones(length))[length - 1 :] > 0.5  # all of a window that tells
+    return known & shows, least.min(axis=0)
 
 
 def _whole(
@@ -427,7 +433,7 @@ def _whole(
 
 
 def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Estimate | None:
-    """Lost share of an axis in a part of the flight, beyond what it was before; None if it cannot be told."""
+    """Lost share of an axis in a part of the flight, beyond what it was before; None if it is not known."""
     axis, inputs = audit.model, audit.inputs
     start, end = np.searchsorted(audit.time_s, (start_s, end_s))
     if not axis.own_command or end <= start:
@@ -466,7 +472,7 @@ def _with_causes(
 
 
 def _overlap(one: AxisEvent, other: AxisEvent) -> bool:
-    """Whether one was still going on when the other was told."""
+    """Whether one was still going on when the other was reported."""
     return one.alarm_s <= (other.end_s or math.inf) and other.alarm_s <= (one.end_s or math.inf)
 
 

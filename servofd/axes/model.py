@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 _DAMPING = 0.8
+"""Damping of the filter of an axis."""
 
 
 class Filtered:

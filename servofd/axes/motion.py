@@ -111,6 +111,7 @@ LARGEST_GAP_S = 1.0
 
 
 _SLOWER = 1.5
+"""Times slower than the flights of the calibration that a log may be."""
 _SLOWEST_HZ = 10.0
 """What comes more seldom is judged on a grid as fast, that of ALFA, whose commands come at 3 Hz: a command holds until
 the next, and the filters of the axes need some samples in a period of their corner."""
@@ -270,17 +271,21 @@ def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
 
 
 _FASTEST_HZ = 25.0
+"""Fastest grid [Hz]: axes answer more slowly."""
 _OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
+"""Share of the throttle below which a motor does not lift."""
 _MEASURES_M_S = 1.0
 _RATES = (
     ("IMU[0].Gyr{}", "IMU.Gyr{}", "XYZ", np.degrees(1.0)),
     ("RAW_IMU.{}gyro", "SCALED_IMU2.{}gyro", "xyz", 1e-3 * np.degrees(1.0)),
 )
+"""Channels of the body rates, their axes, and the factor to deg/s."""
 _FORCES = (
     ("IMU[0].Acc{}", "IMU.Acc{}", "XYZ", 1.0),
     ("RAW_IMU.{}acc", "SCALED_IMU2.{}acc", "xyz", 9.80665e-3),
 )
+"""Channels of the specific forces, their axes, and the factor to m/s2."""
 _ATTITUDES = (("ATT.Roll", "ATT.Pitch", 1.0), ("ATTITUDE.roll", "ATTITUDE.pitch", float(np.degrees(1.0))))
 _WINDS = (
     ("XKF1[0].VN", "XKF1[0].VE", "XKF1[0].VD", "XKF2[0].VWN", "XKF2[0].VWE"),

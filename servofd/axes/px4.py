@@ -16,12 +16,14 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
 
 _MOST_SERVOS = 8
+"""Surfaces that PX4's control allocation knows at most (CA_SV_CSk)."""
 _HALF_TRAVEL_US = 500.0
 """What 1 of a control is on an output of 1000 to 2000 us."""
 _AXES = {"roll": "R", "pitch": "P", "yaw": "Y"}
 _MEMBERS = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
 _CONTROLS = {"roll": 0, "pitch": 1, "yaw": 2}
 _THROTTLE_CONTROL = 3
+"""Place of the throttle among the controls of actuator_controls."""
 _TYPES: Mapping[int, Mapping[str, float]] = {
     1: {"roll": -1.0}, 2: {"roll": 1.0}, 3: {"pitch": 1.0}, 4: {"yaw": 1.0}, 5: {"roll": -1.0, "pitch": 1.0},
     6: {"roll": 1.0, "pitch": 1.0}, 7: {"pitch": 1.0, "yaw": 1.0}, 8: {"pitch": 1.0, "yaw": -1.0},

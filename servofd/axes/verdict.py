@@ -28,7 +28,7 @@ class AxisEvent:
 
     start_s: float
     alarm_s: float
-    """Best estimate of the onset, and when it would have been told in flight [s]."""
+    """Best estimate of the onset, and when it would have been reported in flight [s]."""
     end_s: float | None
     """When the axis answered again [s]; None if it never did."""
     score: float
@@ -66,7 +66,7 @@ class AxisEvent:
 
 
 class AxisDetectable(NamedTuple):
-    """Smallest fault of an axis that most of a flight would have told; inf where none would."""
+    """Smallest fault of an axis that most of a flight would have shown; inf where none would."""
 
     loss: float
     """Share of its effect."""
@@ -84,7 +84,7 @@ class AxisAudit:
     reason: str
     """One sentence."""
     members: tuple[str, ...]
-    """Surfaces that serve it; which of them failed cannot be told."""
+    """Surfaces that serve it; which of them failed is not known."""
     lost_share: Estimate | None
     offset_us: Estimate | None
     """Of the worst event; of the whole flight without one; None if nothing could be estimated, or where the command
@@ -94,7 +94,7 @@ class AxisAudit:
     identifiable: float
     """Share of the flight in which lambda was known to less than +-0.3."""
     detectable: AxisDetectable
-    """What would have been told."""
+    """What would have been shown."""
     judged_share: float
     """Share of the flight inside the calibrated regime."""
     false_alarms_per_hour: float
@@ -156,8 +156,11 @@ _OUTSIDE = {
     "stall": "nearer to the stall than the calibration flights",
 }
 _HALF = 0.75
+"""Lost share above which more than one surface failed."""
 _ALL = 0.25
+"""Lost share that, if the interval stays below it, makes an offset of the fault."""
 _OFTEN = 0.25
+"""Share of the flight outside the calibrated regime that is given as the reason."""
 _ENOUGH_DAYS = 3
 """From which on another day changes the rate of false alarms by less than a half."""
 
@@ -185,7 +188,7 @@ def named(members: Sequence[str], axis: str) -> str:
 
 
 def shown(smallest: AxisDetectable) -> str:
-    """Smallest faults that most of a flight would have told; empty if none.
+    """Smallest faults that most of a flight would have shown; empty if none.
 
     Examples
     --------

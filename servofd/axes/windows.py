@@ -126,7 +126,7 @@ def distance(found: Sliding, known: Sliding, window: FloatArray, *, loss_matters
     """J of each window; 0 where there is none.
 
     In a healthy aircraft chi-square with two degrees of freedom; with one where the loss does not matter, because
-    the command cannot be told from that of another axis. Shape (n,); `known` is theta0 and P0, `window` P_window.
+    the command cannot be separated from that of another axis. Shape (n,); `known` is theta0 and P0, `window` P_window.
     """
     offset, offset_var, given, given_var = _away(found, known, window)
     statistic = offset**2 / offset_var

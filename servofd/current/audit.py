@@ -39,15 +39,15 @@ _AGREE_S: Final = 15.0
 def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAudit:
     """The same audit with what the currents of its log tell.
 
-    `cycles` keeps for each surface what the runs before it in the same file told of wear.
+    `cycles` keeps for each surface what the runs before it in the same file showed of wear.
     """
     log, aircraft = audit.log, audit.aircraft
     try:
         sources = current_sources(log, aircraft)
     except NoMeasurement as error:
         name = next(s.surface for s in audit.surfaces if f"column {s.surface}_current " in str(error))
-        told = {name: CurrentAudit("unknown", str(error))}
-        return replace(audit, surfaces=tuple(_joined(s, told.get(s.surface)) for s in audit.surfaces))
+        found = {name: CurrentAudit("unknown", str(error))}
+        return replace(audit, surfaces=tuple(_joined(s, found.get(s.surface)) for s in audit.surfaces))
     shared = [source.channel for source in sources.values()]
     surfaces = []
     for surface in audit.surfaces:

@@ -1,7 +1,7 @@
 """What a current tells of its servo: blocked, without power, binding; worn, where good flights or cycles are known.
 
-Each account of the last seconds says how likely every reading is; a fault is told as soon as its account beats that of
-every healthy servo, whose terms are free as far as the covariance between good flights lets them:
+Each account of the last seconds says how likely every reading is. A fault is reported as soon as its account beats that
+of every healthy servo, whose terms are free as far as the covariance between good flights lets them:
 
 - *blocked*: the controller pushes with all it has wherever the command is away from where the surface stands,
 - *unpowered*: no current of motion, and no more than the electronics take,
@@ -48,17 +48,21 @@ _STALL: Final = 1.5
 _SLACK_DEG: Final = (1.5, 4.0, 9.0)
 """Distance of a command from the surface at which the motor pushes with all it has."""
 _BEFORE_S: Final = 30.0
+"""Time before an alarm in which its onset is looked for [s]."""
 _WORTH_A: Final = 3.0
 """Sigmas at rest that a current of motion must reach to be missed."""
 _BRIEF_S: Final = 10.0
 """What passes sooner is no fault where one part of a log is all that is known of its current: a gust, a landing."""
 _MOST: Final = 6
+"""Faults of one flight at most."""
 _FLAT: Final = 1e-6
+"""Information about an unknown size before the data [1/A2]: hardly any."""
 _ENDED: Final = 25.0
 """Nats by which the good servo must have become the better account again."""
 _NAMED_S: Final = 10.0
 """After the alarm, what it is has become clear: by what it draws in some movements."""
 _SUREST: Final = 0.99
+"""Largest probability that is given."""
 EXPLAINED, EXPLAINED_OWN = 0.15, 0.4
 """Share of the current that its motion must explain to be a witness: of good flights, and of a part of the log itself,
 which may as well hold a fault."""
@@ -68,9 +72,11 @@ _WORTH: Final = 0.5
 """Share of its limit from which on an account of a given size is fitted."""
 _GRID_S: Final = 0.5
 _PLACES: Final = 9
+"""Places of the command's range at which a blocked servo may stand."""
 _TIMES: Final = (1.6, 2.5, 4.0)
+"""How many times as much a binding servo draws, of the sizes that are followed."""
 _STALLS: Final = (1.0, 2.0, 4.0, 8.0)
-"""Sizes that are followed: how many times as much binding draws, and how many times the least a stalled servo does."""
+"""How many times the least current of a stalled servo it draws, of the sizes that are followed."""
 _SOON_S, _LASTS_S = 0.25, 4.0
 """For so long in all a stalled servo pushes; longer, if it draws no more than a start of a good one."""
 _ALWAYS: Final = 0.35
@@ -81,10 +87,10 @@ def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Seque
     """Judge one surface by its current; wear with what `features_of` tells of cycles `before` it."""
     seen = see(series, known)
     is_witness = known.explained_share >= (EXPLAINED_OWN if known.fitted_between_s else EXPLAINED)
-    told = tuple(_faults(seen)) if is_witness else ()
-    faults = tuple(fault for fault in told if fault.level == "fault")
+    found = tuple(_faults(seen)) if is_witness else ()
+    faults = tuple(fault for fault in found if fault.level == "fault")
     sigma_a = np.sqrt(seen.noise_a**2 + np.einsum("ij,jk,ik->i", seen.slopes, known.covariance, seen.slopes))
-    suspicions = tuple(fault for fault in told if fault.level == "suspect") or (() if faults else worn(seen, before))
+    suspicions = tuple(fault for fault in found if fault.level == "suspect") or (() if faults else worn(seen, before))
     rows = seen.usable & (seen.moving > 0.5)
     if faults:
         rows &= series.time_s >= faults[0].start_s
@@ -140,7 +146,7 @@ def _status(
     if not is_witness:
         return "unknown", (
             f"its current goes with only {max(known.explained_share, 0.0):.0%} of what it was asked to do: check that "
-            "it is the current of this servo, or record a minute of brisk movements"
+            "it is the current of this servo, or record a minute of fast movements"
         )
     if suspicions:
         return "suspect", f"by its current: {'; '.join(describe(fault) for fault in suspicions)}"

@@ -38,14 +38,17 @@ _GRID_S: Final = 0.02
 _DIRECTION_DEG_S: Final = 3.0
 """Speed at which friction has three quarters of its direction: hobby servos creep below."""
 _LAGS_S: Final = (0.0, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24, 0.35, 0.5)
+"""Lags of the motion behind the command that are tried [s]."""
 _LONGEST_GAP_S: Final = 1.0
 """A command that comes after more than this says nothing of the motion before it."""
 _HUBER: Final = 2.5
+"""Standard deviations beyond which an error counts by its size, and not its square (Huber)."""
 _LOOSE_A: Final = 10.0
 """How far any term of a servo's current may be from zero."""
 _ENDS: Final = 0.3
 """Share of its friction by which that at the ends of the travel differs from that in the middle."""
 _LEAST_ROWS: Final = 40
+"""Readings of a current that a fit needs."""
 _BEYOND: Final = 1.5
 """Times its reach in the flights that were fitted within which a current is judged."""
 _SLOWER: Final = 1.25
@@ -53,7 +56,10 @@ _SLOWER: Final = 1.25
 _MOST_ROWS: Final = 4_000
 """Readings of which the lag is found."""
 _LEAST_A: Final = 1e-4
+"""Smallest noise of a current [A]."""
 _FAR_SIGMAS, _MOST_SHARE = 4.0, 3.0
+"""Deviations beyond which a reading says nothing about the noise, and the noise of motion over its current at
+most."""
 MOVES_DEG: Final = 2.0
 """A command that stays within less asks nothing of a servo."""
 _ENDS_OF: Final = np.array([name.endswith(("_1", "_2")) for name in NAMES])
@@ -271,6 +277,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
 
 
 _UNCERTAINTIES: Final = 4.0
+"""Factor by which the covariance of the fit is widened: two standard deviations count as one."""
 _APART: Final = 0.1
 """Share by which each term of a current differs between flights: wind, warmth and supply."""
 _APART_OWN: Final = 0.2
@@ -384,7 +391,7 @@ def see(series: CurrentSeries, known: CalibratedCurrent) -> Seen:
     middle, half = 0.5 * sum(known.reach_deg), 0.5 * (known.reach_deg[1] - known.reach_deg[0])
     (deflection_deg,) = series.motion.rows(series.time_s, known.lag_s, 0.0, series.motion.deflection_deg).T
     usable = series.motion.is_known(series.time_s) & np.isfinite(series.current_a)
-    usable &= np.abs(deflection_deg - middle) <= _BEYOND * half  # further out nobody knows what holds it there
+    usable &= np.abs(deflection_deg - middle) <= _BEYOND * half  # what holds it further out is not known
     if known.airspeeds_m_s is not None and series.context.airspeed_s.size:
         slowest, fastest = known.airspeeds_m_s
         airspeed_m_s = np.interp(series.time_s, series.context.airspeed_s, series.context.airspeed_m_s)

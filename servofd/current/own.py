@@ -1,4 +1,4 @@
-"""The healthy current that a log shows by itself, where nobody calibrated it: enough for blocked and unpowered."""
+"""The healthy current that a log shows by itself, where it was not calibrated: enough for blocked and unpowered."""
 
 from __future__ import annotations
 

@@ -30,9 +30,11 @@ _FEWEST: Final = 15
 _LOCAL_S, _LOCAL_ROWS = 1.0, 9
 """A spread is that about a mean of so long, and of so many readings at least: the zero of a sensor wanders."""
 _LEAST_A: Final = 1e-4
+"""Added to a spread before its logarithm is taken [A]."""
 _MEAN_SHARE: Final = 0.02
+"""How far the mean currents of good flights are from each other before any is known, as a share."""
 _LOG_APART: Final = 0.07
-"""How far good flights are from each other before any is known: of the mean current, and of a logarithm."""
+"""How far logarithms of their other features are from each other before any is known."""
 _PRIOR_FLIGHTS: Final = 10.0
 """Good flights or cycles that this counts as."""
 _OWN: Final = 0.2
@@ -43,10 +45,11 @@ _DAYS: Final = 0.2
 """Share of the variance between cycles that is between days, and no mean of cycles takes away: 0.1 is the median of six
 features of a ball screw under three loads (five days of five cycles each)."""
 _BLOCKS: Final = 5
+"""Blocks of a flight, whose differences give the noise of its features."""
 _LEAST_LIMIT: Final = 2.5
 """A good flight is as far from its mean once in some hundred, whatever the good ones were."""
 FEWEST_FLIGHTS: Final = 4
-"""Good flights or cycles from which on wear can be told."""
+"""Good flights or cycles from which on wear can be judged."""
 _UP, _DOWN = NAMES.index("up"), NAMES.index("down")
 
 

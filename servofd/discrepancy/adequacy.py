@@ -27,15 +27,21 @@ if TYPE_CHECKING:
 _RATIO = 1.1
 """Held-out error over the noise floor, beyond which something is left."""
 _SIGMAS = 3.0
-_FORETOLD = 0.02
+"""Standard deviations by which chance may raise the ratio of errors."""
+_PREDICTED = 0.02
+"""Share of what is left that command and motion may predict: less is a simulator's own error."""
 _BLOCK_S, _BLOCK_SIGMAS = 2.0, 6.0
+"""Length of a block [s], and the standard deviations that its error may reach."""
 _QUIET, _QUIET_S, _ACTIVITY_S = 0.15, 3.0, 0.5
-"""Share of the usual swing of the command below which a servo rests, and how much of that tells the noise's colour."""
+"""Share of the usual swing of the command below which a servo rests, how much rest shows whether noise is
+correlated [s], and the length over which the swing is taken [s]."""
 _LAGS_S = tuple(0.03 * k for k in range(13))
 _RIDGE = 1e-3
+"""Ridge of the regression, as a share of the samples."""
 _BINS = 48
 """Of the deflection, for what goes with it in no simple way: a worn gear."""
 _MEMORY = 1.6
+"""How many times as long errors of the model may be correlated as those at rest."""
 _COLOUR, _ALIKE = 3.5, 1.3
 """Error over the floor that a colour may make: a memory of 0.8 from sample to sample makes it 2.7; and how much it may
 differ between runs."""
@@ -49,8 +55,8 @@ class Adequacy:
     """Noise floor."""
     ratio: float
     """Held-out error over it, of the worst run."""
-    foretold: float
-    """Share of what is left that command and motion foretell."""
+    predicted: float
+    """Share of what is left that command and motion predict."""
     worst: tuple[float, float]
     """The two seconds with the largest error: when they begin [s], and their rms [deg]."""
     reasons: tuple[str, ...]
@@ -100,22 +106,22 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     ratios = _ratios(record, fit, floor_deg)
     reasons = []
     ratio = max(ratios)
-    foretold = foretold_share(record, error_deg, simulated_deg)
-    told = foretold > _FORETOLD
-    # Noise with a colour of its own, which no rest shows: nothing foretells it, and it is everywhere the same.
+    predicted = predicted_share(record, error_deg, simulated_deg)
+    is_predicted = predicted > _PREDICTED
+    # Noise that is correlated, and of which no rest tells: nothing predicts it, and it is the same everywhere.
     spread = max(ratios) / max(min(ratios), 1e-12)
-    coloured = not told and rest_deg == 0.0 and memory > _MEMORY and ratio < _COLOUR and spread < _ALIKE
+    coloured = not is_predicted and rest_deg == 0.0 and memory > _MEMORY and ratio < _COLOUR and spread < _ALIKE
     if ratio**2 > _RATIO**2 + chance and not coloured:
         reasons.append(f"{ratio * floor_deg:.3g} deg rms are left on data not fitted, the noise is {floor_deg:.3g} deg")
-    if told:
-        reasons.append(f"command and motion still foretell {foretold:.0%} of what is left")
+    if is_predicted:
+        reasons.append(f"command and motion still predict {predicted:.0%} of what is left")
     if rest_memory > 0.0 and memory_like_it > _MEMORY * rest_memory + 1.0:
         reasons.append("what is left has a longer memory than the noise at rest")
     block_floor_deg = 0.0 if coloured else usual_deg or floor_deg
     start_s, worst_deg, sigmas = _worst_block(record, error_deg, block_floor_deg, memory)
     if sigmas > _BLOCK_SIGMAS:
         reasons.append(f"from {start_s:.1f} to {start_s + _BLOCK_S:.1f} s {worst_deg:.3g} deg rms are left")
-    return Adequacy(floor_deg, ratio, foretold, (start_s, worst_deg), tuple(reasons))
+    return Adequacy(floor_deg, ratio, predicted, (start_s, worst_deg), tuple(reasons))
 
 
 def _ratios(record: Record, fit: Fit, floor_deg: float) -> list[float]:
@@ -164,8 +170,8 @@ def _centred(errors_deg: FloatArray, piece: IntArray, least: float) -> tuple[Flo
     return (errors_deg - mean[piece])[enough[piece]], usual
 
 
-def foretold_share(record: Record, error_deg: FloatArray, moved_deg: FloatArray | None = None) -> float:
-    """Share of an error that a regression on command and motion foretells in blocks that it was not made on."""
+def predicted_share(record: Record, error_deg: FloatArray, moved_deg: FloatArray | None = None) -> float:
+    """Share of an error that a regression on command and motion predicts in blocks to which it was not fitted."""
     moved_deg = record.measured_deg - error_deg if moved_deg is None else moved_deg
     counts = record.counts
     error = error_deg[counts]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 _FALSE_ALARMS_PER_HOUR = 1e-3
+"""Rate of false alarms at which both models are compared [1/h]."""
 _WITHIN_S = 1.0
 
 

@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 _HEALTHY_S = 3.0
+"""Seconds at the beginning in which no fault is looked for."""
 _RATIO = 3.0
+"""How many times as large the variance of the error must become for a fault."""
 _BEYOND = 6.0
 """A sample this many noise floors away is no noise: one in a billion."""
 
@@ -91,14 +93,14 @@ def run_errors(record: Record, fitter: Fitter, final: Fit) -> tuple[RunErrors, .
     """Fit the servo with its effects again without each run, and judge that run; empty for a single run."""
     if not record.runs:
         return ()
-    errors_deg = [_foreseen_deg(fitter, fit) for fit in (fitter.nominal(), final)]
+    errors_deg = [_held_out_error_deg(fitter, fit) for fit in (fitter.nominal(), final)]
     return tuple(
         RunErrors(k, *(rms(error[(record.run == k) & record.counts]) for error in errors_deg))
         for k in range(len(record.runs))
     )
 
 
-def _foreseen_deg(fitter: Fitter, fit: Fit) -> FloatArray:
+def _held_out_error_deg(fitter: Fitter, fit: Fit) -> FloatArray:
     """Error of each run, with the servo fitted again to the others, shape (n,)."""
     record = fitter.record
     error_deg = np.full(record.time_s.size, np.nan)
@@ -139,6 +141,7 @@ def judged_elsewhere(path: str, segment: Series, model: ServoModel, physics: Phy
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
 _MUCH_WORSE, _NO_NOISE = 4.0, 5.5
+"""How many times the variance of the noise a fault leaves, and how many usual errors from the model no noise is."""
 _SLOWLY_WORSE = 2.0
 """Times the variance of the healthy part, up to the first sample that is no noise: a drift, which has no beginning."""
 _AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0, 0.25
@@ -146,10 +149,11 @@ _AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0
 though no more is asked, or soon and nearly as large as the motion (variances). A gap that drifts, or grows with motion,
 is no fault."""
 _STILL_FOLLOWS = 0.2
-"""Share of the position that the command tells, beyond which a servo that nobody knows still follows it."""
+"""Share of the position that the command tells, above which an unknown servo still follows it."""
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
 _FEWEST_SAMPLES = 100
+"""Samples that a part of a record needs to be fitted alone."""
 _SAME_POLE = 1e-4
 """Relative difference of a pole from itself after its polynomial was multiplied out and split again."""
 
@@ -190,7 +194,7 @@ class Explanation:
         """In a word."""
         # How what only rests moves is not judged, and a fault is no effect.
         left = bool(self.selection.adequacy.reasons) or self.record.side is not None or self.fault_s is not None
-        if self.selection.rungs:
+        if self.selection.steps:
             return "partly_explained" if left else "explained"
         return "unexplained" if left else "nothing_missing"
 
@@ -250,13 +254,13 @@ class Explanation:
         }
 
     def untouched_rms_deg(self, fit: Fit) -> float | None:
-        """Error of a fit on the fold that no search looked at [deg]; None if there is none."""
+        """Error of a fit on the fold that no search used [deg]; None if there is none."""
         untouched = self.record.untouched
         return rms(fit.error_deg[untouched]) if untouched.any() else None
 
     def step_errors(self, index: int) -> dict[str, float | bool | None]:
         """Errors of a step [deg], and whether that on the untouched fold falls as well."""
-        fits = self.selection.nominal, *(rung.fit for rung in self.selection.rungs)
+        fits = self.selection.nominal, *(step.fit for step in self.selection.steps)
         before, after = (self.untouched_rms_deg(fit) for fit in fits[index : index + 2])
         confirmed = None if before is None or after is None else after < before
         return {**self.rms_deg(fits[index + 1]), "untouched_rms_deg": after, "confirmed": confirmed}
@@ -278,16 +282,16 @@ class Explanation:
             "bad_seconds": [block.start_s for block in self.blocks if block.bad],
             "steps": [
                 {
-                    "effect": rung.fit.names[-1],
-                    "form": form_of(rung.fit.effects[-1], rung.fit.place),
-                    "parameters": effect_values(selection, len(rung.fit.effects) - 1),
+                    "effect": step.fit.names[-1],
+                    "form": form_of(step.fit.effects[-1], step.fit.place),
+                    "parameters": effect_values(selection, len(step.fit.effects) - 1),
                     **self.step_errors(k),
                     "rivals": [
                         {"effect": rival.names[-1], "held_out_rms_deg": self.rms_deg(rival)["held_out_rms_deg"]}
-                        for rival in rung.rivals
+                        for rival in step.rivals
                     ],
                 }
-                for k, rung in enumerate(selection.rungs)
+                for k, step in enumerate(selection.steps)
             ],
             "indistinguishable": [list(tie) for tie in selection.ties],
             "separating": [each.document() for each in self.separating],
@@ -407,7 +411,7 @@ def explain_gap(
     )
     found = replace(found, notes=(*found.notes, *_unconfirmed(found)))
     gain = None
-    if selection.rungs and found.is_simulated_by_audit and record.side is None:
+    if selection.steps and found.is_simulated_by_audit and record.side is None:
         before = model.with_physics(selection.nominal.physics) if free_poles else model
         gain = audit_gain(segments, before, found.better_model, fault_s or float("inf"))
     # Manoeuvres are simulated, and how the servo moves must be known for that.
@@ -432,11 +436,11 @@ def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven]]:
 
 
 def _unconfirmed(found: Explanation) -> list[str]:
-    """Of each step that does not help on data that no search looked at, a sentence."""
-    steps = enumerate(found.selection.rungs)
+    """A sentence for each step that does not help on data that no search used."""
+    steps = enumerate(found.selection.steps)
     return [
-        f"{rung.fit.names[-1]} is not confirmed: on a tenth of the log that was not looked at the error does not fall"
-        for k, rung in steps
+        f"{step.fit.names[-1]} is not confirmed: on a tenth of the log that was left out the error does not fall"
+        for k, step in steps
         if found.step_errors(k)["confirmed"] is False
     ]
 
@@ -481,11 +485,11 @@ def _healthy_part(
         quiet = later & (record.time_s < start_s)
         slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
         if explained and not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
-            # What is fitted to a part of a servo that nobody knows may be wrong elsewhere, and no fault for that.
+            # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault.
             if record.free_poles and _follows(record, start_s):
                 continue
             return before, healthy, start_s
-        # Of a servo that nobody knows, what is left is the model's as likely as a fault's.
+        # Of an unknown servo, what is left is the model's as likely as a fault's.
         may_break = rough is None and not explained and not record.free_poles
         if may_break and _breaks_off(record, error, before.counts, start_s, usual_deg):
             rough = before, healthy, start_s
@@ -562,16 +566,16 @@ _TELLING = "record steps of two sizes, a slow triangle and a sine of 3 Hz"
 def _answer(found: Explanation) -> str:
     """A few sentences, the most important first."""
     before, after = found.held_out_deg
-    reasons, rungs = found.selection.adequacy.reasons, found.selection.rungs
+    reasons, steps = found.selection.adequacy.reasons, found.selection.steps
     parts = []
     if found.fault_s is not None:
         parts.append(f"FAULT from {found.fault_s:.1f} s on: the servo no longer does what its command asks")
     elif found.undriven:
         parts.append("The servo was not driven for part of the record (times below); that part was left out")
-    if not rungs and not reasons:
-        told = "Before that, nothing is missing" if found.fault_s is not None else "Nothing is missing"
-        parts.append(f"{told}: what is left is noise of {found.selection.sigma_deg:.3g} deg")
-    elif not rungs:
+    if not steps and not reasons:
+        text = "Before that, nothing is missing" if found.fault_s is not None else "Nothing is missing"
+        parts.append(f"{text}: what is left is noise of {found.selection.sigma_deg:.3g} deg")
+    elif not steps:
         parts.append(f"Unexplained: the model is wrong by {after:.3g} deg, and no effect that is known accounts for it")
         if found.fault_s is None:
             parts.append("That alone is no sign of a fault")
@@ -579,7 +583,7 @@ def _answer(found: Explanation) -> str:
         mostly = _is_mostly_left(found)
         if mostly:
             parts.append(f"Mostly unexplained: {after:.3g} of {before:.3g} deg remain on data not fitted")
-        named = [_named(found, k, judged=not mostly) for k in range(len(rungs))]
+        named = [_named(found, k, judged=not mostly) for k in range(len(steps))]
         parts += [f"A part of it looks like {' and '.join(named)}"] if mostly else [_capital(each) for each in named]
         if not mostly:
             parts.append(f"With this the error falls from {before:.3g} to {after:.3g} deg on data not fitted")
@@ -601,16 +605,16 @@ def _is_mostly_left(found: Explanation) -> bool:
 
 def _advice(found: Explanation) -> list[str]:
     """What to do next."""
-    rungs, is_unknown = found.selection.rungs, found.record.free_poles
+    steps, is_unknown = found.selection.steps, found.record.free_poles
     beyond = [] if _is_mostly_left(found) else _beyond_sound(found)
     advice = [_SOUND[name][1] for name in beyond]
-    if is_unknown and (beyond or (not rungs and found.selection.adequacy.reasons)):
+    if is_unknown and (beyond or (not steps and found.selection.adequacy.reasons)):
         advice.append(_ANOTHER)
-    if found.fault_s is None and found.selection.adequacy.reasons and (not rungs or _is_mostly_left(found)):
+    if found.fault_s is None and found.selection.adequacy.reasons and (not steps or _is_mostly_left(found)):
         advice.append(_TELLING)
     if found.separating and (manoeuvre := found.separating[0].manoeuvre):
         advice.append(f"record {manoeuvre}, which tells {' from '.join(found.separating[0].effects)}")
-    if rungs and found.is_simulated_by_audit and found.record.side is None and found.fault_s is None:
+    if steps and found.is_simulated_by_audit and found.record.side is None and found.fault_s is None:
         advice.append("keep the model with --save")
     return advice
 
@@ -635,7 +639,7 @@ def _named(found: Explanation, index: int, *, judged: bool) -> str:
         limit = _SOUND[effect.name][0]
         if abs(value["value"]) <= limit:
             sound = f": acceptable, a sound hobby servo has up to {limit:g} deg"
-        elif found.record.free_poles:  # what a servo that nobody knows has may be how it was made
+        elif found.record.free_poles:  # an unknown servo may have been made so
             sound = f": more than the {limit:g} deg of a sound hobby servo, which may be how this one is made"
         else:
             sound = f": FAULT, a sound hobby servo has at most {limit:g} deg"

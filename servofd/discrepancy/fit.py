@@ -6,7 +6,7 @@ The misfit of a structure is
 
 with the mean square :math:`s_r^2` that it leaves of run r, the run's samples :math:`n_r` over their memory
 :math:`\kappa_r`, and the servo's own numbers :math:`\theta` (poles, damping, gain, delay, zero) with their priors. Near
-the noise it is chi-squared; far from it a run counts by how many times better it is foreseen, whatever its size.
+the noise it is chi-squared; far from it a run counts by how many times better it is predicted, whatever its size.
 """
 
 from __future__ import annotations
@@ -54,9 +54,14 @@ _STRAIN, _STRAINED = 2.0, 3.0
 _LEAST_COLOUR, _WHITE = 0.2, 2.0
 """Share that must stay from sample to sample, and memory that may be left without it, for noise to have one colour."""
 _SAME = 1e-9
+"""Curvature below which the data say nothing about a number."""
 _FAR = 50.0
+"""Largest exponent of a number that is fitted by its logarithm, so that none overflows."""
 _SIMULATORS_DIFFER = 2.5e-3
+"""Standard deviation of a number for the difference between two simulators of one servo, as a share of its distance
+from neutral."""
 _NOTHING_DEG = 1e-5
+"""Smallest error that counts in a misfit [deg]: less is rounding."""
 _USUAL_GAP_DEG = 1.0
 """Error of a servo for which the sizes of effects in the catalogue are meant."""
 
@@ -95,12 +100,12 @@ _OWN = (
 """How far servos of one type differ (standard deviations): poles 3 %, damping 6 %, gain 1 %, 1.5 ms, 0.08 deg."""
 OWN_FIELDS = tuple(name for name, _, _ in _OWN)
 _UNKNOWN = {"slow_scale": 1.5, "pair_scale": 1.5, "damping_scale": 1.5, "delay_s": 5e-3}
-"""The same of a servo that nobody knows."""
+"""The same of an unknown servo."""
 _COARSE = tuple(
     {"pair_scale": pair, "damping_scale": damping, "slow_scale": slow}
     for pair, damping, slow in product((0.25, 0.5, 1.0, 2.0, 4.0, 8.0), (0.3, 0.7, 1.4), (0.05, 0.2, 1.0))
 )
-"""Grid on which the search for such a servo begins: of 1 to 40 Hz, loosely and well damped, its slow pole anywhere."""
+"""Grid on which the search for an unknown servo begins: 1 to 40 Hz, loosely and well damped, its slow pole anywhere."""
 _ROOTS, LONG = 6, 30
 """Points of it that are fitted, and iterations that this may take."""
 _STARTS: tuple[dict[str, float], ...] = (
@@ -112,6 +117,7 @@ _STARTS: tuple[dict[str, float], ...] = (
 )
 """Of a servo of 5 Hz: one that is weak, three as small servos are, and one whose poles other effects hide."""
 _UNKNOWN_LATE_S = 0.01
+"""Delay at which the search for an unknown servo begins [s]."""
 _FASTEST_SLOW, _SLOW_RAD_S, _SAMPLES = 3.0, 200.0, 3.0
 """Times 200 rad/s, or a third of a sample: what is faster than that no log shows."""
 
@@ -246,7 +252,7 @@ class Fitter:
         return installed(self.record.plant.neutral, effects, [float(v) for v in values])
 
     def nominal(self) -> Fit:
-        """The servo as it is known; one that nobody knows as well as a linear one fits."""
+        """The servo as it is known; of an unknown one, the best linear one."""
         return self.halved(self.root()) if self.record.free_poles else self.judged((), self.record.plant.neutral)
 
     def linear(self) -> Fit:
@@ -324,7 +330,7 @@ class Fitter:
     def starts(self, base: Fit) -> list[Physics]:
         """Where a further effect may start: from what its own numbers came to, and from what is usual.
 
-        Without the effect they may have gone far to stand in for it; of a servo that nobody knows all are.
+        Without the effect they may have gone far to stand in for it; of an unknown servo all are.
         """
         numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior]
         if self.record.free_poles and not base.effects:
@@ -444,14 +450,14 @@ class Fitter:
         """A fit with the errors that each of two folds has, predicted by the servo as the other one tells it."""
         whole, counts = self.judged(fit.effects, fit.physics), self.record.counts
         error = self._beside_mean_reading(whole)[counts]
-        others = [self._beside_mean_reading(judged)[held] for held, judged in self._foreseen(fit)]
+        others = [self._beside_mean_reading(judged)[held] for held, judged in self._folds_predicted(fit)]
         held_out = float(sum(each @ each for each in others))
         return replace(whole, train=float(error @ error), held_out=held_out, misfit=fit.misfit)
 
-    def foreseen(self, fit: Fit) -> tuple[float, float]:
+    def held_out_misfit(self, fit: Fit) -> tuple[float, float]:
         """Misfit that a servo fitted to one fold leaves on the other, and what its prior costs: means of both ways."""
         misfits, prices = [], []
-        for held, judged in self._foreseen(fit):
+        for held, judged in self._folds_predicted(fit):
             error = self._whitened(self._beside_mean_reading(judged))
             runs = self.record.run[held]
             count = np.bincount(runs, minlength=self._count.size)
@@ -466,7 +472,7 @@ class Fitter:
         numbers = [n for n in self._numbers(fit.effects, fit.physics) if n.prior]
         return float(np.sum(self._x(numbers, fit.physics) ** 2))
 
-    def _foreseen(self, fit: Fit) -> list[tuple[BoolArray, Fit]]:
+    def _folds_predicted(self, fit: Fit) -> list[tuple[BoolArray, Fit]]:
         """Each of two folds, and the servo fitted to the other one alone on the whole record.
 
         Samples count for as much more as the fold has fewer, or the prior would have more of a say than in the fit.

@@ -20,7 +20,7 @@ what a rival must, of the step in whose place it stands, to be taken instead; so
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rung:
+class Step:
     """A servo with one effect more than the one before."""
 
     fit: Fit
@@ -28,26 +28,26 @@ class Rung:
     """Servos with another effect in its place, best first."""
 
 
-def climbed(search: Search, best: Fit) -> tuple[Rung, ...]:
-    """The ladder to the best, or to what has as few or fewer names and is foreseen better.
+def climbed(search: Search, best: Fit) -> tuple[Step, ...]:
+    """The ladder to the best, or to what has as few or fewer names and is predicted better.
 
     A rival in the place of a step that leaves less on data that neither was fitted to is the better step.
     """
     for _ in range(_SWAPS):
-        rungs = _rungs(search, best)
+        steps = _steps(search, best)
         better = [
             rival
-            for rung in rungs
-            for rival in rung.rivals
-            if rival.held_out < BETTER * rung.fit.held_out and rival.held_out < BETTER * rungs[-1].fit.held_out
+            for step in steps
+            for rival in step.rivals
+            if rival.held_out < BETTER * step.fit.held_out and rival.held_out < BETTER * steps[-1].fit.held_out
         ]
         if not better:
             break
         best = min(better, key=lambda fit: fit.held_out)
-    return rungs
+    return steps
 
 
-def _rungs(search: Search, best: Fit) -> tuple[Rung, ...]:
+def _steps(search: Search, best: Fit) -> tuple[Step, ...]:
     """From the servo as it is known to the best, the effect that helps most first; each step must lower the error.
 
     That is the one of two folds, each predicted from the other. Of the orders in which it falls at every step that is
@@ -75,11 +75,11 @@ def _rungs(search: Search, best: Fit) -> tuple[Rung, ...]:
         return longest
 
     order = climb((), search.fitter.nominal().held_out)
-    rungs = []
+    steps = []
     for count in range(1, len(order) + 1):
         fit = _reordered(held_out(order[:count]), order[:count])
-        rungs.append(Rung(fit, _rivals(search, fit)))
-    return tuple(rungs)
+        steps.append(Step(fit, _rivals(search, fit)))
+    return tuple(steps)
 
 
 def _rivals(search: Search, fit: Fit) -> tuple[Fit, ...]:

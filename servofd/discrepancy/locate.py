@@ -15,13 +15,16 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
 
 _BINS, _FEWEST_PER_BIN = 14, 12
+"""Bins of a quantity, and samples in each at least."""
 _SWING_S = 0.5
 REST, FAST = 0.3, 0.8
 """Quantiles of the speed below which a servo is taken to rest, and above which it is fast."""
 AFTER_REVERSAL_S = 0.3
+"""Time after a reversal during which play and friction show [s]."""
 _CHANGES = 0.05
 """What surrounds the aircraft is a condition only if it changes by this share."""
 _BAND = (5.0, 50.0, 95.0)
+"""Percentiles of the error that are drawn over a quantity."""
 _STANDS_STILL = 1e-6
 """In the unit of a quantity: less is rounding."""
 
@@ -262,12 +265,16 @@ def coherent_to_hz(found: Spectrum) -> float | None:
 LINEAR, ODD, EVEN = "linear filter of the command", "odd distortion of the command", "even distortion of the command"
 """The second is the same up and down (a limit, friction, dead band), the third is not (a curved linkage)."""
 _BINS_OF_MAP, _FEWEST_IN_MAP = 12, 30
+"""Bins of a quantity in a map, and samples in each at least."""
 _LAGS, _MEMORY_S = 25, 0.25
+"""Lags of a linear filter of the command, and their total length [s]."""
 _FEWER_LAGS = 12
 """Of each of two distorted commands."""
 _FOLDS = 2
 _CHUNK = 20_000
+"""Samples that are predicted at once, to save memory."""
 _DRAWS, _MOST_GROUPS = 2000, 300
+"""Draws of the block bootstrap, and blocks at most."""
 _FALSE_ALARMS = 0.01
 """Share of healthy logs in which any of the quantities may seem to matter, however many there are."""
 
@@ -430,8 +437,8 @@ def _response(signals: Sequence[tuple[FloatArray, int]], record: Record, error_d
     weights = np.linalg.solve(normal + ridge[:, None, None] * np.eye(size), right[..., None])[..., 0]
     saved = np.empty(error.size)
     for chunk in chunks:
-        foretold = np.sum(features(places[chunk]) * weights[1 - fold[chunk]], axis=1)
-        saved[chunk] = error[chunk] ** 2 - (error[chunk] - foretold) ** 2
+        predicted = np.sum(features(places[chunk]) * weights[1 - fold[chunk]], axis=1)
+        saved[chunk] = error[chunk] ** 2 - (error[chunk] - predicted) ** 2
     return saved
 
 
@@ -442,7 +449,7 @@ class _Drawn:
         number = np.cumsum(np.diff(block, prepend=block[:1]) != 0)
         self._group = number // max(1, -(-int(number[-1] + 1) // _MOST_GROUPS))
         count = int(self._group[-1]) + 1
-        # The same draws each time: the same log is told in the same words.
+        # The same draws each time: the same log gives the same words.
         self._times = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
         self._chance = chance
 
@@ -454,18 +461,22 @@ class _Drawn:
 
 
 _FALSE_DISCOVERIES = 0.01
+"""Share of the bad seconds that chance alone may have made (Benjamini and Hochberg)."""
 _SHOWN_SHARE, _NO_SHARE = 0.25, 0.05
+"""Share of the disagreement from which on a quantity is named, and below which it is said to play no part."""
 _HARDLY = 0.15
 """What chance may make of a share that is said to be none."""
 _EXCESS = 0.03
+"""Relative excess over the noise floor's energy that is still noise."""
 _REVERSAL_DEG, _REVERSAL_OF_NOISE = 2.0, 6.0
+"""Motion before a reversal that counts [deg], or in noise floors if that is more."""
 _DENSE, _DENSER = 0.5, 1.5
-"""Share of the excess in a part of the log that is told, and times the share of the samples there."""
+"""Share of the excess from which on a part of the log is reported, and how many times that of its samples."""
 _NOT_SILENT = ("time", "direction of motion")
 _SURROUNDS = ("V", "°C")
 """Units of what acts on a servo from outside, which has no sign."""
 _NARROW = 0.5
-"""Share of all frequencies that a band may have and still be told."""
+"""Share of all frequencies that a reported band has at most."""
 
 
 class Block(NamedTuple):

@@ -21,7 +21,9 @@ _GOLDEN = 0.6180339887498949
 _MEDIAN_OF_THIRD = 3.02
 """Relative standard deviation of the squared floor, times the root of the number of differences (2000 simulations)."""
 _LAGS, _PER_LAG = 25, 4
+"""Lags over which errors are correlated at most, and samples for each."""
 SMALLEST_DEG = 1e-6
+"""Smallest noise floor [deg]: less is rounding."""
 
 
 def noise_floor_deg(record: Record, error_deg: FloatArray) -> float:
@@ -58,12 +60,15 @@ def long_run_factor(error_deg: FloatArray) -> float:
 COARSE_STEP_DEG = 0.12
 """10 bits for 120 deg; what is finer is a usual potentiometer's or encoder's converter, and missing in no model."""
 _MOST, _FEWEST = 3000, 100
+"""Pairs of samples that the noise below coarse steps is measured from: at most, and at least."""
 _EDGES = np.arange(-3.5, 4.0)
 """Edges beside a reading that noise of up to a step may cross [steps]."""
 _FINEST_SHARE = 0.02
 """Nothing finer is seen through steps: it is what a simulation may be wrong by, too."""
 _NODES = 24
+"""Nodes of the Gauss and Hermite sum."""
 _TEETH = 4
+"""Edges to either side over which the mean reading is summed."""
 
 
 def noise_below_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_deg: float) -> float:
@@ -77,14 +82,14 @@ def noise_below_deg(measured_deg: FloatArray, simulated_deg: FloatArray, step_de
     from scipy.special import ndtr
 
     crossed = np.abs(np.diff(measured_deg)) / step_deg
-    told = np.flatnonzero(np.isfinite(crossed) & (np.abs(np.diff(simulated_deg)) < step_deg))
-    told = told[:: max(1, told.size // _MOST)]
-    if told.size < _FEWEST:
+    pairs = np.flatnonzero(np.isfinite(crossed) & (np.abs(np.diff(simulated_deg)) < step_deg))
+    pairs = pairs[:: max(1, pairs.size // _MOST)]
+    if pairs.size < _FEWEST:
         return _FINEST_SHARE * step_deg
-    first, second = simulated_deg[told] / step_deg, simulated_deg[told + 1] / step_deg
+    first, second = simulated_deg[pairs] / step_deg, simulated_deg[pairs + 1] / step_deg
     edges = np.round(first)[:, np.newaxis] + _EDGES
     before, after = edges - first[:, np.newaxis], edges - second[:, np.newaxis]
-    seen = float(crossed[told].sum())
+    seen = float(crossed[pairs].sum())
     seen += float(np.sqrt(seen))  # one standard deviation: a floor that is too low makes effects of noise
 
     def more(share: float) -> float:
@@ -145,11 +150,13 @@ def stepped_noise_deg(sigma_deg: float, step_deg: float) -> float:
 
 
 _SIGMAS = 4.0
+"""Noise floors by which two places differ that are not one."""
 _HELD_S = 1.0
 """After a new command a surface may move; servos of 2 Hz and more have come to rest by then."""
 
 
 _SHORTEST_REST_S = 0.25
+"""Shortest rest that counts [s]."""
 
 
 _STEPS_OF_LOOP = 2.0
@@ -157,11 +164,12 @@ _STEPS_OF_LOOP = 2.0
 
 
 _SPLIT = 0.15
-"""Of the variance that may stay if places are told as two. Places spread evenly leave 1/4, those of a slow swing, which
+"""Of the variance that may stay if places are two. Places spread evenly leave 1/4, those of a slow swing, which
 dwells at its ends, 1 - 8/pi^2 = 0.19; two places leave next to nothing."""
 
 
 _LEAST_SHARE = 0.1
+"""Share of the rests at either of two places at least."""
 
 
 _FEWEST_CHANGES = 3
@@ -169,6 +177,7 @@ _FEWEST_CHANGES = 3
 
 
 _DIGITS = 3
+"""Decimals to which commands are compared [deg]."""
 
 
 def at_rest(record: Record) -> Record:

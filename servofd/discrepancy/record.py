@@ -27,7 +27,7 @@ _DOUBTFUL = 1.45
 _LARGEST_GUESS_DEG, _FORGOTTEN_S = 0.25, 0.16
 """A lost command off by this much moves an HS-225BB by 0.04 deg, for four of its time constants."""
 _SPANS, _NEAR = (3, 10, 50), 25
-"""Commands over which the period is measured, ever better, and to either side of those whose beat is heard."""
+"""Commands over which the period is measured, ever better, and to either side of those whose period is measured."""
 _ON_BEAT, _STEADY = 0.4, 0.3
 """Share of a period by which a command may be off its beat (half of one is where the count goes wrong), and length of
 the mean of the commands' turns on the clock: 0.5 if they are off by up to 0.3 periods, evenly; of 51 that come as they
@@ -85,15 +85,18 @@ of 560 with a load on the horn the rest no longer tells the load."""
 _START_S = 0.5
 """Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
 _HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
+"""A hole is longer than so many periods, and than so many seconds."""
 _TIME_CONSTANTS = 12.0
+"""Time constants of the slowest pole after which a servo has forgotten where it was."""
 _BETWEEN_RUNS_S = 1.0
 """Runs are laid one after the other for pictures and words; nothing is simulated across."""
 
 
 _SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
+"""Runs from which on a common zero is no chance, and how many converter steps their beginnings may be from it."""
 FEW_RUNS = 6
 """Of fewer, half move as the others never do, and to fit those alone leads astray: of four with an XL330 of low gain,
-the three slower ones are then foreseen to 3.1 to 3.5 deg, and to 1.0 to 1.6 deg if blocks of all four are fitted."""
+the three slower ones are then predicted to 3.1 to 3.5 deg, and to 1.0 to 1.6 deg if blocks of all four are fitted."""
 _PLACES = np.linspace(-1.0, 1.0, 5)
 """Within a dead band, from one end to the other."""
 _PART_S, _SETTLED_S, _FEW_PARTS = 18.0, 0.3, 8
@@ -276,7 +279,7 @@ def joined(records: Sequence[Record]) -> Record:
 def thinned(record: Record) -> Record:
     """The record with no more samples than tell its servo: of those that come very fast, every so manieth.
 
-    Where most commands repeat the one before, those are left out: a servo holds what it was told.
+    Where most commands repeat the one before, those are left out: a servo holds its command.
     """
     first, kept, total = 0, [], record.time_s.size
     if np.mean(_is_new(record.commands)) < _FEW_NEW:
@@ -398,6 +401,7 @@ def _moved_from(record: Record, physics: Physics, finer: float, start_deg: float
 
 
 _FIRST_ALONE, _NOTHING_LOGGED = np.ones(1, dtype=bool), np.zeros((0, 5))
+"""Inputs of the simulation of one instant: the first sample begins anew, and nothing else was logged."""
 
 
 @lru_cache(maxsize=256)
@@ -417,7 +421,7 @@ def _around(record: Record, late_s: float) -> FloatArray:
 def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArray:
     """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
 
-    Where that was, nobody wrote down; of a few places the one that agrees best with the run is taken.
+    Where that was is not logged; of a few places the one that agrees best with the run is taken.
     """
     places_deg = physics.loose_deg * _PLACES
     begins_deg = _first_deg(run) + places_deg
@@ -429,9 +433,12 @@ def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArra
 
 
 _OFF_COMB, _FEWEST_VALUES = 0.1, 3
+"""Share of a step by which readings may be off the steps of a converter, and how many different ones there must
+be."""
 
 
 _NO_CHANCE = 20.0
+"""How many times as far apart as by chance the two closest of many values must be."""
 
 
 def comb_step_deg(values_deg: FloatArray) -> float | None:

@@ -77,7 +77,7 @@ def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
     # A surface's weight is balanced about its hinge, and a bench's horn hangs at zero; an arm's joint hangs anywhere.
     is_arm = record.free_poles and not record.runs and record.pressure_pa is None
     fitted |= set() if is_arm else {TiltedLoad}
-    # Frames run on between separate runs, so that nobody knows when each of them began.
+    # Frames run on between separate runs: at which instants is not known.
     fitted |= {PwmFrame} if record.runs or record.free_poles else set()
     # A converter whose steps do not show in the readings has none that matter.
     fitted |= {CommandSteps} if (record.step_deg or 0.0) >= COARSE_STEP_DEG else {Quantization}
@@ -110,7 +110,9 @@ def candidates(
 
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
+"""Periods of frames that are searched [s]."""
 _WINDOW_S = 4.0
+"""Length of the first window [s]."""
 _REMEMBERED_S = 1.5
 """Longest time that a command takes to the surface, with the longest frame before it."""
 _ROUGHLY_S, _NEARLY_S, _PRECISELY_S = 3e-3, 1.5e-3, 4e-4
@@ -119,11 +121,15 @@ that pick other commands are far off."""
 _SHARE_OF_BEAT = 0.4
 """Of the change of period that moves the last frame of a window by one period."""
 _ZOOM, _KEPT, _LIKELY = 3.0, 27, 24
+"""Factor by which the window widens, frames that are kept, and usual frames that are compared over the whole
+record."""
 _WORSE_AT_FIRST, _WORSE = 100.0, 10.0
 """Squared noise by which frames may be worse than what is no frame: true ones, not yet met exactly, were better by 10
 and 89 in the two windows where they were hardest to see, and where there were none, worse by 1300 and 2600."""
 _SHIFTS = (-0.1, -0.04, 0.0, 0.04, 0.1)
+"""Phases that are tried around the best, in units of the refinement."""
 _FINER = (0.5, 0.2, 0.08, 0.03, 0.01)
+"""Refinements of period and phase, one after the other."""
 _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05, 1 / 70, 1 / 60, 1 / 45, 1 / 150)
 """Whole milliseconds, and common frame rates that are not."""
 
@@ -131,12 +137,12 @@ _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05
 def frames_like(
     record: Record, physics: Physics, rival_deg: FloatArray | None = None, sigma_deg: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Frames that explain lively seconds of a record best; none where a rival's error [deg] is clearly smaller there.
+    """Frames that explain the seconds with most motion best; none where a rival's error [deg] is clearly smaller there.
 
     A window of length L tells periods T apart that differ by T²/L. They are tried at that spacing in a short window,
     and those around the best in one three times as long.
     """
-    longer_s, centre_s = _WINDOW_S * _ZOOM, _liveliest_s(record, _WINDOW_S)
+    longer_s, centre_s = _WINDOW_S * _ZOOM, _busiest_s(record, _WINDOW_S)
     best = _grid(_SHORTEST_S, _LONGEST_S, _WINDOW_S, _ROUGHLY_S)
     part = _window(record, centre_s, _WINDOW_S)
     best = _best(part, physics, best, _KEPT, _rival_loss(record, part, rival_deg) + _WORSE_AT_FIRST * sigma_deg**2)
@@ -167,13 +173,13 @@ def _rival_loss(record: Record, part: Record, rival_deg: FloatArray | None) -> f
 
 
 def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, float]] = ()) -> tuple[float, float]:
-    """Period [s] and phase of the frames that explain a record best, from those that explain lively seconds of it.
+    """Period [s] and phase of the frames that explain a record best, from those that explain its part with most motion.
 
-    The window that told these apart is widened step by step around the best.
+    The window that separated these is widened step by step around the best.
     """
     window_s, kept = _WINDOW_S * _ZOOM, _KEPT // 3
     best = list(begin) or frames_like(record, physics)
-    centre_s = _liveliest_s(record, _WINDOW_S)
+    centre_s = _busiest_s(record, _WINDOW_S)
     total_s = float(record.time_s[-1] - record.time_s[0])
     part = _window(record, centre_s, window_s)
     usual = sorted(_usual(0.0, np.inf), key=lambda frame: _loss(part, physics, frame))
@@ -217,7 +223,7 @@ def _around(
     return frames
 
 
-def _liveliest_s(record: Record, window_s: float) -> float:
+def _busiest_s(record: Record, window_s: float) -> float:
     """Middle of the window in which the position moves fastest [s]."""
     speed = np.gradient(simulate(record, record.plant.neutral), record.time_s)
     moved = np.where(record.counts, speed, np.nan)
@@ -231,8 +237,8 @@ def _window(record: Record, centre_s: float, window_s: float) -> Record:
     inside &= np.isfinite(record.measured_deg)
     counts = record.counts & (record.time_s >= record.time_s[inside][0] + 0.3)
     sent_s = record.commands.effective_s
-    heard = slice(*np.searchsorted(sent_s, (record.time_s[inside][0] - _REMEMBERED_S, record.time_s[inside][-1])))
-    commands = Commands(sent_s[heard], record.commands.command_deg[heard], record.commands.slope_deg_s[heard])
+    sent = slice(*np.searchsorted(sent_s, (record.time_s[inside][0] - _REMEMBERED_S, record.time_s[inside][-1])))
+    commands = Commands(sent_s[sent], record.commands.command_deg[sent], record.commands.slope_deg_s[sent])
     commands = commands if commands.effective_s.size else record.commands
     return only(replace(record, commands=commands, counts=counts), np.flatnonzero(inside))
 
@@ -255,6 +261,7 @@ _STEEP = 0.9
 LIMITS = ("rate_limit", "voltage_rate")
 """Effects that limit the speed."""
 _PER_V, _SLOWEST = ("deg_s_per_v", "speed_deg_s_per_v"), 0.2
+"""Rate limits per volt, and the least share of a rate limit that a start keeps."""
 _LATE, _LATE_S = (Delay, SensorLag, SlowDynamics), 0.02
 """Effects that make a servo late, and a delay in the middle of what servos and links add [s]."""
 
@@ -305,7 +312,7 @@ class Search:
 
     def is_physical(self, fit: Fit) -> bool:
         """Whether no number is at its bound, and none so small that it is none."""
-        if fit.ran_away or (TiltedLoad in fit.effects and hanging(self.fitter.record, fit) > _STEEP):
+        if fit.ran_away or (TiltedLoad in fit.effects and load_slope(self.fitter.record, fit) > _STEEP):
             return False
         neutral, first = self.fitter.record.plant.neutral, 0
         for effect in fit.effects:
@@ -486,8 +493,8 @@ def _is_like(effect: type[Effect], other: type[Effect]) -> bool:
     return effect is not other and effect.name == other.name and effect.name in LIMITS
 
 
-def hanging(record: Record, fit: Fit) -> float:
-    """Cosine of how far from where its load hangs a servo works: how steeply the load changes there."""
+def load_slope(record: Record, fit: Fit) -> float:
+    """Slope of a load's torque where the servo works, over the steepest one: a cosine."""
     return float(np.cos(np.radians(np.nanmean(record.measured_deg) - fit.physics.hangs_deg)))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
-from servofd.discrepancy.ladder import BETTER, Rung, climbed, prefix
+from servofd.discrepancy.ladder import BETTER, Step, climbed, prefix
 from servofd.discrepancy.search import (
     FITS,
     LIMITS,
@@ -24,8 +24,8 @@ from servofd.discrepancy.search import (
     Search,
     common_places,
     fields_of,
-    hanging,
     judgeable,
+    load_slope,
     step_size_deg,
 )
 from servofd.servo.catalogue import by_condition, installed, is_law, plain
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""
 _BEAM = 3
+"""Structures of a size from which larger ones are grown."""
 _OCCAM_OWN, _OF_GAP, _OF_SAMPLES = 16.0, 1e-4, 0.02
 """By how much one more of the servo's own numbers, which the prior has held back, must improve the misfit; and the
 share of what was there (as chi-squared) on top, at most that share of the samples."""
@@ -57,7 +58,7 @@ _NO_GAIN, _GAIN_SHARE = 40.0, 0.03
 some percent of its horn and sensor (standard deviation)."""
 _USUAL_GAINS = 3.0
 """So many of these deviations a servo may be off before its gain stands for something that is missing."""
-_FORESEEN, _SIBLING = 4.0, 0.3
+_HELPS, _SIBLING = 4.0, 0.3
 """By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
 that a second way to stick, to be dead or loose must take away."""
 _NO_WORSE, _MOST_LEFT = 0.95, 0.5
@@ -81,7 +82,7 @@ class Selection:
     """What was found in one record."""
 
     nominal: Fit
-    rungs: tuple[Rung, ...]
+    steps: tuple[Step, ...]
     ties: tuple[tuple[str, ...], ...]
     """Effects that the data cannot tell apart, the named one first."""
     tied: tuple[tuple[Fit, ...], ...]
@@ -131,23 +132,23 @@ def concluded(search: Search) -> Selection:
     search.look_again()
     _reweighed(search)
     _recoloured(search, _chosen(search))
-    best = _foreseeing(search, _chosen(search))
+    best = _without_useless(search, _chosen(search))
     nominal = fitter.nominal()
     names, sets = _shares(search, best, fitter.reweighed(nominal))
     linear = _better_linear(search, names[0])
     if linear is not None:
         names, sets = [linear], 1.0
-    rungs = climbed(search, names[0])
-    final = rungs[-1].fit if rungs else fitter.halved(search.root)
+    steps = climbed(search, names[0])
+    final = steps[-1].fit if steps else fitter.halved(search.root)
     found = adequacy(record, final)
     ties, tied = _ties(final, [fit for fit in names if set(fit.names) != set(final.names)])
-    ties, tied = _or_rivals(rungs, ties, tied)
+    ties, tied = _or_rivals(steps, ties, tied)
     step_deg = step_size_deg(record)
     if step_deg is not None:
         ties, tied = _or_slow(search, final, ties, tied, step_deg)
     return Selection(
         nominal,
-        rungs,
+        steps,
         ties,
         tied,
         found.floor_deg,
@@ -211,8 +212,8 @@ def _widened(search: Search, root: Fit) -> None:
             best = longer[0]
         elif record.runs or not record.free_poles or _beyond_noise(search, longer[0]) == 0.0:
             return
-        # What lacks an effect remembers it, and few samples count of it: in a single run of a servo that nobody knows,
-        # where more than noise is left, go on.
+        # Without an effect the errors are correlated, so that few samples count: in a single run of an unknown
+        # servo, where more than noise is left, go on.
         beam = [fit for fit in longer[:_BEAM] if fit.misfit < longer[0].misfit + 4.0 * OCCAM]
 
 
@@ -335,7 +336,7 @@ def _static_loss(record: Record, fit: Fit) -> float:
     if record.pressure_pa is not None and AirLoad in fit.effects:
         loss += fit.physics.airload_per_pa * float(np.median(record.pressure_pa))
     if GravityLoad in fit.effects or TiltedLoad in fit.effects:
-        loss += float(np.radians(fit.physics.droop_deg)) * hanging(record, fit)
+        loss += float(np.radians(fit.physics.droop_deg)) * load_slope(record, fit)
     return loss
 
 
@@ -373,17 +374,17 @@ def _chosen(search: Search) -> Fit:
     return best
 
 
-def _foreseeing(search: Search, best: Fit) -> Fit:
-    """The structure without what does not help to foresee what was not fitted."""
+def _without_useless(search: Search, best: Fit) -> Fit:
+    """The structure without the effects that do not help to predict what was not fitted."""
     if search.fitter.record.side is not None:
         return best
     while best.effects:
-        left, price = search.fitter.foreseen(best)
+        left, price = search.fitter.held_out_misfit(best)
         fewer = [prefix(search, best, tuple(e for e in best.effects if e is not effect)) for effect in best.effects]
         worse = []
         for fit, effect in zip(fewer, best.effects, strict=True):
-            left_there, price_there = search.fitter.foreseen(fit)
-            # Of a servo that nobody knows, its prior says little against numbers that stand in for an effect.
+            left_there, price_there = search.fitter.held_out_misfit(fit)
+            # Of an unknown servo, its prior says little against numbers that stand in for an effect.
             counts = search.fitter.is_own(effect) or not search.fitter.record.free_poles
             worse.append(left_there - left + (price_there - price if counts else 0.0))
         for k, effect in enumerate(best.effects):
@@ -391,14 +392,14 @@ def _foreseeing(search: Search, best: Fit) -> Fit:
             if like and _share_of_excess(search, fewer[k], best) < _SIBLING:
                 worse[k] = -np.inf
         k = int(np.argmin(worse))
-        if worse[k] > _FORESEEN:
+        if worse[k] > _HELPS:
             break
         best = fewer[k]
     return best
 
 
 def _better_linear(search: Search, best: Fit) -> Fit | None:
-    """Of a servo that nobody knows, the linear one with any gain and zero, if it foresees more than what was found.
+    """Of an unknown servo, the linear one with any gain and zero, if it predicts more than what was found.
 
     So too where that one leaves no more than noise with a gain that servos have, and where what was found leaves most
     of what it leaves: names are no answer then.
@@ -540,15 +541,15 @@ def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tu
 
 
 def _or_rivals(
-    rungs: tuple[Rung, ...], ties: tuple[tuple[str, ...], ...], tied: tuple[tuple[Fit, ...], ...]
+    steps: tuple[Step, ...], ties: tuple[tuple[str, ...], ...], tied: tuple[tuple[Fit, ...], ...]
 ) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
     """The ties, and what would have been the better step by itself but is not with those that follow."""
     found = {names[0]: (list(names), list(fits)) for names, fits in zip(ties, tied, strict=True)}
-    for rung in rungs:
-        name = rung.fit.names[-1]
+    for step in steps:
+        name = step.fit.names[-1]
         names, fits = found.get(name, ([name], []))
-        for rival in rung.rivals:
-            if rival.held_out < BETTER * rung.fit.held_out and rival.names[-1] not in names:
+        for rival in step.rivals:
+            if rival.held_out < BETTER * step.fit.held_out and rival.names[-1] not in names:
                 names.append(rival.names[-1])
                 fits.append(rival)
         if fits:

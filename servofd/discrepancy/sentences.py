@@ -55,13 +55,13 @@ def only_rests_sentence(record: Record) -> str:
     """What a slow log does not tell, and what it does."""
     rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
     return (
-        f"position comes at {rate_hz:.3g} Hz: only where the surface rests is judged, for how it moves cannot be told "
-        f"below 20 Hz; {rest_sentence(record)}, now at one end and now at the other, which is hysteresis"
+        f"position comes at {rate_hz:.3g} Hz: only rests are judged, and not how the surface moves, which takes "
+        f"20 Hz; {rest_sentence(record)}, now at one end and now at the other, which is hysteresis"
     )
 
 
 def linear_sentence(record: Record, selection: Selection) -> str:
-    """Which linear servo was fitted, as nobody knew one."""
+    """Which linear servo was fitted, as none was known."""
     said = []
     for fit in (selection.nominal, selection.final):
         transfer = scaled(record.plant.transfer, fit.physics.scales)

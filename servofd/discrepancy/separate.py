@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 _RATE_HZ, _DURATION_S = 100.0, 24.0
+"""Rate [Hz] and length [s] of a manoeuvre."""
 _SETTLING_S = 0.5
 _TELLING_SIGMAS = 4.0
 """Less than this could be noise."""
@@ -29,6 +30,7 @@ _AS_GOOD = 0.8
 _AIR_PA = (88.0, 551.0)
 """Dynamic pressure at 12 and 30 m/s."""
 _CRUISE_PA, _SUPPLY_V, _SAGGING_V = 246.0, 6.0, 4.8
+"""Dynamic pressure at 20 m/s [Pa], supply of a full battery and of one that sags [V]."""
 
 
 class Manoeuvre(NamedTuple):
@@ -154,8 +156,8 @@ def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, s
         most.append(float(np.max(np.abs(apart))))
     if not max(most) >= _TELLING_SIGMAS * sigma_deg:
         return Separation(names, None, max(most), max(most) / sigma_deg)
-    told = (np.array(rms) >= _AS_GOOD * max(rms)) & (np.array(most) >= _TELLING_SIGMAS * sigma_deg)
-    first = int(np.argmax(told)) if told.any() else int(np.argmax(most))
+    shows = (np.array(rms) >= _AS_GOOD * max(rms)) & (np.array(most) >= _TELLING_SIGMAS * sigma_deg)
+    first = int(np.argmax(shows)) if shows.any() else int(np.argmax(most))
     return Separation(names, library[first].name, most[first], most[first] / sigma_deg)
 
 

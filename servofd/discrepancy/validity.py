@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 _SHORTEST_RECORD_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
 """The shorter one for runs that begin at rest with a step, of which nothing is lost."""
 _MOTION_OF_NOISE, _SMALLEST_MOTION_DEG = 2.0, 0.1
+"""Smallest swing of the command that shows an effect: in noise floors, and in degrees."""
 _SAME, _SHIFT_S = 0.9, 0.1
-"""Share of the position that a multiple of what was asked tells, by so much earlier or later: of another servo. Of one
-that is too slow for its command (25 to 70 deg/s, 200 logs) none is told by more than 0.7 and a multiple below 0.5."""
+"""Share of the position that a multiple of the simulated one, shifted by so much [s], explains for another servo.
+For one that is too slow for its command (25 to 70 deg/s, 200 logs) it is 0.7 at most, and no multiple is below 0.5."""
 _GAINS, _LATE_GAINS = (0.3, 1.7), (0.15, 3.4)
 """A servo of low gain that lags behind a large command moves by 0.29 of it (a smart servo under a weight)."""
 _SWAPPED = 0.5
@@ -42,7 +43,7 @@ def check(record: Record) -> None:
     if rate_hz < SLOWEST_RATE_HZ and not (record.side is not None and record.side.any()):
         rested = f" ({rest_sentence(record)})" if record.counts.any() else ""
         raise NoMeasurement(
-            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be told below 20 Hz, but for play where "
+            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be found below 20 Hz, but for play where "
             f"the surface rests, and none is seen{rested}: log faster"
         )
     seconds = float(record.counts.sum()) * record.period_s
@@ -50,7 +51,7 @@ def check(record: Record) -> None:
     if seconds < shortest_s:
         raise NoMeasurement(
             f"only {seconds:.1f} s of command and position together; at least {shortest_s:g} s are needed, and "
-            "30 s with brisk inputs are better"
+            "30 s with fast inputs are better"
         )
     simulated = simulate(record, record.plant.neutral)
     error = record.measured_deg - simulated
@@ -103,7 +104,7 @@ def _likeness(one: FloatArray, other: FloatArray) -> float:
 def _check_order(record: Record, error_deg: FloatArray) -> None:
     """Refuse a position ahead of its command that explains the command better than the other way round.
 
-    A servo of low gain under a weight is far from what was asked, but late; nothing moves before it is told to.
+    A servo of low gain under a weight is far from what was asked, but late; nothing moves before its command.
     """
     known, command_deg = np.isfinite(record.measured_deg), record.commands.at(record.time_s)
     given = Commands(record.time_s[known], record.measured_deg[known], np.zeros(int(known.sum())))
@@ -119,6 +120,7 @@ def _check_order(record: Record, error_deg: FloatArray) -> None:
 
 
 _WINDOW_S, _EVERY_S, _SHORTEST_S = 1.5, 0.1, 0.8
+"""Length of a window [s], time between two, and the shortest record that is searched [s]."""
 _SURE_S, _SURE_ALONE_S = 1.3, 4.0
 """Length of a stretch that is no chance [s]; without other runs a slow servo may look like it for longer."""
 _OBEYS, _IGNORES = 0.6, 0.2
@@ -128,9 +130,11 @@ _STANDS, _STILL = 0.08, 4.0
 _BEYOND, _STAYS_S, _MOSTLY, _FEW = 3.0, 0.2, 0.8, 25
 """How far from its model, in usual errors, a servo must stay for how long to have left it."""
 _LOOK_BACK_S, _BEFORE_IT_SHOWS_S = 4.0, 0.3
+"""Time before a stretch that belongs to it at most [s], and before it shows [s]."""
 _LIKE = 0.7
 """Share of the position that the model tells elsewhere, or nothing can be said of it here."""
 _MOVES_OF_NOISE, _MOVES_DEG, _MOVES_SHARE = 6.0, 0.5, 0.25
+"""Motion that no standing servo makes: in noise floors, in degrees, and as a share of the model's swing."""
 
 
 @dataclass(frozen=True, slots=True)

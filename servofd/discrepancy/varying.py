@@ -1,7 +1,7 @@
 """A value of an effect that differs from run to run, and what it goes with: a rate limit that falls with the load.
 
 Each run has its own best value, the others being common to all. A line through those of the fitted runs over something
-that was logged beside them is then held against the runs that were held out: only if it foresees them is it told.
+that was logged beside them is then held against the runs that were held out: it is reported only if it predicts them.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ _LEAST_SHARE, _SIGMAS = 0.5, 3.0
 """Of the value that is common to all runs, the least that a run may have, and the inverse of the most; a run tells its
 own if it is so many standard deviations from both."""
 _STEP_SHARE, _STEPS = 0.02, 15
+"""Step of the derivatives as a share of the common value, and steps of the fit at most."""
 _LEAST_DETERMINED, _LEAST_GAIN = 0.7, 0.8
 """Share of the spread of the values that the line tells, and of the error of held-out runs that it may leave."""
 _LEAST_CHANGE = 0.05
@@ -99,7 +100,7 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
     -------
     tuple of Varying
         The laws that were found as such, and for each other value at most the condition that tells most of it; the
-        one that foresees the held-out runs best first.
+        one that predicts the held-out runs best first.
     """
     record, final = selection.fitter.record, selection.final
     known = {name: of for name, of in conditions.items() if np.all(np.isfinite(of)) and np.ptp(of) > 0.0}

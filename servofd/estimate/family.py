@@ -41,6 +41,7 @@ LONGEST_PAUSE_S: Final = 5.0
 _TURN_DEG: Final = 360.0
 """Beyond all that is asked for: further no surface goes."""
 _LEAST_ASKED_DEG: Final = 16.0
+"""Smallest range for which steps of the simulation are planned [deg]."""
 _FINER: Final = 0.3
 """Steps are so much longer than elsewhere: errors of the position stay below 0.01 deg rms."""
 _EFFECTS: Final = (

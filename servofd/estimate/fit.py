@@ -20,21 +20,34 @@ if TYPE_CHECKING:
     from servofd.estimate.record import Record
 
 _HUBER: Final = 2.5
+"""Standard deviations beyond which an error counts by its size, and not its square (Huber)."""
 _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
+"""Delays at which descents begin [s]: between them the cost may have another valley."""
 _FIRST_STEPS, _STEPS = 4, 12
+"""Steps of the descents that are compared, and of the one that is continued."""
 _CLOSE: Final = 1e-3
+"""Share of the cost that a step must gain for the descent to go on."""
 _LOOSER_DEG: Final = 0.6
+"""Play from which another descent begins, beyond what was found [deg]."""
 _NEAR: Final = 2.0
 """A descent whose cost is larger by no more, in terms of samples that are not alike, may be the right one as well;
 and no cost is known better than to the share at which a descent ends."""
 _MOST_PRIOR: Final = 0.9
+"""Share of a parameter's interval at most that its prior makes."""
 _FOLD_S: Final = 20.0
+"""Length of the stretches that belong to one fold in turn [s]."""
 _LAG_FLOOR_S: Final = 0.003
+"""Time by which the model may be early or late even in a perfect fit [s]."""
 _LAG_CAP_S: Final = 0.03
+"""The most of it that is believed [s]."""
 _QUIET_DEG_S: Final = 5.0
+"""Speed below which a servo is slow at least [deg/s]."""
 _FAST_DEG_S: Final = 20.0
+"""Speed above which its lateness shows [deg/s]."""
 _LEAST_DEG: Final = 0.01
+"""Smallest noise [deg]."""
 _SELDOM: Final = 0.001
+"""Share of the samples beyond either end of the travel that was seen."""
 
 _RATE: Final = NAMES.index("ln_rate")
 _FASTER: Final = float(np.log(2.0))

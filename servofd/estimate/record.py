@@ -122,14 +122,18 @@ _START_S = 0.3
 """After a gap: the simulation begins anew from the position."""
 _FIRST_S = 1.0
 _GAP_PERIODS = 2.5
+"""Median periods beyond which a command is missing."""
 _SHORTEST_GAP_S = 0.05
+"""No gap is shorter than this [s]."""
 _RHYTHM = 101
 """Commands that tell their rhythm: those that a monitor waits for."""
 _RARELY = 0.98
 """Intervals between commands of which fewer than one in fifty is longer are the rhythm, and no gap."""
 _LEAST_SUPPLY_V = 2.0
 _POWERS = (0.6, 1.4)
+"""Supply over its usual value, at which it is cut off."""
 FINE_S = 0.01
+"""Longest step between two samples over which load and supply are taken as constant [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,13 +37,17 @@ Status = Literal["ok", "look", "unknown"]
 """Of a check on one flight, which never is a fault."""
 
 WINDOWS_S = (5, 10, 20)
+"""Lengths of the windows that are judged [s]."""
 LEAST_PAST_S = 35
 """Flown before the first window that is judged: seven unknowns that were fitted to less extrapolate."""
 _COLOUR_S = 1.0
 """Residuals less than a second apart count as one: gusts pass a small aeroplane in as much."""
 _DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
+"""Delays between command and motion that are tried [s]."""
 _DELAY_FROM_S = 40
+"""Flight from which the delay is found [s]."""
 _RIDGE = 1e-3
+"""Ridge of the regression, in units of its scaled diagonal."""
 _PRIOR_WINDOWS = 8.0
 """What other aircraft's flights are worth, in windows of this one."""
 _ENOUGH = 0.8
@@ -51,21 +55,24 @@ _ENOUGH = 0.8
 _SLOW_HZ = 15.0
 """At lower rates an axis is seen in balance with its command; at higher ones its acceleration tells sooner."""
 _HELD_S = 3
+"""Windows in a row, one a second, that must be over the threshold [s]."""
 _LEAST_EXPLAINED = 0.5
 """Share of an axis' answer that a form explains in healthy flights: 0.75 to 0.99 in all that were measured."""
 _AIRBORNE = 0.6
 """Share of the median airspeed above which an aircraft flies."""
 _AFTER_TAKEOFF_S, _BEFORE_LANDING_S = 5.0, 3.0
+"""Flight after take-off and before landing that is not judged [s]."""
 _SLOWER, _IDLER = 0.95, 0.05
 """An aircraft that is slower, or asks for less of its engine, than it ever was before is not judged: there the fit
 extrapolates, and a failed engine would be called an elevator."""
 _REGIME_S, _REGIME_PAST_S = 5, 30
+"""Length of the pieces whose regime is compared with the past, and past that is needed [s]."""
 _LEAST_LOSS, _MOST_LOSS, _LEAST_US, _LEAST_GAIN = 0.3, 1.4, 25.0, -0.4
 """Sizes that mean something: a third of the effect, and no more than all of it; or an offset that a pilot trims."""
 
 
 class Look(NamedTuple):
-    """How an axis is looked at.
+    """Forms and filters by which an axis is judged.
 
     `slow`, `fast`: form and corner [Hz] of its filter. `spread`: S0 for the windows of each length, as variance of
     lambda, covariance [us] and variance of beta [us2]. `limit`: J that healthy flights do not pass. Both were measured
@@ -96,6 +103,7 @@ LOOKS = {
 }
 """The side axis is left out: its sizes made no sense in healthy flights (lambda from -1.3 to 5.8)."""
 _THRUST_FORM, _THRUST_HZ, _THRUST_S = "specific_thrust", 0.4, 5
+"""Form and corner [Hz] by which thrust is judged, and the length of its windows [s]."""
 _THRUST_M_S2, _THRUST_SIGMAS, _THRUST_SPREAD_M_S2 = 1.5, 8.0, 0.1
 """Acceleration that is missing for what the throttle asks: the same healthy flights stay above -1.3 m/s2, a stopped
 engine of ArduPlane leaves -11 m/s2."""
@@ -246,6 +254,7 @@ def airborne(motion: Motion) -> tuple[BoolArray, float]:
 
 
 _MEANS_FLIGHT_M_S = 5.0
+"""Airspeed above which an aircraft may fly [m/s]."""
 
 
 def as_flown_before(motion: Motion, flies: BoolArray) -> BoolArray:
@@ -281,10 +290,10 @@ class AxisChange:
     since_s: float | None = None
     """Best estimate of when it changed [s]."""
     alarm_s: float | None = None
-    """When it could have been told in flight [s]."""
+    """When it could have been reported in flight [s]."""
     lost_share: Estimate | None = None
     offset_us: Estimate | None = None
-    """Of the axis' command, once it was told [us]."""
+    """Of the axis' command, once it was reported [us]."""
     explained_share: float | None = None
     """Of its answer by the command and the rest of the motion, over the whole flight."""
     judged_share: float = 0.0
@@ -374,9 +383,9 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
         time_s=tuple(second_s.tolist()),
         score=tuple(np.max(compared.shares, axis=0).tolist()),
     )
-    told = np.flatnonzero(compared.held.max(axis=0) > 1.0)
-    if told.size:
-        return _changed(known, compared, int(told[0]), float(motion.time_s[0]))
+    reported = np.flatnonzero(compared.held.max(axis=0) > 1.0)
+    if reported.size:
+        return _changed(known, compared, int(reported[0]), float(motion.time_s[0]))
     if compared.seconds.explained < _LEAST_EXPLAINED:
         text = f"{name}: command and motion explain {compared.seconds.explained:.0%} of it only, too little to compare"
         return replace(known, text=text)
@@ -391,7 +400,7 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
 
 
 def _changed(known: AxisChange, compared: Compared, at: int, begin_s: float) -> AxisChange:
-    """An axis that stopped answering as before, as it could be told at a second."""
+    """An axis that stopped answering as before, as it could be reported at a second."""
     window = compared.found[int(np.argmax(compared.held[:, at]))].at(np.array([at]))
     lost = Estimate.of(float(window.loss[0]), math.sqrt(float(window.loss_var[0])))
     offset = Estimate.of(float(window.offset[0]), math.sqrt(float(window.offset_var[0])))
@@ -402,7 +411,7 @@ def _changed(known: AxisChange, compared: Compared, at: int, begin_s: float) -> 
         else f"acts as if {offset.value:+.0f} us [{offset.low:+.0f}, {offset.high:+.0f}] away"
     )
     text = (
-        f"{known.axis} {what} since about {since_s:.0f} s, as could be told at {alarm_s:.0f} s: look at the "
+        f"{known.axis} {what} since about {since_s:.0f} s, as was clear at {alarm_s:.0f} s: look at the "
         f"{named(known.members, known.axis)}{_OR_ELSE[known.axis]}"
     )
     return replace(known, status="look", text=text, since_s=since_s, alarm_s=alarm_s, lost_share=lost, offset_us=offset)
@@ -414,17 +423,17 @@ _OR_ELSE = {
 }
 
 
-def onset(seconds: Seconds, told: int) -> float:
+def onset(seconds: Seconds, reported: int) -> float:
     """Since when what follows fits worst to what came before [s after the first sample]: the likeliest of the last 20.
 
-    Of the windows that end where it was told, the one whose loss and offset explain most.
+    Of the windows that end where it was reported, the one whose loss and offset explain most.
     """
     last = WINDOWS_S[-1]
-    base = np.array([max(told - last, 0)])
+    base = np.array([max(reported - last, 0)])
     residual, _, _ = seconds.fitted(base)
-    best, onset_s = 0.0, float(told - _HELD_S)
-    for begin in range(int(base[0]), told - _HELD_S + 1):
-        gram = seconds.totals[told] - seconds.totals[begin]
+    best, onset_s = 0.0, float(reported - _HELD_S)
+    for begin in range(int(base[0]), reported - _HELD_S + 1):
+        gram = seconds.totals[reported] - seconds.totals[begin]
         gain = 1.0 if seconds.form.inverse else -residual[0, 0]
         directions = np.zeros((2, gram.shape[0]))
         directions[0, 0], directions[1, -2] = -gain, gain
@@ -455,8 +464,8 @@ def thrust_missing_s(motion: Motion, usable: BoolArray, reference_m_s: float) ->
     missing = np.einsum("ki,ki->k", tells, residual)
     noise = variance * _COLOUR_S * motion.rate_hz
     spread = noise / gram[:, -2, -2] + noise * np.einsum("ki,kij,kj->k", tells, fit, tells) + _THRUST_SPREAD_M_S2**2
-    told = np.flatnonzero((missing < -_THRUST_M_S2) & (missing < -_THRUST_SIGMAS * np.sqrt(spread)))
-    return float(motion.time_s[0] + begins[told[0]]) if told.size else None
+    reported = np.flatnonzero((missing < -_THRUST_M_S2) & (missing < -_THRUST_SIGMAS * np.sqrt(spread)))
+    return float(motion.time_s[0] + begins[reported[0]]) if reported.size else None
 
 
 def judge_motion_alone(motion: Motion) -> dict[str, AxisChange]:

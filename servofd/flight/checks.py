@@ -34,6 +34,7 @@ _NO_OUTPUTS = "no output of a surface with its SERVOn_FUNCTION, MIN and MAX in t
 _NEVER_FLEW = "this log does not tell when the aircraft flew"
 
 _AT_END = 0.99
+"""Share of its travel from which on an output is at its end."""
 _LONG_AT_END_S = 3.0
 """An output that stays at its end for longer has nothing left: in nine healthy flights of ArduPlane in wind none
 stayed there for 1 s. A pilot who holds full aileron through a roll takes about two."""
@@ -70,6 +71,7 @@ _FAR_TRIM = 0.4
 """Of half the travel: twice as far as ArduPilot's automatic trim goes (SRV_Channel::adjust_trim stops at 40 and 60 % of
 the range)."""
 _LEVEL_DEG = 10.0
+"""Bank below which flight is level [deg]."""
 
 
 def trim(flight: Flight) -> Check:
@@ -95,6 +97,7 @@ def _level_means(flight: Flight) -> dict[str, float]:
 
 
 _FEW = 50
+"""Samples of an output that a check needs."""
 _LEAST_SPAN_US, _LEAST_SIDE = 400.0, 0.5
 """Travel that leaves less than 18 deg to either side of a servo of 90 deg a millisecond, and a side with less than half
 of what an even split would give it, cut commands that the autopilot means to give."""
@@ -142,6 +145,7 @@ def asymmetry(flight: Flight) -> Check:
 
 
 _CYCLE_S = 10.0
+"""Length of the windows in which a limit cycle is looked for [s]."""
 _SLOWEST_CYCLE_HZ, _NARROW, _CYCLE_SHARE, _CYCLE_DEG_S = 1.0, 0.2, 0.75, 5.0
 """Gusts and manoeuvres are broad: in 39 flights (ALFA, ArduPlane in wind, with their faults) no two windows in a row
 held more than 0.62 of the power of both command and rate within a fifth of one frequency (benchmarks/one_flight.py)."""
@@ -205,8 +209,11 @@ def supply(flight: Flight) -> Check:
 
 
 _BEFORE_TAKEOFF_S = 60.0
+"""Time before take-off in which surfaces are checked [s]."""
 _FULL, _SOME = 0.8, 0.2
+"""Shares of the travel that a full check reaches, and that a surface moves at all."""
 _FOLLOWS, _STICK_US = 0.7, 100.0
+"""Correlation of stick and output that shows a reversed surface, and the least motion of the stick [us]."""
 
 
 def surface_check(flight: Flight) -> Check:

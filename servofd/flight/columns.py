@@ -62,7 +62,7 @@ class Flight:
     flies : ndarray of bool
         Where the aircraft surely flies, on the grid of `motion`.
     span_s : tuple of float
-        From take-off to landing, or to the end of the log [s]; NaN if it never flew, or nobody knows.
+        From take-off to landing, or to the end of the log [s]; NaN if it never flew, or that is not known.
     sticks : mapping of str to Series
         What the pilot asked of each axis [us].
     supply_v : Series or None

@@ -62,15 +62,15 @@ def _sentence(found: tuple[Check, ...], axes: Mapping[str, AxisChange]) -> str:
     said.sort(key=lambda text: text not in {axis.text for axis in axes.values()})  # what stopped answering comes first
     judged = [axis for axis in axes.values() if axis.status != "unknown"]
     fine = [axis.axis for axis in judged if axis.status == "ok"]
-    untold = [_SPOKEN.get(axis.axis, axis.axis) for axis in axes.values() if axis.status == "unknown"]
+    unjudged = [_SPOKEN.get(axis.axis, axis.axis) for axis in axes.values() if axis.status == "unknown"]
     until = max((axis.judged_until_s for axis in judged if axis.judged_until_s is not None), default=None)
     parts = []
     if said:
         parts.append("; ".join(said))
     if fine:
         parts.append(f"nothing looks wrong in {' and '.join(fine)}")
-    if untold:
-        parts.append(f"{' and '.join(untold)} cannot be judged")
+    if unjudged:
+        parts.append(f"{' and '.join(unjudged)} cannot be judged")
     if until is not None:
         parts.append(f"judged until {until:.0f} s; a servo that sticks near its trim would not show")
     return "; ".join(parts) or next(check.text for check in found if check.name == "axis_change")

@@ -23,12 +23,16 @@ if TYPE_CHECKING:
 _FROM, _TO = 0.2, 0.8
 """Part of the travel that is straight. The largest slope of any 40 ms would be noise: 384 instead of 370 deg/s."""
 _STEP_SHARE = 0.2
+"""Share of the commanded range from which on a change is a step."""
 _SETTLED_SHARE = 0.2
+"""Share of the samples behind a step whose mean is the final position."""
 _TRAVELLED = 0.5
 _FEWEST_SAMPLES = 4
+"""Samples between which a slope is measured at least."""
 _LINEAR_SHARE = 0.9
 """A step whose slope comes so near that of the servo without a limit shows no limit."""
 _DENSE_S = 5e-4
+"""Step of the simulated response to a step [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,9 +159,11 @@ def _average(slopes: Sequence[StepSlope]) -> Estimate | None:
 _WORTH = 0.98
 """An effect must take so much off the root mean square error, beside winning by BIC."""
 _EQUAL_RMS = 1.001
+"""Ratio of two errors below which they are equal."""
 _CHANCE = 6.63
 """Quantile of chi squared at 1 %: by so much chance alone improves twice the logarithm of the likelihood."""
 _BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S = (2.0, 4.0, 8.0, 16.0), (0.7, 1.6), (0.0, 0.02, 0.05)
+"""Grid of bandwidths [Hz], dampings and delays [s] at which fits begin."""
 _STARTS = 2
 _FEW, _MANY = 16, 120
 """Steps of a descent that shall only show whether the start was a good one, and of the last one."""

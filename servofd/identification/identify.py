@@ -40,6 +40,7 @@ Method = Literal["response", "magnitude"]
 _T = TypeVar("_T")
 
 _SHORTEST_SWEEP_S = 10.0
+"""Shortest sweep that gives a frequency response [s]."""
 _NARROWEST_SWEEP = 3.0
 """Ratio of the highest to the lowest coherent frequency."""
 _STEPWISE = 0.1
@@ -49,7 +50,9 @@ _LEVELS = 10
 _LARGEST_ERROR = 0.3
 """Of the position's own deviation; the worst real servo so far leaves 0.06."""
 _FOLLOWS = 0.7
+"""Share of the position's deviation that a model may leave if the servo follows."""
 _SWAPPED_RAD = 0.05
+"""Mean phase above which the position is ahead of the command [rad]: the columns are swapped."""
 _MAGNITUDE_ORDER, _MAGNITUDE_LAGS_S = 3, 1.0
 """The largest deviation of a wide window would be noise: thesis Appendix A takes 100 lags at 100 Hz."""
 

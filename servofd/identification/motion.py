@@ -125,7 +125,9 @@ def shape_bounds(order: int, sample_time_s: float) -> tuple[FloatArray, FloatArr
 
 
 _OUT_OF_REACH_DEG = 1e4
+"""Error of a servo that cannot be simulated [deg]."""
 _DEVIATION_LAGS = 20
+"""Lags over which errors are correlated at most."""
 _WHITE = 1.6
 """Von Neumann's ratio above which the errors are as good as noise (2 for white noise)."""
 _PARTS, _COMMON = 8, 3.5
@@ -313,6 +315,8 @@ def _von_neumann(errors: Sequence[FloatArray]) -> float:
 
 
 _AT_LIMIT, _SATURATED_TIME, _DENSE_S = 0.97, 0.8, 2e-3
+"""Share of the rate limit from which on a servo is at it, share of the time there at most, and step of the simulation
+[s]."""
 
 
 def check_saturation(run: Run, servo: ServoCandidate, label: str) -> None:

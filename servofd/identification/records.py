@@ -20,6 +20,7 @@ _STEP_SHARE = 0.1
 """Of the range of a run: a position further from the first command than this, apart from the offset of the whole run,
 was asked for by an earlier one."""
 _GAP_PERIODS = 10.0
+"""Median periods beyond which a record is two."""
 _REGULAR = 0.01
 """Of a period: stamps that differ by less are those of a regular clock, rounded."""
 
@@ -113,9 +114,14 @@ def longest_uniform(run: Run) -> Uniform:
 
 
 _SLOWEST_HZ, _FASTEST_HZ = 8.0, 20_000.0
+"""Rates that show a servo [Hz]."""
 _FEWEST_SAMPLES = 30
+"""Positions that a record needs."""
 _CLIPPED_SAMPLES, _CLIPPED_COMMAND = 0.05, 0.15
+"""Share of the samples at an end, and change of the command meanwhile as a share of its range, from which on the
+position is clipped."""
 _LEAD_S = 0.01
+"""Time by which a position ahead of its command is refused [s]."""
 _DRIFT_SHARE, _DRIFT_OF_ERROR = 0.2, 0.9
 """Of the range of the command, over the test; and of the squared error of the best linear servo."""
 

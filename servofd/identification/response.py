@@ -30,7 +30,9 @@ _EXCITED_SHARE = 0.1
 _UPPER_SHARE = 0.8
 """Of the highest excited frequency: the thesis sweeps to 25 Hz and fits to 20 Hz (Appendix A)."""
 _FREQUENCIES = 4096
+"""Frequencies of the response at least."""
 _LEAST_POWER = 1e-100
+"""Smallest power, so that nothing is divided by zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,8 +194,11 @@ def _longest_run(flags: BoolArray) -> tuple[int, int]:
 
 
 _DELAY_STEP_S, _LONGEST_DELAY_S = 1e-3, 0.08
+"""Step and end of the delays that are tried [s]."""
 _ITERATIONS = 8
+"""Iterations of the fit of a fraction."""
 _LARGEST_WEIGHT = 10.0
+"""Largest weight of a frequency: that of a coherence of 0.99."""
 _STEP = 1e-6
 """Of derivatives, in logarithms and milliseconds."""
 FAR_POLES = (3.0, 8.0, 20.0)
@@ -297,6 +302,7 @@ def _all_pole(
 _LARGEST_RIPPLE = 3.0
 """Of the logarithm of the magnitude: a factor of 20 is no fit."""
 _LOWEST = 1e-9
+"""Smallest coefficient of the linear programme, so that none is zero."""
 _FAR = 1e3
 """The squared magnitude must stay positive up to so many times the highest frequency of the fit."""
 

@@ -36,6 +36,7 @@ _FAR = 1.0
 _KNOWN_SHARE, _KNOWN_LAG_S = 0.1, 1e-3
 """Width of the interval of a lag that may be called known, of the lag or in seconds."""
 _NO_DELAY_S = 2e-6
+"""Delay below which none is printed [s]."""
 _LATER_S, _GAIN = 0.05, 0.95
 """Positions are tried so much later if the best delay is none; they come early if that takes 5 % off the error."""
 _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s")
@@ -178,6 +179,7 @@ _NOT_REJECTED = 3.84
 _NEAREST, _FARTHEST, _POLES = 1.5, 300.0, 24
 """Further poles that are tried, in multiples of the largest pole found, and how many."""
 _STEP = 1e-4
+"""Step of the derivatives."""
 
 
 def lowest_delay_s(runs: Sequence[Run], fit: MotionFit) -> float:

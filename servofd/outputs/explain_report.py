@@ -68,11 +68,11 @@ def _traces(found: Explanation, name: str) -> Picture:
     )
     upper.plot(time_s, measured, color=COLOURS["measured"], lw=2.2, label="measured")
     upper.plot(time_s, measured - before[inside], color=_BEFORE, lw=1.1, ls="--", label="model before")
-    if selection.rungs:
+    if selection.steps:
         upper.plot(time_s, measured - after[inside], color=_AFTER, lw=1.1, label="model after")
     _draw_floor(lower, selection.sigma_deg)
     lower.plot(time_s, before[inside], color=_BEFORE, lw=1.0, ls="--", label="error before")
-    if selection.rungs:
+    if selection.steps:
         lower.plot(time_s, after[inside], color=_AFTER, lw=1.0, label="error after")
     finish(upper, lower, x="time [s]", y=["deflection [deg]", "error [deg]"], legend="above")
     largest = [float(np.nanmax(np.abs(error[inside & record.counts]))) for error in (before, after)]
@@ -86,8 +86,8 @@ def _traces(found: Explanation, name: str) -> Picture:
 def _ladder(found: Explanation, name: str) -> Picture:
     """Error on fitted and on held-out samples after each step."""
     selection = found.selection
-    fits = [selection.nominal, *(rung.fit for rung in selection.rungs)]
-    labels = ["as it was", *(f"+ {rung.fit.names[-1].replace('_', ' ')}" for rung in selection.rungs)]
+    fits = [selection.nominal, *(step.fit for step in selection.steps)]
+    labels = ["as it was", *(f"+ {step.fit.names[-1].replace('_', ' ')}" for step in selection.steps)]
     errors = [found.rms_deg(fit) for fit in fits]
     figure, (axes,) = new_figure(height=1.4 + 0.5 * len(fits))
     place = np.arange(len(fits), dtype=float)
@@ -104,12 +104,12 @@ def _ladder(found: Explanation, name: str) -> Picture:
     axes.invert_yaxis()
     finish(axes, x="error [deg rms]", legend="above")
     last = errors[-1]["held_out_rms_deg"]
-    falls = f"falls from {errors[0]['held_out_rms_deg']:.3g} to" if selection.rungs else "is"
+    falls = f"falls from {errors[0]['held_out_rms_deg']:.3g} to" if selection.steps else "is"
     text = (
         f"On samples that were not fitted the error {falls} {last:.3g} deg rms; the noise floor is "
         f"{selection.sigma_deg:.3g} deg."
     )
-    return Picture(name, "How the gap shrinks" if selection.rungs else "What is left", text, figure)
+    return Picture(name, "How the gap shrinks" if selection.steps else "What is left", text, figure)
 
 
 def _maps(found: Explanation, name: str) -> Picture:

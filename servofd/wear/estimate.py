@@ -48,8 +48,10 @@ NUMBERS = ("bandwidth_hz", "damping", "delay_s", "rate_limit_deg_s")
 _POLE_RAD_S = 30.0
 """Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
 _MILLISECOND_S = 1e-3
+"""Unit of the delay in the fit [s]."""
 _LONGEST_DELAY_S = 0.5
 _BANDWIDTHS_HZ, _DAMPINGS, _RATES_DEG_S = (0.1, 200.0), (0.2, 10.0), (5.0, 1e4)
+"""Ends of what a fit may reach: bandwidth [Hz], damping, rate limit [deg/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,9 +297,11 @@ class FlightEstimate:
 _MOST_SAMPLES = 12_000
 """Two minutes at 100 Hz tell the width to 0.01 deg, which is less than it varies from flight to flight."""
 _LEAST_SAMPLES = 300
+"""Judged samples that a flight needs."""
 _LEAST_MOTION_NOISES = 10.0
 """Less motion than ten times the noise tells nothing of delay and bandwidth."""
 _WIDTHS_DEG = (0.0, 0.5, 1.0, 2.0, 4.0)
+"""Widths of dead band and play at which fits begin [deg]."""
 _WIDTH_STEP_DEG, _STEP = 0.02, 0.01
 """For slopes, in degrees and in the units of `FlownServo.vector`."""
 _ORDINARY, _CLOSE = 3.0, 0.1
@@ -308,6 +312,7 @@ _LIMIT_REACHED = 0.5
 _LEAST_RATE_SURENESS = 0.1
 """Deviation of the logarithm of a rate limit: more, and the flight hardly shows it."""
 _SURE_SHARE, _BLOCKS = 0.999, 10
+"""Quantile of the residual over its threshold that is the margin, and the blocks that give its uncertainty."""
 _KNOWN: Mapping[str, float] = MappingProxyType(
     {"delay_s": 1e3 * SIGMAS["delay_s"], "bandwidth_hz": SIGMAS["ln_bandwidth"]}
 )

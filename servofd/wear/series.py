@@ -26,11 +26,13 @@ CHANCE = 1e-6
 _CLIPPED = 3.0
 """A flight beyond three deviations of the others counts as one at three."""
 _ROUNDS = 12
+"""Rounds of the iteration for a line and the scatter about it."""
 _FEWEST = 3
 """Flights on either side of a break: two that went wrong in a row are no other servo."""
 _LINE = 2
 """Parameters of a line."""
 _SMALLEST = 1e-12
+"""Added to scatter and spread, so that nothing is divided by zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,6 +217,7 @@ def _costs(number: FloatArray, value: FloatArray, weight: FloatArray) -> FloatAr
 EventKind = Literal["swap", "adjusted", "changed"]
 
 _SIGMAS = 4.0
+"""Standard deviations of both levels that a jump must exceed."""
 _OF_THE_SERVO = ("dead_band_deg", "delay_s", "bandwidth_hz", "rate_limit_deg_s", "bias_deg", "noise_deg")
 """What another servo brings along; size of residual and margin follow from these."""
 _SAME_EVENT = 1
@@ -386,6 +389,7 @@ def _fieller(line: Line, limit: float) -> tuple[float, float]:
 Place = Literal["servo", "linkage"]
 
 FEWEST_FOR_LINE = 3
+"""Flights that a slope needs."""
 _MOST_EVIDENCE = 20.0
 """That one flight may add: no single one decides."""
 

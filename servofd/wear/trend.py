@@ -267,11 +267,13 @@ def _wear(aircraft: Aircraft, name: str) -> Wear:
 
 
 _TOLERANCES = 3.0
+"""Tolerances of a healthy servo that make its limit."""
 _DELAYS = 5.0
 """A frame of a 50 Hz autopilot is 20 ms, seven times the usual tolerance of 3 ms."""
 _TELLING = 0.5
 """A servo that changed by less than half of what a healthy one may differ by has not changed."""
 _TELLING_WIDTH_DEG = 0.1
+"""Smallest change of a dead band that is reported [deg]."""
 AXIS_LIMITS = {"effect": 0.75, "offset_us": 60.0}
 """Of an axis: a quarter of its effect is gone, or an eighth of the usual travel goes into its trim."""
 

@@ -58,7 +58,7 @@ def test_hobby_servo() -> None:
     assert nominal_deg(found) > 15.0
     assert final_deg(found) <= 2.1
     assert {"rate_limit", "delay", "deadband"} <= told(found)
-    rates = found.selection.rungs[0].fit.values
+    rates = found.selection.steps[0].fit.values
     np.testing.assert_allclose(rates, (255.0, 276.0), rtol=0.1)
     errors = np.array([each.held_out_rms_deg for each in found.runs])
     assert np.sqrt(np.mean(errors**2)) <= 3.0

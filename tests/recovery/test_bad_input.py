@@ -87,7 +87,7 @@ def test_one_such_run_among_others_a_load_that_never_changes_and_a_current_witho
     found = said(path)
     is_friction(found)
     assert "run 4 is too short: nothing of it counts" in found["notes"]
-    assert any("load_g is 200 in every run: what goes with it cannot be told" in each for each in found["notes"])
+    assert any("load_g is 200 in every run: its influence cannot be found" in each for each in found["notes"])
 
 
 @pytest.mark.parametrize("gain", [1e-3, 1.0], ids=["still", "moved by something else"])

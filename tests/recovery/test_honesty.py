@@ -110,7 +110,7 @@ def test_chance_alone_leaves_nothing_unexplained_however_few_the_samples() -> No
     assert sum(bool(reasons) for reasons in found) == 0
 
 
-def test_what_the_motion_foretells_is_no_noise_and_noise_with_memory_is_noise() -> None:
+def test_what_the_motion_predicts_is_no_noise_and_noise_with_memory_is_noise() -> None:
     """Of a tenth of the noise's variance the floor says nothing."""
     record = flown((), [], 5, duration_s=60.0)
     simulated_deg = simulate(record, record.plant.neutral)

@@ -8,7 +8,7 @@ import pytest
 from servofd.aircraft.series import Series
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fit, Fitter
-from servofd.discrepancy.ladder import Rung
+from servofd.discrepancy.ladder import Step
 from servofd.discrepancy.record import Record, record_of
 from servofd.discrepancy.select import Selection
 from servofd.discrepancy.separate import MANOEUVRES, separations
@@ -30,9 +30,9 @@ def record() -> Record:
 def tied(record: Record, *fits: Fit) -> Selection:
     fitter = Fitter(record)
     names = tuple(fit.names[0] for fit in fits)
-    rungs, found = (Rung(fits[0], ()),), adequacy(record, fits[0])
+    steps, found = (Step(fits[0], ()),), adequacy(record, fits[0])
     return Selection(
-        fitter.nominal(), rungs, (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), fitter, fits[0], found
+        fitter.nominal(), steps, (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), fitter, fits[0], found
     )
 
 
