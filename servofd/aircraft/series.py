@@ -325,8 +325,6 @@ def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
 
 _BRIDGED_S: Final = 0.1
 """Longest period of a stream of which what was lost is put back: the quarter of a second that is bridged holds two."""
-_LOST_PERIODS: Final = 1.5
-"""A longer interval between steady commands, in periods, holds a lost one."""
 _WHOLE_PERIODS, _STEADY = 0.25, 0.8
 """Commands are steady if this share of their intervals is a whole number of periods, to within a quarter of one."""
 

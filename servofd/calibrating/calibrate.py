@@ -20,8 +20,8 @@ from servofd.detection.changes import detectable, watched
 from servofd.detection.evidence import is_blind
 from servofd.detection.known import (
     SPOKEN,
+    after_more_flights,
     constant_deg,
-    foreseen,
     hardly_moved,
     known_servo,
     linear_servo,
@@ -165,7 +165,7 @@ def _shown(estimate: Estimate, *, least: bool) -> str:
 
 def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now: Detectable) -> str:
     """What three more flights for each of these would show, if good flights differ by as little as they may."""
-    surer = foreseen(known, fitted)
+    surer = after_more_flights(known, fitted)
     then = detectable([watched(surer, record) for record in records])
     shown = [
         f"{words.format(after)} ({'none' if before is None else format(before, form)} now)"

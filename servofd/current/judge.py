@@ -49,8 +49,6 @@ _SLACK_DEG: Final = (1.5, 4.0, 9.0)
 """Distance of a command from the surface at which the motor pushes with all it has."""
 _BEFORE_S: Final = 30.0
 """Time before an alarm in which its onset is looked for [s]."""
-_WORTH_A: Final = 3.0
-"""Sigmas at rest that a current of motion must reach to be missed."""
 _BRIEF_S: Final = 10.0
 """What passes sooner is no fault where one part of a log is all that is known of its current: a gust, a landing."""
 _MOST: Final = 6

@@ -38,10 +38,8 @@ if TYPE_CHECKING:
     from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import Fault
 
-_SECONDS_FOR_ODDS = 10.0
 _FASTEST_RATE_HZ = 50_000.0
-_CLEAR_SIGMAS = 4.0
-"""A threshold of less is crossed by noise alone, once in some thousand samples."""
+"""Rate of positions above which the unit of the time stamps is wrong [Hz]."""
 
 
 def audit_log(
@@ -203,7 +201,7 @@ def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
     """Whether this log should tell about a surface.
 
     An aircraft may have more surfaces than a log holds. But a channel that is missing while a similar one is
-    claimed by nobody has most likely been misspelt, and that must not pass for "not in this log".
+    claimed by no surface has most likely been misspelt, and that must not pass for "not in this log".
     """
     surface = aircraft.surfaces[name]
     if surface.measured is None:
@@ -233,14 +231,15 @@ def _too_little(segment: Series, *, is_calibrated: bool) -> str:
 
 
 USUAL_GAINS = (0.8, 1.25)
+"""Gains of a servo whose scale is right."""
 _HARDLY_ASKED_DEG, _HARDLY_MOVED = 1.0, 0.05
-"""A command that moves by less tells nothing [deg]; a position that moves by such a share of it does not follow."""
+"""A command that moves by less shows nothing [deg]; a position that moves by less than this share does not follow."""
 
 
 def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
     """Why no servo could be fitted to this log, and what to record."""
     moved_deg = float(np.nanmax(segment.measured_deg) - np.nanmin(segment.measured_deg))
-    record = "record a minute of full and free control movements with this surface, brisk and slow"
+    record = "record a minute of full and free control movements with this surface, fast and slow"
     share = surface.model.explained_share
     if asked_deg < _HARDLY_ASKED_DEG:
         return f"its command stays within {asked_deg:.2g} deg, too little motion to tell how it would follow: {record}"
@@ -266,13 +265,15 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
 
 _TOGETHER_S, _STILL_TOGETHER_S = 1.0, 0.5
 _FEWEST, _MOST_SHARE = 3, 0.5
-"""So many surfaces, and such a share of those that were judged, do not fail in one instant."""
+"""So many surfaces, and this share of those that were judged, do not fail in one instant."""
 _FROZEN = ("stuck", "hardover", "deadband", "floating")
 _AT_START_S = 5.0
+"""Time after the first sample within which a fault was there from the beginning [s]."""
 _FROZEN_SAMPLES = 5
+"""Equal readings of a position that froze."""
 _ASKED_DEG = 0.5
 """Readings of a servo that is asked to move so far change: none is coarser."""
-_NOBODYS = ("bus", "servo_type")
+_OF_NO_SERVO = ("bus", "servo_type")
 """Causes that are no fault of any servo."""
 
 
@@ -299,7 +300,7 @@ def with_common_causes(
         cause = _cause(list(struck.items()), still, at_s, _first_s(result))
         causes.append(cause)
         for place, surface in enumerate(result):
-            if surface.surface in struck and cause.kind in _NOBODYS:
+            if surface.surface in struck and cause.kind in _OF_NO_SERVO:
                 result[place] = _excused(surface, at_s, cause)
             elif surface.surface in struck and cause.kind == "supply":
                 result[place] = _convicted(surface, struck[surface.surface])
@@ -391,7 +392,7 @@ def _excused(surface: SurfaceAudit, at_s: float, cause: CommonCause) -> SurfaceA
     common = tuple(replace(fault, level="suspect") for fault in shared)
     suspicions = tuple(sorted((*surface.suspicions, *common), key=lambda fault: fault.start_s))
     if own:
-        told, left = ("; then ".join(describe(fault) for fault in faults) for faults in (surface.faults, own))
-        reason = f"{surface.reason.replace(told, left)}; {text}"
+        whole, left = ("; then ".join(describe(fault) for fault in faults) for faults in (surface.faults, own))
+        reason = f"{surface.reason.replace(whole, left)}; {text}"
         return replace(surface, faults=own, suspicions=suspicions, reason=reason)
     return replace(surface, status="suspect", faults=(), suspicions=suspicions, reason=text)

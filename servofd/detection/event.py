@@ -68,7 +68,7 @@ class Event:
     surface: str
     event: EventKind
     kind: str = ""
-    """Of the fault; `unknown` until the bank has told it, `healthy` for an alarm that a working servo explains."""
+    """Of the fault; `unknown` until the bank has named it, `healthy` for an alarm that a working servo explains."""
     residual_deg: float = float("nan")
     threshold_deg: float = float("nan")
     text: str = ""

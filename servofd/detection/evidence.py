@@ -30,11 +30,13 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import Fault, Status, SurfaceAudit
 
 MOST_OF_THE_LOG, SHORTEST_JUDGED_S = 0.9, 0.25
+"""Share of the log, and seconds of it, that must be judged for a verdict."""
 MOST_LOST = 0.34
 """A surface that could have lost more than a third of its travel unseen is not called healthy."""
-_THIRD_OF_SPEED, _LIVELIER = 1.0 / 3.0, 1.5
+_THIRD_OF_SPEED, _LARGER_MOTION = 1.0 / 3.0, 1.5
 """Motion so much larger shows that much less of a loss."""
 _MARGIN = 1.2
+"""Factor by which a movement that is advised is larger than needed."""
 _FARTHEST_DEG = 30.0
 """No control surface moves much further to either side: one that would have to needs a narrower threshold."""
 _NAMES = {
@@ -66,8 +68,8 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
 
 
 def is_blind(shown: Detectable) -> bool:
-    """Whether neither a servo at a third of its speed would show, nor the loss of a third of livelier travel."""
-    loss_shows = shown.loss_share is not None and shown.loss_share <= _LIVELIER * MOST_LOST
+    """Whether neither a third of the speed would show, nor, in larger motion, the loss of a third of the travel."""
+    loss_shows = shown.loss_share is not None and shown.loss_share <= _LARGER_MOTION * MOST_LOST
     speed_shows = shown.slow_share is not None and shown.slow_share >= _THIRD_OF_SPEED
     return not (loss_shows or speed_shows)
 
@@ -77,7 +79,7 @@ def not_judgeable(shown: Detectable) -> str:
     missing = [_NAMES[name] for name in shown.missing]
     if not missing:
         return ""
-    why = ": no brisk motion" if missing == ["speed"] else ""
+    why = ": no fast motion" if missing == ["speed"] else ""
     *first, last = missing
     return f"{', '.join(first)} and {last} not judgeable{why}" if first else f"{last} not judgeable{why}"
 
@@ -88,11 +90,13 @@ _CLEARLY_MOVES_DEG = 2.0
 _JUDGED = 0.4
 """Share of the usual samples from which on a second counts as judged."""
 _FEWEST_S = 3.0
+"""Motion that counts [s]."""
 _LEAST = 0.5
 _LEAST_OF_THE_LOG = 0.5
 _TRIED_DEG = 3.0
 """A surface that was asked to move by so much was tried, also where its threshold is too wide to show a jam."""
 _STOPS_S, _STOPS_SHARE = 3.0, 0.1
+"""A stream that ends earlier than the log, by this many seconds and by this share of it, has stopped."""
 
 
 def coverage(segment: Series, residuals: Residuals) -> tuple[str, tuple[str, ...]]:
@@ -137,17 +141,17 @@ def _spans(where: NDArray[np.intp], values_deg: FloatArray, bins: int) -> FloatA
 
 
 _POWER = 95.0
+"""Percentage of the instants at which a fault of the smallest size is seen."""
 _LATEST_ONSET = 0.5
 """Faults set in during this share of the log, and last to its end."""
-_LEFT = 0.25
-"""Share of an offset's power that gain, delay and bandwidth within their tolerances leave (even seeds of
-`benchmarks/detectable.py`)."""
-_SURE = 1.645
-"""Standard deviations by which a normal deviate falls short of its mean once in 20 times."""
 _OSCILLATES_HZ = 3.0
+"""Frequency of the oscillation whose smallest amplitude is given [Hz]."""
 _LEAST_SPEED = 0.1
+"""Least speed of a slow servo that is tried, as a share."""
 _BISECTIONS = 9
+"""Halvings of the interval in which a smallest size is found."""
 _WIDEST_DEG = 20.0
+"""Widest play that is tried [deg]."""
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
 
@@ -194,7 +198,7 @@ def passing(
     found["slow_share"] = _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
     width_deg = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
     found["deadband_deg"] = width_deg
-    # Two digits: nobody knows more.
+    # Two digits: more are not known.
     return Detectable(**{name: None if size is None else float(f"{size:.2g}") for name, size in found.items()})
 
 
@@ -327,5 +331,5 @@ def too_short(judged_s: float) -> str:
         return ""
     return (
         f"only {judged_s:.1f} s of command and position together; {SHORTEST_JUDGED_S:g} s are needed "
-        "after the first second, in which nobody knows what moved the servo before: fly or bench-test for longer"
+        "after the first second, in which what moved the servo before is not known: fly or bench-test for longer"
     )

@@ -45,24 +45,31 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import Fault
 
 _SETTLING_S: Final = 0.5
+"""Time after an alarm before which a window that explains it does not begin [s]."""
 _BEFORE_S: Final = 62.0
+"""Time before an alarm in which its onset is looked for [s]."""
 _LATELY_S: Final = 1.5
+"""Time before an alarm that its window holds [s]."""
 _FEWEST: Final = 12
+"""Samples of a window."""
 _RAN_DEG = 2.0
 """What stays at an end of the travel ran there if it was further away, and else stopped there."""
 _ENDED = 1.0
 """Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
 _AFTER_END_S = 1.5
+"""How long the healthy servo must explain what comes after an end better [s]."""
 _ELSEWHERE: Final = 9.0
 """Misfit of a sample that neither the fault nor the healthy servo explains: the fault does what no hypothesis says."""
 _SURELY_ENDED, _SOON_S = 5.0, 0.5
 """So much better it need do for no longer than this."""
 _LOG_CLIP = 25.0
+"""Largest squared error of a sample, in variances."""
 _NO_NEWS = 0.01
 """By so little a fault may explain a sample better, and yet not have begun."""
 _GROWN: Final = 1.3
 """A window that has grown by less since its hypotheses were fitted tells no more."""
 _MOST_FAULTS: Final = 20
+"""Faults of one flight at most."""
 _RESIDUALS: Final = STATISTICS.index("left_2s")
 """So many statistics are of the residual over its total sigma, not of what is left of it."""
 AGAIN_S: Final = 1.0
@@ -72,8 +79,9 @@ _SOON_AFTER_S: Final = 5.0
 _STILL_FAST: Final = 0.69
 """Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
 _STILL_ALL: Final = 0.93
+"""Share of the travel from which on none is lost."""
 _LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
-_TOLD_BEFORE: Final = ("slow", "loss_of_effectiveness", "bias")
+_SHOWN_EARLY: Final = ("slow", "loss_of_effectiveness", "bias")
 _NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
 """What a healthy servo has."""
 _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_deg", 0.2)}
@@ -251,11 +259,11 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     )
     size, least = _LEAST_DEG.get(fault.kind, ("", 0.0))
     tiny = size in fault.parameters and fault.parameters[size].value < least
-    untold = fault.kind in _TOLD_BEFORE and fault.start_s >= fault.alarm_s
+    is_early = fault.kind in _SHOWN_EARLY and fault.start_s >= fault.alarm_s
     if (
         still_fast
         or tiny
-        or (not is_far and untold)
+        or (not is_far and is_early)
         or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown"))
     ):
         own = () if fault.kind == "unknown" else (fault.kind,)

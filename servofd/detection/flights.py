@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
 
 _SLOW_RAD_S = 12.6
+"""Corner of the filter that a command passes before its motion counts: 2 Hz [rad/s]."""
 _PIECES = 8
+"""Parts of a long flight, of which each gives its stretch with most motion."""
 
 Span = tuple[float, float]
 """From when to when [s], on the clock of the log."""

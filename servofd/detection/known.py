@@ -26,18 +26,21 @@ if TYPE_CHECKING:
     from servofd.estimate.fit import Fit
 
 _OWN_MARGIN: Final = 1.3
+"""Factor over what the calibrating flights reached, where they were left out of the fit, that makes a threshold."""
 _ENOUGH_S: Final = 120.0
 """Flights of less in all leave more unknown: of six aircraft of even seed that were calibrated on 15, 30, 60 and 120 s,
 good flights reached 3.6, 1.2, 1.2 and 1.04 times the thresholds. They widen with the third root of what is missing."""
 _UNCERTAINTIES: Final = 4.0
+"""Factor by which the covariance of a fit is widened: two standard deviations count as one."""
 _KNOWN_FLIGHTS: Final = 4.0
 """A stated prior counts as so many differences between flights."""
 _LEAST_SHARE: Final = 0.25
+"""Least variance between flights, as a share of the usual one."""
 _WARMTH: Final = 0.2
 """Share by which grease on a cold day and wear change friction and play."""
 _PUSHED: Final = {"gain": 0.031, "bias_deg": 0.059}
-"""What the usual air does to a servo (rms of 20 aircraft of even seed, calibrated with airspeed); where nobody knows
-the airspeed, a share of it is part of what differs between flights."""
+"""What the usual air does to a servo (rms of 20 aircraft of even seed, calibrated with airspeed); where the airspeed
+is not known, a share of it is part of what differs between flights."""
 _NEVER_LOGGED: Final = 0.3
 """0.3 and 0.6 leave 2 of 240 good flights of even seed at fault, 0 leaves 6; 0.6 hides twice as large losses."""
 SPOKEN: Final = dict(
@@ -63,7 +66,7 @@ def known_servo(
 ) -> CalibratedServo:
     """What goes into the file, with the usual thresholds.
 
-    Usual supply and airspeed, and the largest one, are 0 where nobody logged them; `pushed` is the share of what the
+    Usual supply and airspeed, and the largest one, are 0 where they were not logged; `pushed` is the share of what the
     usual air does that differs between flights then, and `apart` the share of what else differs.
     """
     spread = (apart * np.array([prior.between for prior in PRIORS])) ** 2
@@ -139,7 +142,7 @@ def constant_deg(fitted: Fit) -> float:
     return float(f"{max(1.5 * largest, 0.05):.2g}")
 
 
-def foreseen(known: CalibratedServo, fitted: Fit) -> CalibratedServo:
+def after_more_flights(known: CalibratedServo, fitted: Fit) -> CalibratedServo:
     """The same after three more flights for each, if good flights differ by as little as they may."""
     vague = _UNCERTAINTIES * fitted.covariance
     between = known.covariance - 0.75 * vague
@@ -182,6 +185,7 @@ _SHORTEST_S: Final = 2.5
 """A bench test that is all motion; a flight says more."""
 _FAR_GAINS: Final = (0.5, 2.0)
 _FEWEST: Final = 60
+"""Positions that a calibration needs."""
 _LONGEST_LEAD_S: Final = 0.5
 _IN_COMMON: Final = 0.9
 """Correlation from which the slope of the position over the command means something."""
@@ -194,9 +198,10 @@ _REFUSED: Final = 1.5
 """A good flight over so many times its thresholds is none."""
 _ADVICE: Final = "leave that part out (--until, --between), or the surface (-s)"
 _POOR, _DOUBTFUL = 0.6, 0.9
+"""Share of the motion explained below which a fit is refused, and below which shorter beginnings are tried."""
 _BEGINNINGS: Final = (1.0 / 3.0, 1.0 / 6.0, 1.0 / 12.0)
 """Shares of a flight that are taken to be good, the shorter ones where no servo explains the whole: of 36 flights of
-four aircraft of even seed with a large fault in the middle all are refused and told when and what (25 without, 12 of
+four aircraft of even seed with a large fault in the middle all are refused with time and kind (25 without, 12 of
 them with another reason), of 36 with a medium one 24; of 188 good ones none."""
 
 

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from servofd.core.types import ComplexArray, FloatArray
 
 _SAME_ROOT = 1e-6
+"""Relative distance of two roots below which they are one."""
 _ON_AXIS = 1e-9
+"""Distance from the imaginary axis, relative, below which a zero is on it; and size below which a coefficient is
+zero."""
 _SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e6
 """Poles of filters: time constants from more than a day to a microsecond, so that their powers are still numbers."""
 

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from servofd.detection.pulse import PulseFilter
 
 _NODES = 120
+"""Nodes of the Gauss and Legendre sum."""
 _REACH = 10.0
+"""Standard deviations over which the integral reaches."""
 _LOWEST_Z = 1.0
 """The rate falls with the threshold from here on: for white noise it is largest at 0.67, for any other below that."""
 _HIGHEST_Z = 37.0
@@ -94,10 +96,15 @@ def root_of_rate(rate: Callable[[float], float], wanted_per_hour: float) -> floa
 
 
 _FEWEST_SAMPLES = 100
+"""Healthy samples that give the noise."""
 _FEWEST_LAGS = 5
+"""Lags of the autocorrelation that are kept at least."""
 _AR_ORDER = 30
+"""Largest order of the autoregressive model of the noise."""
 _WARM_UP = 1000
+"""Samples that are drawn and dropped before the noise is stationary."""
 _WHITE_SHARE = 1e-9
+"""White noise that is added to the autocorrelation, as a share, so that it can be solved."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,10 +202,13 @@ class Noise:
 
 
 _POINTS_LOG2 = 13
+"""Logarithm to base 2 of the number of Sobol points."""
 _SHARE_SEEN = 0.95
+"""Share of the simulated flights that must see the alarm for a mean delay."""
 _RUNS = 400
 """Flights to simulate; the standard error is about the delay over their square root."""
 _TRACE_OF_WHITE = 1e-12
+"""White noise that is added to a correlation, so that it can be factored."""
 _TINY = np.finfo(float).tiny
 _LARGEST_BELOW_ONE = float(np.nextafter(1.0, 0.0))
 
@@ -291,7 +301,9 @@ def _net(dimensions: int) -> FloatArray:
 
 
 _MOST_DRAWS, _FEWEST_DRAWS, _NUMBERS = 4096, 256, 4_000_000
+"""Draws at most and at least, and the numbers that they may hold."""
 _ROUND_OFF = 1e-12
+"""Share missed below which it is round-off."""
 _RARE = 0.99
 """With more than this still missed at the end, alarms are too rare for draws: crossings of the settled mean count."""
 
@@ -406,9 +418,13 @@ def _steady_per_s(likely: FloatArray, mean_deg: float, threshold_deg: float, noi
 HOURS_FOR_TAIL = 2.0
 """With less healthy data the fitted tail says less than the assumption of a Gaussian one."""
 _LEVEL_QUANTILE = 0.999
+"""Quantile of the residual over which the tail is fitted."""
 _FEWEST_PEAKS = 200
+"""Samples over that level that are wanted."""
 _MOST_EXCEEDANCES = 0.05
+"""Share of the samples that may be over it."""
 _EXTRAPOLATION = 10.0
+"""Times the hours of data up to which a rate is extrapolated."""
 _SERIES = 1e-4
 """Below this the derivative by xi is taken from its limit for xi = 0, before all digits cancel."""
 
@@ -536,6 +552,7 @@ IN_A_ROW = (2, 3, 5)
 WITHIN_S = (0.2, 1.0)
 """Times within which a fault is to be seen [s]."""
 _SETTLED_TIME_CONSTANTS = 40.0
+"""Time constants of the filter after which it has settled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -545,7 +562,7 @@ class Wish:
     false_alarms_per_hour: float = 1e-3
     """Of one surface, per flight hour."""
     fault_deg: float = 2.0
-    """Step of the measured deflection whose delay is told [deg]."""
+    """Step of the measured deflection whose delay is given [deg]."""
 
 
 @dataclass(frozen=True, slots=True)

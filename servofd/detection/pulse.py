@@ -30,8 +30,11 @@ PREFERRED_POLES_RAD_S = (120.0, 80.0, 50.0, 30.0, 20.0, 15.0, 10.0, 5.0)
 """Poles to choose from, fastest first; 50 rad/s is that of thesis Eq. 4.10."""
 
 LARGEST_NOISE_GAIN = 0.5
+"""Noise gain that the fastest pole which is taken may have."""
 _USELESS_NOISE_GAIN = 5.0
+"""Noise gain above which no filter is of use."""
 _WHOLE_SAMPLE = 1e-9
+"""Share of a sample below which a delay is whole samples."""
 _MOST_SAMPLES = 2e7
 """Of an impulse response, 160 MB: the slowest preferred pole at a million samples a second has 18 million."""
 

@@ -39,9 +39,13 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 _GAP_TIME_CONSTANTS = 5.0
+"""The filter bridges gaps of so many of its time constants, or"""
 _GAP_PERIODS = 3.0
+"""of so many sample periods if that is longer."""
 _BLANKING_TIME_CONSTANTS = 8.0
+"""Time constants after a start during which the residual is not judged."""
 _LARGEST_GAIN_ERROR = 1e-6
+"""Relative error of the filter's dc gain above which too many digits are lost."""
 _LOST_SAMPLE = (1.5, 1.75)
 """An interval at least this many times the median holds a lost sample: the more, the more the time stamps jitter."""
 _LOW_QUANTILE_OF_THINNED = 10.0
@@ -51,7 +55,9 @@ _LOW_QUANTILE, _TRIANGLE = 5.0, 1.0 - 0.1**0.5
 _FEW_INTERVALS = 1.25
 """A quantile of a hundred intervals scatters by a tenth."""
 _INTERVALS_FOR_PERIOD = 10_000
+"""Intervals between commands from which the period is found at most."""
 _FEWEST_COMMANDS = 3
+"""Commands that have a period."""
 _MOST_KEPT = 60.0
 """A log that has lost three commands in ten has the right interval in seven of ten, give or take a few."""
 _REGULAR_SPREAD, _UNEVEN_SPREAD, _AT_ONCE = 0.35, 0.45, 0.4
@@ -183,7 +189,7 @@ class ResidualGenerator:
         simulator = Simulator.of(self, segment)
         simulated_deg, (measured_deg, restart, settled) = simulator.simulated_deg(self.model), simulator.starts
         for array in (simulated_deg, measured_deg):
-            array.setflags(write=False)  # so that nobody copies it
+            array.setflags(write=False)  # so that it need not be copied
         residual_deg, rest_deg = self._both_deg(segment.measured_s, simulated_deg, measured_deg, restart)
         return Residuals(
             segment.measured_s, simulated_deg, measured_deg, residual_deg, settled, rest_deg, restart, segment.context
@@ -244,13 +250,13 @@ def go_on(
     measured_deg: FloatArray,
     restart: NDArray[np.int8],
 ) -> FloatArray:
-    """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were heard."""
+    """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were received."""
     if not at_s.size:
         return np.zeros(0)
     begins, pieces = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]), []
     ends = np.append(begins[1:], at_s.size)
-    heard = np.maximum(np.searchsorted(commands.effective_s, at_s[ends - 1], side="right"), cursor[0])
-    for begin, end, last in zip(begins.tolist(), ends.tolist(), heard.tolist(), strict=True):
+    received = np.maximum(np.searchsorted(commands.effective_s, at_s[ends - 1], side="right"), cursor[0])
+    for begin, end, last in zip(begins.tolist(), ends.tolist(), received.tolist(), strict=True):
         span = slice(int(cursor[0]), last)
         motion.receive(commands.effective_s[span], commands.command_deg[span], commands.slope_deg_s[span])
         cursor[0] = last
@@ -362,6 +368,7 @@ class Simulator:
 RECENT_COMMANDS = 11
 """Commands before a loss whose curvature counts."""
 PEAK_OF_LAGS = 0.224
+"""Share of a change of slope that the filter's lags pass at most."""
 
 
 def unmodelled(
@@ -468,7 +475,7 @@ def _mark(
     for k in range(measured_s.size):
         now = measured_s[k]
         while c < command_s.size and command_s[c] <= now:
-            # What the servo did while no command was logged for long, nobody knows.
+            # What the servo did while no command was logged for long is not known.
             if c > 0 and command_s[c] - command_s[c - 1] > longest_gap_s:
                 servo_known = False
             c += 1
@@ -609,7 +616,9 @@ def _filter(
 _THIN_PERIOD_S = 0.039
 """Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""
 _REAL_PERIOD_S = 0.02
+"""Period at which commands are given that are logged more rarely [s]."""
 _CLEARLY_SMALLER = 0.7
+"""Ratio of two residuals below which the smaller one decides."""
 
 
 class Prepared(NamedTuple):
@@ -623,9 +632,9 @@ class Prepared(NamedTuple):
 def prepared(generator: ResidualGenerator, segment: Series) -> Prepared:
     """Run the generator, without glitches and with the hold that suits the commands.
 
-    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were logged
-    at 10 to 25 Hz, but given more often, look like steps that nobody commanded: if straight lines between them leave a
-    clearly smaller residual, that is what they were.
+    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were given
+    more often than the 10 to 25 Hz of the log look like steps that were not commanded: if straight lines between them
+    leave a clearly smaller residual, that is what they were.
     """
     notes = []
     residuals = generator.run(segment)

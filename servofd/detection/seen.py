@@ -34,12 +34,14 @@ if TYPE_CHECKING:
 _LITTLE_KNOWN: Final = 5.0
 """Times its usual deviation a residual may reach where a servo moves as it never did in its good flights."""
 _OFTEN_BEYOND: Final = 0.2
+"""Share of the flight faster than its good flights from which on a note says so."""
 FALSE_ALARMS_PER_HOUR: Final = 0.05
 """Of one surface: 2 faults in 41 h of healthy flight of 31 simulated aircraft of even seed; 2 in 49 h of 37 of odd seed
 confirm it (`benchmarks/calibration_campaign.py`). The rate of a rarer alarm has not been measured."""
 
 
 _SECONDS_FOR_ODDS: Final = 10.0
+"""Judged time that gives the odds of a false alarm [s]."""
 _CLEAR_SIGMAS: Final = 4.0
 """A threshold of less is crossed by noise alone, once in some thousand samples."""
 
@@ -117,7 +119,7 @@ def beside_good_flights(segment: Series, surface: Surface) -> Seen:
     if known.airspeed_m_s and not segment.context.airspeed_s.size:
         notes.append(f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights")
     if not known.airspeed_m_s and segment.context.airspeed_s.size:
-        notes.append("its good flights told no airspeed: calibrate it on logs that do, for fewer false alarms")
+        notes.append("its good flights hold no airspeed: calibrate it on logs that do, for fewer false alarms")
     like = f"{like} (largest residual {{largest}} deg{where})"
     found = judged(flight)
     return Seen(

@@ -164,6 +164,7 @@ MEMORY_S = 600.0
 _SURELY_NEXT = 0.75
 """Share of the command period within which no made-up command lies: between 1.5 and 2 periods, halved."""
 FASTEST_COMMANDS_S = 0.005
+"""Shortest period of commands for which room is kept [s]."""
 
 
 class Piece(NamedTuple):
@@ -443,6 +444,7 @@ class Stream(_Waiting):
 
 
 _BACK_S: Final = 3.0
+"""Positions of the last seconds that are kept, for what begins or pauses there [s]."""
 _LATE: Final = 2.0
 
 

@@ -47,6 +47,7 @@ _FASTEST_SAMPLES, _NOISE_MEMORY = 10.0, 1000.0
 _GLITCH = 5.0
 """Second differences count as no more than this many standard deviations."""
 _SMALLEST_NOISE_DEG = 1e-3
+"""Smallest noise of a position [deg]."""
 _RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
 
 

@@ -13,9 +13,12 @@ if TYPE_CHECKING:
 _FIT = 0.9
 """Share of the position's variance that a line through the healthy deflection has to explain."""
 _SAME_SLOPE = 0.15
+"""Share by which the gains of the parts of a log may differ to be one."""
 _SMALLEST_GAIN, _LARGEST_GAIN = 0.1, 1.3
+"""Gains of a servo whose scale is right."""
 ENOUGH_MOTION_DEG = 1.0
 _PARTS = 3
+"""Parts of a log whose gains are compared."""
 
 
 def wiring_problem(residuals: Residuals) -> str:
