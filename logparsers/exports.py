@@ -21,7 +21,7 @@ from logparsers.errors import MissingChannel, UnreadableLog, decoding
 from logparsers.records import Damage, FlightLog
 from logparsers.text import convert, header_cells, read_grid, texts_of
 from logparsers.texts import rows_by_text
-from logparsers.units import suffix_unit
+from logparsers.units import S_PER_MS, S_PER_NS, S_PER_US, suffix_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -173,7 +173,7 @@ def _ulog(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
         filled = stamps > 0.0  # PX4 leaves the stamp of a topic that was never published at 0
         if not filled.all():
             part.columns.update({field: values[filled] for field, values in part.columns.items()})
-        tables.add(f"{name}[{instance}]", name, part.columns.pop("timestamp") * 1e-6, part.columns)
+        tables.add(f"{name}[{instance}]", name, part.columns.pop("timestamp") * S_PER_US, part.columns)
     return tables.log(path, "ulog", only)
 
 
@@ -208,11 +208,11 @@ def _telemetry(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
 def _own_s(columns: Mapping[str, NDArray[Any]], clock: str) -> NDArray[np.float64]:
     """Time since boot by the message itself [s]; microseconds of 32 bits begin again after 71 minutes."""
     if clock == "time_boot_ms":
-        return columns[clock] * 1e-3
+        return columns[clock] * S_PER_MS
     own_us = columns[clock]
     if own_us.size and own_us.max() < WRAP_US:
         own_us = own_us + WRAP_US * np.cumsum(np.diff(own_us, prepend=own_us[:1]) < -WRAP_US / 2)
-    return own_us * 1e-6
+    return own_us * S_PER_US
 
 
 def _ros(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
@@ -231,7 +231,7 @@ def _ros(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
         ]
         if not columns:
             raise MissingChannel(f"{part.path}: no column of numbers beside the time; export another topic")
-        log = assemble(part.path, kind="table", time_s=part.columns["%time"] * 1e-9, columns=columns)
+        log = assemble(part.path, kind="table", time_s=part.columns["%time"] * S_PER_NS, columns=columns)
         homes |= dict.fromkeys(log.channels, log.channels)
         damage += log.damage
     return FlightLog(path, "table", Together(homes), tuple(damage)).only(only)

@@ -11,6 +11,7 @@ from logparsers.mavlink import dialect
 from logparsers.protocol import SIGNATURE_BYTES, SIGNED
 from logparsers.source import mapped
 from logparsers.telemetry import frames
+from logparsers.units import S_PER_US
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +42,7 @@ def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
     arrival_s = 0.0
     for marker in markers.tolist():
         if marker not in lost:
-            arrival_s = float(frames.arrivals_us(data, np.array([marker]))[0]) * 1e-6
+            arrival_s = float(frames.arrivals_us(data, np.array([marker]))[0]) * S_PER_US
         size = int(data[marker + 1])
         if data[marker] == 0xFE:
             size += 8

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+S_PER_MS, S_PER_US, S_PER_NS = 1e-3, 1e-6, 1e-9
+"""Seconds in a millisecond, a microsecond and a nanosecond."""
+MS_PER_S, US_PER_S = 1e3, 1e6
+"""The inverses, which are exact: a time is multiplied by them, and not divided by the ones above."""
+S_PER_HOUR = 3600.0
+"""Seconds in an hour."""
+SECONDS = {"s": 1.0, "ms": S_PER_MS, "us": S_PER_US, "ns": S_PER_NS}
 """Of a tick of a clock."""
 
 COMMANDS = ("de", "dr", "da_l", "da_r", "df_l", "df_r")

@@ -12,6 +12,7 @@ from logparsers.protocol import Component
 from logparsers.records import Damage
 from logparsers.telemetry.timeline import Break, Timeline, build_timeline, place
 from logparsers.telemetry.unwrap import despike, unwrap
+from logparsers.units import S_PER_US
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -83,12 +84,12 @@ class TelemetryClock:
     def start_utc(self) -> datetime | None:
         """Date and time at 0 s; None if it was not known."""
         if "SYSTEM_TIME" in self._table.messages:
-            since_1970 = self._table.column("SYSTEM_TIME", "time_unix_usec") * 1e-6
+            since_1970 = self._table.column("SYSTEM_TIME", "time_unix_usec") * S_PER_US
             starts = since_1970 - self.time_s("SYSTEM_TIME", None)
             known = sorted(start for start in starts.tolist() if utc_date(start))
             if known:
                 return utc_date(known[len(known) // 2])
-        return None if self._bare else utc_date(self._epoch_us * 1e-6 + float(self.timeline.offset_s[0]))
+        return None if self._bare else utc_date(self._epoch_us * S_PER_US + float(self.timeline.offset_s[0]))
 
     def arrival_s(self, markers: NDArray[Any]) -> FloatArray:
         """Arrival of frames [s], counted from the first message of the file; nothing wild among them."""
@@ -96,7 +97,7 @@ class TelemetryClock:
             known, stamps = self._substitute
             return np.interp(markers, known, stamps) if known.size else np.zeros(markers.size)
         arrivals = self._table.arrivals_us(markers)
-        seconds = (arrivals.astype(np.float64) - self._epoch_us) * 1e-6
+        seconds = (arrivals.astype(np.float64) - self._epoch_us) * S_PER_US
         return np.nan_to_num(despike(np.where(arrivals == 0, np.nan, seconds)))
 
     @cached_property

@@ -11,6 +11,7 @@ from logparsers.dataflash.file import DataFlashFile
 from logparsers.dataflash.live import BlockStream, RowDecoder
 from logparsers.errors import LogError
 from logparsers.records import Damage
+from logparsers.units import S_PER_US
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,7 +52,7 @@ def remote_logs(file: TelemetryFile) -> RemoteLogs:
     """
     sender = max(file.sources(BLOCKS), key=lambda each: file.stream(BLOCKS, each).size)
     markers = file.stream(BLOCKS, sender)
-    arrivals_s = file.arrivals_us(markers).astype(float) * 1e-6
+    arrivals_s = file.arrivals_us(markers).astype(float) * S_PER_US
     numbers = file.column(BLOCKS, "seqno", source=sender).tolist()
     contents = np.ascontiguousarray(file.column(BLOCKS, "data", source=sender), dtype=np.uint8)
     shifts_s = file.timeline.shift_s[file.timeline.part(markers)]

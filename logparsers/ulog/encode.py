@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.interleave import interleave
+from logparsers.units import US_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -99,7 +100,7 @@ def encode(
     records = [_records(k, topic) for k, topic in enumerate(topics)]
     for words in texts:
         said = _message("L", _spoken(words))
-        times.append([round(words.time_s * 1e6)])
+        times.append([round(words.time_s * US_PER_S)])
         records.append(np.array([said], f"V{len(said)}"))
     return b"".join(head) + interleave(times, records)
 
@@ -121,7 +122,7 @@ def _keyed(key: str, value: bytes) -> bytes:
 
 def _spoken(text: Text) -> bytes:
     level = 6 if text.severity is None else text.severity
-    return struct.pack("<BQ", ord("0") + level, round(text.time_s * 1e6)) + text.text.encode()
+    return struct.pack("<BQ", ord("0") + level, round(text.time_s * US_PER_S)) + text.text.encode()
 
 
 def _records(number: int, topic: Topic) -> NDArray[Any]:

@@ -23,6 +23,7 @@ from logparsers.source import mapped
 from logparsers.texts import distinct_texts, split_rows
 from logparsers.ulog.bounded import load
 from logparsers.ulog.sieve import NotPlain, chain, set_aside, sieve
+from logparsers.units import S_PER_MS, S_PER_US
 
 if TYPE_CHECKING:
     from collections.abc import Container, Mapping, Sequence
@@ -121,7 +122,7 @@ class UlogFile:
     @property
     def begin_s(self) -> float:
         """When logging began, by the head of the file [s since boot]."""
-        return float(self._log.start_timestamp) * 1e-6
+        return float(self._log.start_timestamp) * S_PER_US
 
     @property
     def announced(self) -> tuple[str, ...]:
@@ -151,7 +152,7 @@ class UlogFile:
 
     def time_s(self, topic: str, *, instance: int = 0) -> FloatArray:
         """Time stamps of a topic [s since boot], shape (n,), in the order of the file."""
-        time: FloatArray = self.column(topic, "timestamp", instance=instance) * 1e-6
+        time: FloatArray = self.column(topic, "timestamp", instance=instance) * S_PER_US
         return time
 
     def series(self) -> dict[str, Series]:
@@ -206,7 +207,7 @@ class UlogFile:
         """What the autopilot logged in words, in the order of time."""
         tagged = [said for group in self._log.logged_messages_tagged.values() for said in group]
         said = sorted([*self._log.logged_messages, *tagged], key=lambda entry: entry.timestamp)
-        return tuple(Text(s.timestamp * 1e-6, s.message.rstrip("\t\0"), s.log_level - ord("0")) for s in said)
+        return tuple(Text(s.timestamp * S_PER_US, s.message.rstrip("\t\0"), s.log_level - ord("0")) for s in said)
 
     @cached_property
     def vehicle(self) -> str:
@@ -228,7 +229,7 @@ class UlogFile:
                 stamps, utc = part.data["timestamp"], part.data[field]
                 fixed = np.flatnonzero(utc)
                 if fixed.size:
-                    return utc_date((float(utc[fixed[0]]) - float(stamps[fixed[0]])) * 1e-6)
+                    return utc_date((float(utc[fixed[0]]) - float(stamps[fixed[0]])) * S_PER_US)
         return None
 
     @property
@@ -236,7 +237,7 @@ class UlogFile:
         """Everything found to be wrong so far."""
         found = []
         for drop in self._log.dropouts:
-            start_s, lasted_s = drop.timestamp * 1e-6, drop.duration * 1e-3
+            start_s, lasted_s = drop.timestamp * S_PER_US, drop.duration * S_PER_MS
             note = f"the logger was too slow for {drop.duration} ms"
             found.append(Damage("gap", note, 1, start_s, start_s + lasted_s))
         if self._log.file_corruption:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import S_PER_HOUR
 from servofd.aircraft.axes import AxisModel, MotionModel, Regime, Spread
 from servofd.aircraft.axis_names import AXES, SURFACE_AXES
 from servofd.axes.model import (
@@ -125,7 +126,7 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
         regime=regime,
         days=len({f.day for f in flights}),
         flights=len(flights),
-        hours=seconds / 3600.0,
+        hours=seconds / S_PER_HOUR,
         axes={name: _with_levels(trial, setting.unseen_tail(trial), per_hour) for name, trial in axes.items()},
         parameters=dict(flights[0].parameters),
     )
@@ -326,7 +327,7 @@ class _Setting:
             for i, one in enumerate(trial.inputs):
                 if self.groups[i] == group:
                     tops[i] = Windows.of(model, one, rate_hz).statistic().max()
-        hours = np.array([float(one.usable.sum()) / rate_hz / 3600.0 for one in trial.inputs])
+        hours = np.array([float(one.usable.sum()) / rate_hz / S_PER_HOUR for one in trial.inputs])
         return tail_of(tops, hours, days=trial.tail.days)
 
     def _scored(self, whole: AxisModel, inputs: Sequence[Inputs]) -> _Trial:
@@ -334,7 +335,7 @@ class _Setting:
         for one, flight in zip(inputs, self.flights, strict=True):
             windows = Windows.of(whole, one, flight.rate_hz)
             tops.append(float(windows.statistic().max()))
-            hours.append(float(one.usable.sum()) / flight.rate_hz / 3600.0)
+            hours.append(float(one.usable.sum()) / flight.rate_hz / S_PER_HOUR)
             losses.append(_lost_half(windows))
         tail = tail_of(np.array(tops), np.array(hours), days=len({flight.day for flight in self.flights}))
         return _Trial(whole, tail, tuple(losses), tuple(inputs))

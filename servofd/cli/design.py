@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.cli.terminal import say
 from servofd.core.errors import ConfigError, DesignError
 from servofd.core.files import write_whole
@@ -39,7 +40,7 @@ def run(options: Options) -> int:
     say(f"  denominator    {_polynomial(row.denominator)}")
     say(f"  poles          {', '.join(f'{p.real:g}' for p in row.poles_rad_s)} rad/s")
     say(f"  dc gain        Qy {row.dc_qy:.6f}, Qu {row.dc_qu[0]:.6f}, fault to residual {row.faults[0].dc_gain:.6f}")
-    say(f"\nOn samples (plant first: hold and a delay of {1e3 * servo.transport_delay_s:g} ms exact):")
+    say(f"\nOn samples (plant first: hold and a delay of {MS_PER_S * servo.transport_delay_s:g} ms exact):")
     say(f"  noise gain     {sampled.noise_gain:.4f} (residual noise per white noise on the measurement)")
     say(f"  leakage        {leakage:.1e} (largest gain from command to residual: the proof)")
     _print_step(sampled)
@@ -72,7 +73,7 @@ def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
         raise ConfigError(f"{path}: draws .png, .svg or .pdf, not {path.suffix or 'a file without suffix'}")
     count = max(2, round(0.3 / sampled.sample_time_s)) + 1
     figure, (axes,) = new_figure(height=4.5, width=8.0)
-    time_ms = 1e3 * sampled.sample_time_s * np.arange(count)
+    time_ms = MS_PER_S * sampled.sample_time_s * np.arange(count)
     axes.plot(time_ms, sampled.fault_step(count), marker=".", label="residual")
     axes.axhline(1.0, color="0.6", lw=0.8, ls="--", label="fault on the command")
     axes.set_title(f"{servo.title}: residual after a fault of 1 deg (pole {sampled.pole_rad_s:g} rad/s)", loc="left")

@@ -6,6 +6,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
+from logparsers.units import MS_PER_S
 from servofd.cli.terminal import print_table, say
 from servofd.servo.library import library
 
@@ -48,13 +49,13 @@ def run(options: Options) -> int:
 
 def _row(servo: Servo) -> list[str]:
     bandwidth_rad_s = servo.printed.bandwidth_rad_s
-    delay = f"{1e3 * servo.transport_delay_s:g}"
+    delay = f"{MS_PER_S * servo.transport_delay_s:g}"
     return [
         poles_text(servo.printed.poles_rad_s),
         f"{servo.printed.dc_gain:.5f}",
         f"{bandwidth_rad_s:.2f}  {bandwidth_rad_s / (2 * math.pi):.2f}",
         f"{servo.rate_limit_deg_s:g}" if servo.rate_limit_deg_s else "-",
-        delay if servo.hold == "zoh" else f"{delay} ({1e3 * servo.delay_s:g})",
+        delay if servo.hold == "zoh" else f"{delay} ({MS_PER_S * servo.delay_s:g})",
         servo.source,
     ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from logparsers.units import MS_PER_S
 from servofd.cli.terminal import give_json, print_table
 from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
 from servofd.jobs.sweep import check_sweep
@@ -50,7 +51,7 @@ def _print(found: tuple[SurfaceSweep, ...], title: str) -> None:
             cells = [
                 f"{n.reached_deg[0]:+.1f} to {n.reached_deg[1]:+.1f} deg",
                 f"{n.gain.value:.3f}",
-                f"{1e3 * n.extra_delay_s.value:+.1f}",
+                f"{MS_PER_S * n.extra_delay_s.value:+.1f}",
                 f"{n.bias_deg.value:+.2f} deg",
                 f"{max(n.play_deg.value, 0.0):.2f} deg",
                 f"{n.fastest_deg_s:.0f} deg/s",

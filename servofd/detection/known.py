@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.errors import CalibrationError
@@ -228,7 +229,7 @@ def refuse_unlike(
     ahead_s = max(_ahead_s(record) for record in records)
     if ahead_s > 0.0:
         raise CalibrationError(
-            f"{name}: the position moves {1e3 * ahead_s:.0f} ms before the command in {logs}: swapped columns, or "
+            f"{name}: the position moves {MS_PER_S * ahead_s:.0f} ms before the command in {logs}: swapped columns, or "
             "clocks that disagree"
         )
     lines = [crude_line(record) for record in records]

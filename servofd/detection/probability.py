@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from logparsers.records import own
+from logparsers.units import S_PER_HOUR
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.numeric import root
 from servofd.core.types import FloatArray
@@ -55,7 +56,7 @@ def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: f
     density = np.exp(-0.5 * (x - z) * (x + z))
     inside = _below((z - rho * x) / spread) - _below((-z - rho * x) / spread)
     tail = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
-    return float(3600.0 * 2.0 / sample_time_s * tail * 0.5 * reach * np.sum(weights * density * inside))
+    return float(S_PER_HOUR * 2.0 / sample_time_s * tail * 0.5 * reach * np.sum(weights * density * inside))
 
 
 def _below(sigmas: FloatArray) -> FloatArray:
@@ -288,7 +289,7 @@ def _rate(z: float, factor: FloatArray, sample_time_s: float) -> float:
         else:
             chance = chance * tail
             drawn[i] = -ndtri(np.clip(net[:, i] * tail, _TINY, _LARGEST_BELOW_ONE))
-    return float(3600.0 * 2.0 / sample_time_s * chance.mean())
+    return float(S_PER_HOUR * 2.0 / sample_time_s * chance.mean())
 
 
 @cache
@@ -409,7 +410,7 @@ def _steady_per_s(likely: FloatArray, mean_deg: float, threshold_deg: float, noi
             false_alarms_per_hour(level, noise.sigma_deg, noise.correlation, noise.sample_time_s)
             for level in (near, far)
         )
-        return 0.5 * both_sides / 3600.0
+        return 0.5 * both_sides / S_PER_HOUR
     if not missed[-1] > _ROUND_OFF:
         return float("inf")
     return float(np.log(missed[half] / missed[-1])) / ((missed.size - 1 - half) * noise.sample_time_s)
@@ -519,7 +520,7 @@ def fit_tail(residual_deg: FloatArray, sample_time_s: float, apart_samples: int 
 
     size_deg = np.abs(residual_deg)
     known = size_deg[np.isfinite(size_deg)]
-    hours = known.size * sample_time_s / 3600.0
+    hours = known.size * sample_time_s / S_PER_HOUR
     if hours < HOURS_FOR_TAIL:
         raise NoMeasurement(f"{hours:.2g} h of healthy data; a fit of the tail needs {HOURS_FOR_TAIL:g} h")
     share = min(max(1.0 - _LEVEL_QUANTILE, _FEWEST_PEAKS / known.size), _MOST_EXCEEDANCES)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from logparsers.units import SECONDS
 from servofd.aircraft.columns import check_columns
 from servofd.core.errors import ConfigError, needs
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 _CLOCK = re.compile(r"(?:time|t)(?:[ _]?[\[(]?(s|ms|us|ns)[\])]?)?", re.IGNORECASE)
 """Names of a column that is a clock, and its unit; seconds if it has none."""
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _LOG = "a log is a path, a folder, an open file, a DataFrame or a dict of arrays"
 
 
@@ -144,7 +144,7 @@ def _first(table: pd.DataFrame, clock: pd.Series[Any], name: str) -> pd.DataFram
     seconds = _seconds(clock)
     if seconds is None:
         found = _CLOCK.fullmatch(name)
-        unit_s = _SECONDS[((found and found[1]) or "s").lower()]
+        unit_s = SECONDS[((found and found[1]) or "s").lower()]
         seconds = clock * unit_s if is_numeric_dtype(clock) else clock  # the reader says what is no number
     rest = table.reset_index(drop=True)
     rest.insert(0, "time_s", seconds.to_numpy())

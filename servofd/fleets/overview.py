@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from logparsers.units import S_PER_HOUR
 from servofd.batch.key import page_name
 from servofd.outputs.json_report import worst_outline
 
@@ -87,7 +88,7 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
     moved = [(name, entry) for log in ordered for name, entry in _axes(log).items()]
     return Overview(
         logs=len(ordered),
-        hours=sum(log["document"]["duration_s"] or 0.0 for log in ordered) / 3600.0,
+        hours=sum(log["document"]["duration_s"] or 0.0 for log in ordered) / S_PER_HOUR,
         statuses=dict(Counter(log_status(log) for log in ordered)),
         surfaces=tuple(_count(name, every) for name in dict.fromkeys(name for _, name, _ in every)),
         axes=tuple(

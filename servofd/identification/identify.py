@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.identification.choice import (
     Choice,
@@ -336,7 +337,7 @@ def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Series]]) -
         raise IdentificationError(f"{tests.names[0]}: --method magnitude needs a sweep; --method response does without")
     linear = fit_magnitude(response, order)
     if linear.delay_s < 0.0:
-        notes.append(f"phase asks for a delay of {1e3 * linear.delay_s:.2f} ms: set to 0")
+        notes.append(f"phase asks for a delay of {MS_PER_S * linear.delay_s:.2f} ms: set to 0")
         linear = replace(linear, delay_s=0.0)
     limits = rate_limits(tests.runs, linear)
     servo = _with_rates(ServoCandidate(linear), limits, notes)

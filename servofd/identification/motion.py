@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import DesignError, IdentificationError
 from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.statistics import Estimate, memory
@@ -179,7 +180,7 @@ class ServoCandidate:
     def vector(self) -> FloatArray:
         """Numbers to fit: logarithms of what must stay positive, milliseconds, degrees."""
         linear = self.linear
-        numbers = [*linear.shape, 1e3 * linear.delay_s]
+        numbers = [*linear.shape, MS_PER_S * linear.delay_s]
         numbers += [] if self.fixed_gain else [np.log(abs(linear.gain))]
         numbers += [np.log(r) for r in (self.rate_up_deg_s, self.rate_down_deg_s) if r is not None]
         return np.array(numbers + ([self.dead_band_deg] if self.dead_band_deg is not None else []))
@@ -190,7 +191,7 @@ class ServoCandidate:
         rest = [float(v) for v in x[n + 1 :]]
         if not self.fixed_gain:
             gain = float(np.sign(gain) * np.exp(rest.pop(0)))
-        linear = LinearServo(tuple(float(v) for v in x[:n]), 1e-3 * float(x[n]), gain)
+        linear = LinearServo(tuple(float(v) for v in x[:n]), S_PER_MS * float(x[n]), gain)
         up, down = self.rate_up_deg_s, self.rate_down_deg_s
         return replace(
             self,

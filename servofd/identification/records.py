@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.core.series import latest
 
@@ -188,5 +189,5 @@ def check_order_of_columns(uniform: Uniform, label: str) -> None:
     lead_s = -float(lag[near][np.argmax(np.abs(product[near]))]) * sample_time_s
     if lead_s >= max(_LEAD_S, 1.5 * sample_time_s):
         raise IdentificationError(
-            f"{label}: the position moves {1e3 * lead_s:.0f} ms before the command: are the two columns swapped?"
+            f"{label}: the position moves {MS_PER_S * lead_s:.0f} ms before the command: are the two columns swapped?"
         )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import IdentificationError
 from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.series import stretches
@@ -252,14 +253,14 @@ def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServ
     weight = _weights(response)
 
     def servo(x: FloatArray) -> LinearServo:
-        return LinearServo(tuple(x[:-2]), float(x[-2]) * 1e-3, float(sign * np.exp(x[-1])))
+        return LinearServo(tuple(x[:-2]), float(x[-2]) * S_PER_MS, float(sign * np.exp(x[-1])))
 
     def residual(x: FloatArray) -> FloatArray:
         model = servo(x).sampled_response(response.frequency_rad_s, response.sample_time_s)
         ratio = np.log(response.response / model) * weight
         return np.concatenate([ratio.real, ratio.imag])
 
-    x0 = np.array([*start.shape, 1e3 * start.delay_s, np.log(abs(start.gain))])
+    x0 = np.array([*start.shape, MS_PER_S * start.delay_s, np.log(abs(start.gain))])
     slowest, fastest = shape_bounds(start.order, response.sample_time_s)
     lower = np.array([*slowest, 0.0, -LARGEST_LOG_GAIN])
     upper = np.array([*fastest, 1e3 * LONGEST_DELAY_S, LARGEST_LOG_GAIN])

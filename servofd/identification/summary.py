@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import IdentificationError
 from servofd.core.statistics import Estimate
 from servofd.identification.motion import (
@@ -111,7 +112,7 @@ def notes_on_servo(
     ]
     lag = intervals.get("lag_s")
     known = lag is not None and lag.high - lag.low <= max(_KNOWN_SHARE * linear.lag_s, _KNOWN_LAG_S)
-    total = f"total lag {1e3 * linear.lag_s:.2f} ms is {'well known' if known else 'not well known either'}"
+    total = f"total lag {MS_PER_S * linear.lag_s:.2f} ms is {'well known' if known else 'not well known either'}"
     if vague:
         notes.append(f"far pole not identifiable ({', '.join(vague)} rad/s is a guess), merged into delay; {total}")
     elif linear.order == 1 or choice.further is not None:
@@ -127,7 +128,7 @@ def notes_on_servo(
     if linear.delay_s < _NO_DELAY_S:
         early_s = 0.0 if choice.fit.is_white else _early_s(runs, choice.fit)
         notes.append(
-            f"position seems to come before its command, by {1e3 * early_s:.1f} ms or more: two clocks, or wrong "
+            f"position seems to come before its command, by {MS_PER_S * early_s:.1f} ms or more: two clocks, or wrong "
             "time stamps? The numbers are of no use until they agree"
             if early_s > 0.0
             else "delay came out as zero: it is shorter than the data can tell"
@@ -163,9 +164,10 @@ def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: S
             f"these are servos of different kinds: bandwidth {bandwidths[slow]:.4g} rad/s ({names[slow]}) and "
             f"{bandwidths[fast]:.4g} rad/s ({names[fast]}); identify each on its own"
         )
+    delays_ms = MS_PER_S * delays
     return (
         f"{len(linear)} servos: bandwidth {bandwidths[slow]:.4g} to {bandwidths[fast]:.4g} rad/s, delay "
-        f"{1e3 * delays.min():.2f} to {1e3 * delays.max():.2f} ms, dc gain {gains.min():.4f} to {gains.max():.4f}",
+        f"{delays_ms.min():.2f} to {delays_ms.max():.2f} ms, dc gain {gains.min():.4f} to {gains.max():.4f}",
     )
 
 
@@ -216,7 +218,7 @@ def _with_pole(runs: Sequence[Run], fit: MotionFit, far_rad_s: float) -> tuple[f
     slopes = np.column_stack([(errors(x + _STEP * unit) - here) / _STEP for unit in np.eye(x.size)])
     step = np.linalg.lstsq(slopes, -here, rcond=None)[0]
     rest = here + slopes @ step
-    return 1e-3 * float(x[place] + step[place]), float(rest @ rest)
+    return S_PER_MS * float(x[place] + step[place]), float(rest @ rest)
 
 
 def _extended(linear: LinearServo, far_rad_s: float) -> LinearServo:

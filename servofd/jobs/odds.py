@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import S_PER_HOUR
 from servofd.aircraft.series import SLOWEST_RATE_HZ
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.detection.probability import Noise, SurfaceOdds, Wish, fit_tail, surface_odds
@@ -171,7 +172,7 @@ def _pooled(surface: str, members: list[Part | LeftOut], wish: Wish) -> SurfaceO
         first.threshold_deg,
         wish,
         tail=tail,
-        hours=sum(part.judged_s for part in used) / 3600.0,
+        hours=sum(part.judged_s for part in used) / S_PER_HOUR,
         notes=tuple(notes),
     )
 

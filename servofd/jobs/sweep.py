@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.aircraft.priors import NAMES
 from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import DesignError, NoMeasurement
@@ -219,8 +220,8 @@ def _out_of_tolerance(numbers: SweepNumbers, surface: Surface, model: ServoModel
         found.append(f"moves by {numbers.gain.value:.0%} of its command (tolerance ±{tolerance.gain:.1%})")
     if _beyond(numbers.extra_delay_s, 0.0, tolerance.delay_s):
         found.append(
-            f"lags by {1e3 * numbers.extra_delay_s.value:+.0f} ms more than its model "
-            f"(tolerance ±{1e3 * tolerance.delay_s:.1f} ms)"
+            f"lags by {MS_PER_S * numbers.extra_delay_s.value:+.0f} ms more than its model "
+            f"(tolerance ±{MS_PER_S * tolerance.delay_s:.1f} ms)"
         )
     if _beyond(numbers.bandwidth, 1.0, tolerance.bandwidth):
         found.append(f"has {numbers.bandwidth.value:.0%} of its bandwidth (tolerance ±{tolerance.bandwidth:.0%})")

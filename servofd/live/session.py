@@ -12,6 +12,7 @@ import numpy as np
 
 from logparsers.codec import is_signed
 from logparsers.protocol import Autopilot, Component
+from logparsers.units import S_PER_NS, US_PER_S
 from servofd.aircraft.outputs import of_other_messages
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
@@ -38,7 +39,7 @@ _LATEST_US = 2**64 - 1
 
 def stamped(arrival_s: float, frame: bytes) -> bytes:
     """A frame as a telemetry log holds it: after its arrival time in microseconds."""
-    return struct.pack(">Q", min(round(arrival_s * 1e6), _LATEST_US)) + frame
+    return struct.pack(">Q", min(round(arrival_s * US_PER_S), _LATEST_US)) + frame
 
 
 def _load_bank() -> None:
@@ -139,7 +140,7 @@ class Session:
                     and message.component == Component.AUTOPILOT1
                     and message.fields["tc1"] > 0
                 ):
-                    vehicle.clock.answered(message.fields["ts1"], message.fields["tc1"] * 1e-9, arrival_s)
+                    vehicle.clock.answered(message.fields["ts1"], message.fields["tc1"] * S_PER_NS, arrival_s)
                 self._note(vehicle.requests.receive(message))
         return events
 

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError
 from servofd.onboard.plan import LONGEST_NAME
 
@@ -90,10 +91,10 @@ def _entry(surface: OnboardSurface) -> str:
         "offset": start,
         "sense": surface.position[0],
         "zero": surface.position[1],
-        "delay_us": round(1e6 * surface.delay_s),
+        "delay_us": round(US_PER_S * surface.delay_s),
         "dc_gain": surface.dc_gain,
         "pole": surface.filter_pole_rad_s,
-        "gap_us": round(1e6 * surface.longest_gap_s),
+        "gap_us": round(US_PER_S * surface.longest_gap_s),
         "tolerance": list(surface.tolerances),
         "noise": surface.noise_deg,
         "sigmas": surface.sigmas * surface.noise_gain,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.aircraft.outputs import ROTORCRAFT
 from servofd.axes.model import FORMS
 from servofd.axes.motion import LIFT_MOTORS
@@ -245,7 +246,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
         poles = ", ".join(f"{p:.4g}".replace("+0j", "").strip("()") for p in model.transfer.poles_rad_s)
         limit = min(model.physics.follow_up_deg_s, model.physics.follow_down_deg_s)
         rate = f", rate limit {limit:.4g} deg/s" if limit < float("inf") else ""
-        delay = f"delay {1e3 * model.delay_s:.3g} ms{rate}"
+        delay = f"delay {MS_PER_S * model.delay_s:.3g} ms{rate}"
         numbers.append(Words(f"Model: servo {surface.servo}: poles {poles} rad/s, {delay}.", style="soft"))
     if surface.status in ("fault", "suspect"):
         lead = [
@@ -427,7 +428,7 @@ def quality_rows(surface: SurfaceAudit) -> list[tuple[str, str]]:
         ("positions missing [%]", f"{100.0 * (1.0 - measured.mean()):.2g}" if measured.size else "100"),
     ]
     if segment.command_period_s is not None:
-        rows.append(("commands thinned by the log", f"one every {1e3 * segment.command_period_s:.3g} ms was sent"))
+        rows.append(("commands thinned by the log", f"one every {MS_PER_S * segment.command_period_s:.3g} ms was sent"))
     if segment.frozen_s > 0.0:
         rows.append(("frozen telemetry [s]", f"{segment.frozen_s:.1f}"))
     if surface.residuals is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.core.series import latest
 from servofd.identification.choice import step_slopes
 from servofd.identification.records import longest_uniform
@@ -199,7 +200,7 @@ def identify_report(found: Identification, source: str) -> Document:
     """The numbers of the servo with their 95 % intervals, and the figures of the evidence."""
     linear, servo = found.servo.linear, found.servo
     bandwidth = linear.transfer.bandwidth_rad_s
-    sentence = f"{spoken(found.surface)}: a servo of order {linear.order}, delay {1e3 * linear.delay_s:.3g} ms"
+    sentence = f"{spoken(found.surface)}: a servo of order {linear.order}, delay {MS_PER_S * linear.delay_s:.3g} ms"
     if found.not_told:
         sentence = f"{spoken(found.surface)}: {found.not_told}"
     elif math.isfinite(bandwidth):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from logparsers import FlightLog
+from logparsers.units import MS_PER_S
 from servofd.calibrating.result import Calibration, calibration_to_toml
 from servofd.core.errors import NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
@@ -168,7 +169,7 @@ class Calibrated(Calibration, Shown):
         return [
             {
                 "surface": one.surface,
-                "delay_ms": round(1e3 * one.estimates["delay_s"].value, 1),
+                "delay_ms": round(MS_PER_S * one.estimates["delay_s"].value, 1),
                 "bandwidth_rad_s": round(one.bandwidth_rad_s.value, 1),
                 "held_out_rms_deg": round(one.held_out_rms_deg, 3),
                 **{f"smallest_{name}": size for name, size in one.detectable.document().items()},

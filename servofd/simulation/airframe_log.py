@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from logparsers.dataflash.encode import Message, encode
+from logparsers.units import US_PER_S
 from servofd.simulation.ardupilot import banner
 from servofd.simulation.pulses import THROTTLE
 
@@ -42,7 +43,7 @@ def airframe_log(flight: AirframeFlight) -> bytes:
     >>> airframe_log(fly_airframe(1, duration_s=10.0))[:2].hex()
     'a395'
     """
-    stamps = np.round(1e6 * (flight.time_s + 5.0)).astype(np.int64)
+    stamps = np.round(US_PER_S * (flight.time_s + 5.0)).astype(np.int64)
     n = stamps.size
     known = airframe_parameters(flight)
     first = [int(stamps[0])] * len(known)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from logparsers.units import US_PER_S
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
@@ -147,4 +148,4 @@ def sparse(time_s: FloatArray, rate_hz: float) -> IntArray:
 
 def microseconds(time_s: FloatArray) -> IntArray:
     """Time since boot as autopilots stamp it [us], of the same shape."""
-    return np.rint(time_s * 1e6).astype(np.int64)
+    return np.rint(time_s * US_PER_S).astype(np.int64)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from logparsers.units import S_PER_MS
 from servofd.aircraft.priors import SIGMAS
 from servofd.core.errors import NoMeasurement
 from servofd.core.fitting import Noise, Problem, fit
@@ -47,8 +48,6 @@ NUMBERS = ("bandwidth_hz", "damping", "delay_s", "rate_limit_deg_s")
 
 _POLE_RAD_S = 30.0
 """Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
-_MILLISECOND_S = 1e-3
-"""Unit of the delay in the fit [s]."""
 _LONGEST_DELAY_S = 0.5
 _BANDWIDTHS_HZ, _DAMPINGS, _RATES_DEG_S = (0.1, 200.0), (0.2, 10.0), (5.0, 1e4)
 """Ends of what a fit may reach: bandwidth [Hz], damping, rate limit [deg/s]."""
@@ -128,13 +127,13 @@ class FlownServo:
     def vector(self, names: tuple[str, ...]) -> FloatArray:
         """Some numbers as they are fitted: logarithms of what must stay positive, delays in milliseconds."""
         values = {name: float(getattr(self, name)) for name in names}
-        return np.array([v / _MILLISECOND_S if name == "delay_s" else np.log(v) for name, v in values.items()])
+        return np.array([v / S_PER_MS if name == "delay_s" else np.log(v) for name, v in values.items()])
 
     def with_vector(self, names: tuple[str, ...], x: FloatArray) -> FlownServo:
         """The same servo with other numbers; those beyond any servo are brought back."""
         limits = {"bandwidth_hz": _BANDWIDTHS_HZ, "damping": _DAMPINGS, "rate_limit_deg_s": _RATES_DEG_S}
         changed: dict[str, Any] = {
-            name: float(np.clip(_MILLISECOND_S * value, 0.0, _LONGEST_DELAY_S))
+            name: float(np.clip(S_PER_MS * value, 0.0, _LONGEST_DELAY_S))
             if name == "delay_s"
             else float(np.exp(np.clip(value, *np.log(limits[name]))))
             for name, value in zip(names, x.tolist(), strict=True)
@@ -477,7 +476,7 @@ def _of_fit(fitted: _Fit, motion: Motion, voltage_v: float | None) -> dict[str, 
         if estimate.deviation > _KNOWN.get(name, np.inf):
             continue
         if name == "delay_s":
-            values[name] = Estimate(*(1e-3 * end for end in estimate))
+            values[name] = Estimate(*(S_PER_MS * end for end in estimate))
         elif name == "bandwidth_hz" or (name == "rate_limit_deg_s" and estimate.deviation < _LEAST_RATE_SURENESS):
             values[name] = Estimate(*np.exp(np.clip(estimate, -50.0, 50.0)).tolist())
     if voltage_v is not None and "rate_limit_deg_s" in values:

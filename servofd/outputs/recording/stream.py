@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.units import US_PER_S
 from servofd.core.files import whole_file
 from servofd.outputs.palette import rgba
 
@@ -29,7 +30,7 @@ TIME_BOOT, TIME_UTC = "time_boot", "time_utc"
 
 def microseconds(time_s: FloatArray) -> IntArray:
     """Seconds to the nearest microsecond."""
-    return np.rint(np.asarray(time_s) * 1e6).astype(np.int64)
+    return np.rint(np.asarray(time_s) * US_PER_S).astype(np.int64)
 
 
 def seconds(time_us: IntArray) -> FloatArray:

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from logparsers.units import S_PER_US, US_PER_S
 from servofd.simulation.vehicle.troubles import Air, Edit, Reboot, Stall, troubled_flight
 from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 
@@ -134,11 +135,11 @@ class _Session:
             self._vehicle = leg.vehicle
             at_us = leg.vehicle.time_us
             for index in range(at_us.size):
-                self._at_s = leg.begun_s + 1e-6 * float(at_us[index] - at_us[0])
+                self._at_s = leg.begun_s + S_PER_US * float(at_us[index] - at_us[0])
                 due_s = takeoff_s + self._at_s / self._speed
                 for _ in range(_MOST_AT_ONCE):
                     left_s = due_s - time.monotonic()
-                    now_us = int(at_us[index] - 1e6 * max(left_s, 0.0) * self._speed)
+                    now_us = int(at_us[index] - US_PER_S * max(left_s, 0.0) * self._speed)
                     if not self._listen(left_s, now_us) and time.monotonic() >= due_s:
                         break
                 self._send(leg.vehicle.turn(index))

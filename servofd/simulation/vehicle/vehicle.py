@@ -11,6 +11,7 @@ import numpy as np
 from logparsers.dataflash.encode import encode_rows
 from logparsers.mavlink import message_name
 from logparsers.protocol import LONGEST_TEXT, NO_INDEX, Capability, Command, Component, ParameterType, Result, Severity
+from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, suggest
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
@@ -104,7 +105,11 @@ class Vehicle:
             rows, settings.speed, [_span_us(t, begun_us) for t in settings.troubles if isinstance(t, Stall)]
         )
         self._edits = sorted(
-            ((begun_us + round(1e6 * t.start_s), t.name, t.value) for t in settings.troubles if isinstance(t, Edit)),
+            (
+                (begun_us + round(US_PER_S * t.start_s), t.name, t.value)
+                for t in settings.troubles
+                if isinstance(t, Edit)
+            ),
         )
         self._answers: dict[str, Callable[[Received, int], list[Send]]] = {
             "COMMAND_LONG": self._command,
@@ -241,7 +246,7 @@ def _result(message: Received, result: int) -> Send:
 
 def _span_us(stall: Stall, begun_us: int) -> tuple[int, int]:
     """When it begins and ends [us]."""
-    return begun_us + round(1e6 * stall.start_s), begun_us + round(1e6 * (stall.start_s + stall.for_s))
+    return begun_us + round(US_PER_S * stall.start_s), begun_us + round(US_PER_S * (stall.start_s + stall.for_s))
 
 
 def _chunks(words: str) -> list[Send]:
