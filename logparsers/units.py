@@ -9,7 +9,7 @@ MS_PER_S, US_PER_S = 1e3, 1e6
 S_PER_HOUR = 3600.0
 """Seconds in an hour."""
 SECONDS = {"s": 1.0, "ms": S_PER_MS, "us": S_PER_US, "ns": S_PER_NS}
-"""Of a tick of a clock."""
+"""Length of a tick of a clock [s], by its unit."""
 
 COMMANDS = ("de", "dr", "da_l", "da_r", "df_l", "df_r")
 """FASER's surface commands [rad]: elevator, rudder, ailerons, flaps; ``_pos`` behind them is the measured position."""

@@ -31,7 +31,7 @@ class Spread(_Entry):
 
     @classmethod
     def of(cls, window_s: float, covariance: FloatArray) -> Spread:
-        """From a covariance, shape (2, 2)."""
+        """Lower triangle of a covariance, shape (2, 2)."""
         (loss_var, cross), (_, offset_var) = covariance.tolist()
         return cls(window_s=window_s, loss_var=loss_var, cross_us=cross, offset_var_us2=offset_var)
 

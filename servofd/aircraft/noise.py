@@ -29,7 +29,7 @@ class Noise:
         return np.sqrt(self.still_deg**2 + (self.lag_s * speed_deg_s) ** 2)
 
     def at(self, period_s: float) -> Noise:
-        """The same process seen at another rate."""
+        """The same noise, sampled at another rate."""
         ratio = period_s / self.period_s
         if 1 / 1.3 < ratio < 1.3:
             return self

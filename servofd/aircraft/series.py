@@ -92,7 +92,7 @@ class LeftOut(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """In words."""
+        """The stretch and why it does not count, in words."""
         return f"{self.why} from {self.start_s:.1f} to {self.end_s:.1f} s"
 
 
@@ -242,7 +242,7 @@ class Series:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last measurement [s]."""
+        """Time from the first to the last measurement [s]."""
         return float(self.measured_s[-1] - self.measured_s[0]) if self.measured_s.size else 0.0
 
     @property

@@ -5,9 +5,9 @@ The misfit of numbers :math:`x` is
 .. math:: \sum_g \frac{n_g}{\kappa_g} \ln(s_g^2 + s_0^2) + \sum_k (p_k (x_k - c_k))^2
 
 with the mean square :math:`s_g^2` of what is left in each group of samples (a run), its samples :math:`n_g` over
-their memory :math:`\kappa_g`, and a prior about :math:`c` with precisions :math:`p`. Near the noise it is chi-squared;
-far from it a group counts by how many times better it is predicted, whatever its size. An error that is out of the
-ordinary counts by its size (Huber). As samples count in stretches as long as their memory, a prior keeps its say.
+their correlation factor :math:`\kappa_g`, and a prior about :math:`c` with precisions :math:`p`. Near the noise it
+is chi-squared; far from it a group counts by how many times better it is predicted, whatever its size. An error that
+is out of the ordinary counts by its size (Huber). As correlated samples count as few, a prior keeps its weight.
 
 The descent is that of Levenberg and Marquardt, by numpy alone (scipy's optimisers take half a second to load). Between
 steps Broyden's update carries the slopes on, so that a step costs one simulation; they are taken anew where that leads
@@ -108,7 +108,7 @@ class Problem:
     """Errors (n,) of numbers (k,)."""
     noise: Noise
     step: FloatArray | float = 1e-6
-    """Of differences."""
+    """Step of the differences that give slopes, in the units of the numbers."""
 
     @classmethod
     def free(

@@ -1,4 +1,4 @@
-"""What all fits share: estimates with intervals, a robust line, and errors that have a memory."""
+"""What all fits share: estimates with intervals, a robust line, and errors that are correlated."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ def line(
     return slope, offset
 
 
-def memory(errors: Sequence[FloatArray], lags: int) -> float:
+def correlation_factor(errors: Sequence[FloatArray], lags: int) -> float:
     """Long-run variance over variance (Bartlett's window), at least 1: how many neighbours tell as much as one.
 
     Examples
     --------
     >>> white = np.random.default_rng(0).standard_normal(20_000)
-    >>> round(memory([white], 20), 1), round(memory([np.repeat(white, 3)], 50))
+    >>> round(correlation_factor([white], 20), 1), round(correlation_factor([np.repeat(white, 3)], 50))
     (1.0, 3)
     """
     total = sum(float(e @ e) for e in errors)

@@ -369,7 +369,7 @@ class OwnMotion(Protocol):
     """Motion of a named servo, with parameters changed."""
 
     def __call__(self, theta: FloatArray, rows: slice, start_deg: float, *, behind: bool = False) -> FloatArray:
-        """Where it is at some samples [deg], from a position on; travel is lost in front of its play, or behind."""
+        """Position at some samples [deg], from a given one on; travel is lost in front of its play, or behind."""
         ...
 
 

@@ -235,7 +235,7 @@ class _Judge:
 
 
 def _in_a_row(values: NDArray[Any], many: int, join: np.ufunc, beyond: float) -> NDArray[Any]:
-    """So many values from each on joined (the largest, or whether all hold); `beyond` the end there are others."""
+    """Several values from each on, joined (the largest, or whether all hold); `beyond` is the value after the end."""
     joined, width = np.append(values, np.full(many - 1, beyond, values.dtype)), 1
     while width < many:
         step = min(width, many - width)

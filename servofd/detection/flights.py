@@ -55,7 +55,7 @@ def cropped(segment: Series, spans: tuple[Span, ...]) -> Series:
 
 
 def busiest(flight: Flight, most_samples: int) -> list[Flight]:
-    """Pieces of a flight with most motion, as a slow servo would move, of at most so many samples in all.
+    """Pieces of a flight with most motion, as a slow servo would move, of at most `most_samples` samples in all.
 
     Each eighth of the flight gives one: what a fault does to the commands must not draw all of them to itself.
 

@@ -29,7 +29,7 @@ class RunningMedian(NamedTuple):
 
 
 def new_running_median() -> RunningMedian:
-    """Of nothing yet."""
+    """State of a running median before the first value."""
     return RunningMedian(np.zeros(_BINS, dtype=np.int64), np.zeros(3, dtype=np.int64))
 
 

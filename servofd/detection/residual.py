@@ -150,7 +150,7 @@ class ResidualGenerator:
 
     @classmethod
     def fitting_pace(cls, model: ServoModel, period_s: float, pole_rad_s: float | None = None) -> ResidualGenerator:
-        """The same for positions that come every so many seconds."""
+        """Generator with the fastest pole that suits positions of a given period [s]."""
         generator = cls(model, pole_rad_s or fastest_pole_rad_s(model.transfer, period_s))
         generator.check(period_s)
         return generator
@@ -175,7 +175,7 @@ class ResidualGenerator:
         return self.longest_gap_s_at(segment.period_s)
 
     def longest_gap_s_at(self, period_s: float) -> float:
-        """The same for positions that come every so many seconds [s]."""
+        """Longest interval between samples that the filter bridges, for positions of a given period [s]."""
         return max(_GAP_TIME_CONSTANTS / self.pole_rad_s, _GAP_PERIODS * period_s)
 
     def filter_parameters(self) -> FilterParameters:
@@ -250,7 +250,10 @@ def go_on(
     measured_deg: FloatArray,
     restart: NDArray[np.int8],
 ) -> FloatArray:
-    """The same for the next positions of a flight, shape (n,); `cursor[0]` counts the commands that were received."""
+    """Simulated positions [deg] for the next measurements of a flight, shape (n,).
+
+    `cursor[0]` counts the commands that were received.
+    """
     if not at_s.size:
         return np.zeros(0)
     begins, pieces = np.union1d(np.flatnonzero(restart == RESTART_ALL), [0]), []
@@ -295,7 +298,7 @@ def lost_commands(command_s: FloatArray, longest_gap_s: float) -> IntArray:
 
 
 class Rhythm(NamedTuple):
-    """Of the commands of a log."""
+    """Period of the commands of a log, and which of them were lost."""
 
     period_s: float
     longest_s: float

@@ -81,7 +81,7 @@ class Seen:
         return detectable([self.flight])
 
     def well(self, largest_deg: float) -> str:
-        """In which way it is healthy, if it is; by the largest residual [deg]."""
+        """Sentence on a healthy surface, with its largest residual [deg]."""
         return self.like.format(largest=f"{largest_deg:.2f}")
 
     def false_alarms_per_hour(self) -> float | None:

@@ -146,7 +146,7 @@ class CommandBuffer:
 
     @property
     def time_s(self) -> FloatArray:
-        """Of shape (n,) [s]."""
+        """Times of the samples, shape (n,) [s]."""
         return self._rows[0, : self.size]
 
     def commands(self) -> Commands:

@@ -43,7 +43,7 @@ _BINS = 48
 _MEMORY = 1.6
 """How many times as long errors of the model may be correlated as those at rest."""
 _COLOUR, _ALIKE = 3.5, 1.3
-"""Error over the floor that a colour may make: a memory of 0.8 from sample to sample makes it 2.7; and how much it may
+"""Error over the floor that correlated noise may have (0.8 from sample to sample makes it 2.7), and how much it may
 differ between runs."""
 
 
@@ -116,7 +116,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     if is_predicted:
         reasons.append(f"command and motion still predict {predicted:.0%} of what is left")
     if rest_memory > 0.0 and memory_like_it > _MEMORY * rest_memory + 1.0:
-        reasons.append("what is left has a longer memory than the noise at rest")
+        reasons.append("what is left is correlated for longer than the noise at rest")
     block_floor_deg = 0.0 if coloured else usual_deg or floor_deg
     start_s, worst_deg, sigmas = _worst_block(record, error_deg, block_floor_deg, memory)
     if sigmas > _BLOCK_SIGMAS:
@@ -145,9 +145,9 @@ def _quiet(record: Record) -> BoolArray:
 
 
 def _at_rest(record: Record, error_deg: FloatArray, quiet: BoolArray) -> tuple[float, float, float]:
-    """Standard deviation of the noise where the servo rests [deg], its memory, and that of all errors seen as shortly.
+    """Noise where the servo rests [deg, rms], its correlation factor, and that of all errors in pieces as short.
 
-    Zeros if it hardly rests. Pieces of a second or two, each about its mean, show less memory than there is.
+    Zeros if it hardly rests. Pieces of a second or two, each about its mean, show less correlation than there is.
     """
     errors, block = error_deg[record.counts], (record.time_s[record.counts] // _BLOCK_S).astype(np.int64)
     block -= block.min(initial=0)

@@ -191,7 +191,7 @@ class Explanation:
 
     @property
     def conclusion(self) -> Conclusion:
-        """In a word."""
+        """The conclusion in a word."""
         # How what only rests moves is not judged, and a fault is no effect.
         left = bool(self.selection.adequacy.reasons) or self.record.side is not None or self.fault_s is not None
         if self.selection.steps:

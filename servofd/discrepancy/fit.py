@@ -52,7 +52,7 @@ _LOG_STEP, _DECADES = 0.2, 50.0
 _STRAIN, _STRAINED = 2.0, 3.0
 """Standard deviations at which one of the servo's own numbers may stand in for something else."""
 _LEAST_COLOUR, _WHITE = 0.2, 2.0
-"""Share that must stay from sample to sample, and memory that may be left without it, for noise to have one colour."""
+"""Share that must stay from sample to sample, and correlation that may be left without it, for noise of one colour."""
 _SAME = 1e-9
 """Curvature below which the data say nothing about a number."""
 _FAR = 50.0
@@ -147,17 +147,17 @@ class Fit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Names of the effects."""
         return tuple(effect.name for effect in self.effects)
 
     @property
     def place(self) -> float:
-        """Of the slow pole."""
+        """Place of the slow pole."""
         return self.physics.slow_place
 
     @property
     def key(self) -> tuple[tuple[str, ...], float]:
-        """Which structure it is, in whatever order its effects were found."""
+        """Key of the structure, the same in whatever order its effects were found."""
         return tuple(sorted(effect.key() for effect in self.effects)), self.place
 
     @property
@@ -169,7 +169,7 @@ class Fit:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Of all effects in order."""
+        """Parameters of all effects in order."""
         return tuple(p for effect in self.effects for p in effect.parameters)
 
 
@@ -182,7 +182,7 @@ class Fitter:
     part: Record = field(init=False)
     """Samples that are fitted: all of them, or of a long record enough."""
     kappa: FloatArray = field(init=False)
-    """How much memory the errors have, for each run."""
+    """Correlation factor of the errors, for each run."""
     colour: float = field(default=0.0, init=False)
     """Share of the noise that stays from one sample to the next (AR1)."""
     _where: IntArray = field(init=False)
@@ -219,7 +219,7 @@ class Fitter:
         return max(_FASTEST_SLOW, _SAMPLES / (_SLOW_RAD_S * self._period_s))
 
     def remember(self, fit: Fit) -> None:
-        """Take the memory of what a fit leaves for that of the noise."""
+        """Take the correlation of what a fit leaves for that of the noise."""
         errors = self._seen_deg(fit.physics)
         kappa = [long_run_factor(errors[self._run == r]) for r in range(self._count.size)]
         self.kappa = np.array(kappa)
@@ -242,7 +242,7 @@ class Fitter:
         return False
 
     def reweighed(self, fit: Fit) -> Fit:
-        """The same servo with the misfit that the colour and the memory of the noise give it now."""
+        """The same servo with the misfit that the correlation of the noise gives it now."""
         squares = self._squares(self._seen_deg(fit.physics)) if self.colour else fit.run_deg2
         misfit = float((self._count / self.kappa) @ np.log(squares + self._least)) + self.prior(fit)
         return replace(fit, misfit=misfit, run_deg2=squares)
@@ -256,7 +256,7 @@ class Fitter:
         return self.halved(self.root()) if self.record.free_poles else self.judged((), self.record.plant.neutral)
 
     def linear(self) -> Fit:
-        """The linear servo with its own numbers refitted as if its errors had no memory, whatever that takes."""
+        """The linear servo with its own numbers refitted as if its errors were uncorrelated, whatever that takes."""
         return self._linear()[0]
 
     def _linear(self) -> list[Fit]:
@@ -269,7 +269,7 @@ class Fitter:
         return sorted((self.descended((), start, LONG) for start in starts), key=lambda fit: fit.misfit)
 
     def root(self) -> Fit:
-        """The linear servo with its own numbers refitted, and the memory of what it leaves taken for the noise's."""
+        """The linear servo with its own numbers refitted; the correlation of what it leaves counts as the noise's."""
         if self._root is None:
             fits = self._linear()
             self.remember(fits[0])
@@ -315,7 +315,7 @@ class Fitter:
             return False
         if (
             self.record.free_poles and not self.record.runs and effect in (Bias, Gain)
-        ):  # what memory the errors have may hide them
+        ):  # the correlation of the errors may hide them
             return True
         names = {name for p in effect.parameters for name in p.fields}
         numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior and n.fields[0] in names]
@@ -513,7 +513,7 @@ class Fitter:
         return found
 
     def covariance(self, fit: Fit) -> FloatArray:
-        """Of the values of a fit, shape (p, p); infinite where nothing shows."""
+        """Covariance of the values of a fit, shape (p, p); infinite where nothing shows."""
         numbers = self._numbers(fit.effects, fit.physics)
         count = len(fit.values)
         if not count:
@@ -599,7 +599,7 @@ class Fitter:
         return new
 
     def _simulated_deg(self, physics: Physics) -> FloatArray:
-        """Of the fitted part; through a converter with coarse steps what it reads on average, or nothing has slopes."""
+        """Simulated positions of the fitted part [deg]; of a converter with coarse steps its mean reading."""
         step_deg = physics.output_step_deg
         if step_deg < COARSE_STEP_DEG or step_deg != self.part.step_deg:
             return simulate(self.part, physics)
@@ -656,7 +656,7 @@ class Fitter:
         return [self._scale(parameter) * value for value in grid]
 
     def _scale(self, parameter: Parameter) -> float:
-        """Of what is usual for a number: degrees as the record is off, a load as it was logged."""
+        """Scale of a number: degrees as the record is off, a load as it was logged."""
         if parameter.fields[0] == "load_deg" and self.record.pushed is not None:
             return 1.0 / float(np.sqrt(np.mean(self.record.pushed.load**2)))
         return self._size if (parameter.neutral == 0.0 and parameter.name.endswith("_deg")) else 1.0
@@ -676,7 +676,7 @@ def _idle(effects: tuple[type[Effect], ...], slopes: FloatArray) -> tuple[int, .
 
 
 def _step_of(number: _Number, x: float) -> float:
-    """Of differences."""
+    """Step of the differences that give the slope by a number."""
     return _STEP * (1.0 if number.is_log or number.prior else max(1.0, 0.2 * abs(x)))
 
 

@@ -269,7 +269,7 @@ _BINS_OF_MAP, _FEWEST_IN_MAP = 12, 30
 _LAGS, _MEMORY_S = 25, 0.25
 """Lags of a linear filter of the command, and their total length [s]."""
 _FEWER_LAGS = 12
-"""Of each of two distorted commands."""
+"""Lags of each of two distorted commands."""
 _FOLDS = 2
 _CHUNK = 20_000
 """Samples that are predicted at once, to save memory."""
@@ -280,7 +280,7 @@ _FALSE_ALARMS = 0.01
 
 
 class Map(NamedTuple):
-    """How much of the disagreement one quantity tells."""
+    """How much of the disagreement one quantity predicts."""
 
     quantity: str
     unit: str
@@ -454,7 +454,7 @@ class _Drawn:
         self._chance = chance
 
     def bounds(self, values: FloatArray) -> tuple[float, float]:
-        """Of the sum of values of shape (m,), each passed with half of the chance."""
+        """Bounds of the sum of values of shape (m,), each passed with half of the chance."""
         sums = self._times @ np.bincount(self._group, weights=values)
         low, high = np.quantile(sums, [0.5 * self._chance, 1.0 - 0.5 * self._chance])
         return float(low), float(high)
@@ -556,8 +556,8 @@ def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[s
         texts.append("of the excess, " + ", ".join(f"{_percent(m.share)} follows {_article(m)}" for m in telling[:3]))
     else:
         texts.append(
-            "hardly any of the excess follows command, speed, deflection or time: a disturbance, noise with memory, or "
-            "an effect with a memory of its own"
+            "hardly any of the excess follows command, speed, deflection or time: a disturbance, correlated noise, or "
+            "an effect with a state of its own"
         )
     silent = [_article(m) for m in found if m.share < _NO_SHARE and m.high < _HARDLY and m.quantity not in _NOT_SILENT]
     if silent and telling:

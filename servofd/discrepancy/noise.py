@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.statistics import MAD_TO_SIGMA, memory
+from servofd.core.statistics import MAD_TO_SIGMA, correlation_factor
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, comb_step_deg
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ def _joined(record: Record) -> BoolArray:
 
 
 def long_run_factor(error_deg: FloatArray) -> float:
-    """How much the memory of an error widens the variance of its mean, at least 1."""
-    return memory([error_deg], min(_LAGS, error_deg.size // _PER_LAG))
+    """How much the correlation of an error widens the variance of its mean, at least 1."""
+    return correlation_factor([error_deg], min(_LAGS, error_deg.size // _PER_LAG))
 
 
 COARSE_STEP_DEG = 0.12

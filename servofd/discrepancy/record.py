@@ -277,7 +277,7 @@ def joined(records: Sequence[Record]) -> Record:
 
 
 def thinned(record: Record) -> Record:
-    """The record with no more samples than tell its servo: of those that come very fast, every so manieth.
+    """The record with no more samples than tell its servo: of samples that come very fast, one in several.
 
     Where most commands repeat the one before, those are left out: a servo holds its command.
     """

@@ -119,7 +119,7 @@ _ROUGHLY_S, _NEARLY_S, _PRECISELY_S = 3e-3, 1.5e-3, 4e-4
 """Between the phases that are tried in a window, for usual periods, and for one that is known: frames
 that pick other commands are far off."""
 _SHARE_OF_BEAT = 0.4
-"""Of the change of period that moves the last frame of a window by one period."""
+"""Step of the period, as a share of the change that moves the last frame of a window by one period."""
 _ZOOM, _KEPT, _LIKELY = 3.0, 27, 24
 """Factor by which the window widens, frames that are kept, and usual frames that are compared over the whole
 record."""

@@ -190,7 +190,7 @@ def _widened(search: Search, root: Fit) -> None:
                 break
         if not record.free_poles:
             _exchanged(search, size + 1)
-        # The memory of what the best leaves is that of the noise; what lacks an effect remembers it.
+        # The correlation of what the best leaves is that of the noise; without an effect there is more.
         search.fitter.remember(min(search.visited.values(), key=lambda fit: fit.misfit))
         search.look_again()
         _reweighed(search)

@@ -90,7 +90,7 @@ def patterns_of(base: FloatArray) -> list[FloatArray]:
 
 @dataclass(slots=True, eq=False)
 class Progress:
-    """Where servos that are simulated side by side are; moved on by `simulated`."""
+    """State of servos that are simulated side by side; moved on by `simulated`."""
 
     state: State
     received: int = 0
@@ -102,7 +102,7 @@ class Progress:
 
 
 def new_state(count: int) -> Progress:
-    """So many servos before their first position.
+    """State of several servos before their first position.
 
     Examples
     --------

@@ -355,7 +355,7 @@ def _unshrunk(theta: FloatArray, variance: FloatArray, apart: FloatArray) -> Flo
 
 
 def _weight(error: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Of each error, less of those that are out of the ordinary."""
+    """Weight of each error, less for those that are out of the ordinary."""
     return np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(error), 1e-12)) / sigma**2
 
 

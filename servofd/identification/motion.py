@@ -12,7 +12,7 @@ import numpy as np
 from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import DesignError, IdentificationError
 from servofd.core.fitting import Noise, Problem, fit
-from servofd.core.statistics import Estimate, memory
+from servofd.core.statistics import Estimate, correlation_factor
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.loops import play
@@ -216,13 +216,13 @@ class MotionFit:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Of `servo.vector()`; larger by the memory of the errors, if they have any.
+        """Of `servo.vector()`; larger by the correlation of the errors, if there is any.
 
-        Errors with a memory also come from what is not in the model, which no average makes smaller: then what each of
+        Correlated errors also come from what is not in the model, which no average makes smaller: then what each of
         `_PARTS` parts of the tests alone would change counts in full, and for what they have in common.
         """
         parts = [] if self.is_white else np.array_split(np.arange(self.found.error.size), _PARTS)
-        return self.found.covariance(memory(self.errors_deg, _DEVIATION_LAGS), parts, _COMMON * _PARTS**0.5)
+        return self.found.covariance(correlation_factor(self.errors_deg, _DEVIATION_LAGS), parts, _COMMON * _PARTS**0.5)
 
     @property
     def rms_deg(self) -> float:
@@ -238,7 +238,7 @@ class MotionFit:
 
     @property
     def whiteness(self) -> float:
-        """Von Neumann's ratio: 2 for errors without memory, near 0 where the servo does what the model does not."""
+        """Von Neumann's ratio: 2 for uncorrelated errors, near 0 where the servo does what the model does not."""
         return _von_neumann(self.errors_deg)
 
     @property
@@ -265,7 +265,7 @@ class MotionFit:
 def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, steps: int = 60) -> MotionFit:
     """Fit a servo to all runs at once: least squares of measured minus simulated position.
 
-    The mean error of each servo is its offset. The covariance takes the memory of the errors into account, so that
+    The mean error of each servo is its offset. The covariance takes the correlation of the errors into account, so that
     intervals stay honest where the model is not the whole truth.
     """
     lower, upper = _bounds(runs, start)

@@ -101,7 +101,7 @@ def notes_on_servo(
     notes, linear = [], choice.fit.servo.linear
     if not choice.fit.is_white:
         notes.append(
-            f"errors have a memory (von Neumann ratio {choice.fit.whiteness:.2f}, noise has 2): something that the "
+            f"errors are correlated (von Neumann ratio {choice.fit.whiteness:.2f}, noise has 2): something that the "
             "servo or its sensor does is not in the model; intervals are widened for it, and the truth may lie beyond"
         )
     poles = linear.poles_rad_s

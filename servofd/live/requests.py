@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
 """ArduPlane grants 0.8 of its loop rate: 40 Hz with the usual 50 Hz loop."""
 _SELDOM_HZ: Final = (5.0, 2.0, 1.0)
-"""Of airspeed and supply."""
+"""Rates of airspeed and supply that are asked for, one after the other [Hz]."""
 _PATIENCE_S, _TRIES = 1.0, 3
 """How long an answer is waited for before the question is asked again [s], and how often it is asked."""
 _DEADLINE_S = 5.0

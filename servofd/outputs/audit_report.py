@@ -240,7 +240,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
         Table("Current", ("quantity", "value"), _current(surface)),
     ]
     if len(found) > MOST_FAULTS:
-        numbers.insert(1, Words(f"{MOST_FAULTS} of {len(found)} are shown from near.", style="soft"))
+        numbers.insert(1, Words(f"{MOST_FAULTS} of {len(found)} are shown in a close-up.", style="soft"))
     if surface.residuals is not None:
         model = aircraft.model(surface.surface)
         poles = ", ".join(f"{p:.4g}".replace("+0j", "").strip("()") for p in model.transfer.poles_rad_s)

@@ -2,7 +2,7 @@
 
 The curves stand in one ``<svg>`` per panel, stretched to whatever width there is; ticks, names and values are text of
 the page around it, so that a phone shows them as large as any other. A page is readable as it is; `chart.js` adds the
-value under the pointer, and a view from nearer. A judged surface is drawn after thesis Fig. 4.5: what was asked and
+value under the pointer, and a closer view. A judged surface is drawn after thesis Fig. 4.5: what was asked and
 done above, the residual below.
 """
 
@@ -221,7 +221,7 @@ def nice_ticks(low: float, high: float, most: int) -> list[float]:
 
 
 MOST_FAULTS = 4
-"""Faults that are shown from near; the table lists all."""
+"""Faults that are shown in a close-up; the table lists all."""
 _MARGIN_S, _MARGIN = 2.0, 0.35
 """Shown before and after a fault: this many seconds, or this share of the time from onset to alarm if that is
 more."""
@@ -240,7 +240,7 @@ def flight_chart(surface: SurfaceAudit) -> Chart:
 
 
 def fault_charts(surface: SurfaceAudit) -> list[Chart]:
-    """Faults and suspicions of a surface from near: that of the headline, then the first ones."""
+    """Close-ups of the faults and suspicions of a surface: that of the headline, then the first ones."""
     found = (*surface.faults, *surface.suspicions)
     first = gravest(surface.faults or surface.suspicions) if found else None
     ordered = sorted(found, key=lambda fault: fault is not first)
@@ -254,7 +254,7 @@ def fault_charts(surface: SurfaceAudit) -> list[Chart]:
             f"It began at {clock(fault.start_s)} ({fault.start_s:.2f} s; shaded from there); in flight the alarm would "
             f"have been raised at {fault.alarm_s:.2f} s (vertical line)."
         )
-        title = f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}, from near"
+        title = f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}, close-up"
         charts.append(_chart(title, text, surface, fault.start_s - margin_s, last_s))
     return charts
 
@@ -295,7 +295,7 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
         Curve("", "threshold", level_s, -level_deg),
     ]
     if np.isfinite(alarm).any():
-        left.append(Curve("beyond it", "alarm", time_s, alarm))
+        left.append(Curve("over threshold", "alarm", time_s, alarm))
     panels = (
         Panel("deflection", "deg", curves, low - slack, high + slack),
         Panel("residual", "deg", tuple(left), -limit, limit),
@@ -306,7 +306,7 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
 
 
 def current_charts(surface: SurfaceAudit) -> list[Chart]:
-    """What was asked and what was drawn, of a surface without a position: the gravest fault from near, and all."""
+    """Charts of a surface without a position, command and current: the gravest fault, the whole flight."""
     current = surface.current
     if current is None or current.time_s is None or current.command is None or current.time_s.size < 2:
         return []
@@ -325,7 +325,7 @@ def current_charts(surface: SurfaceAudit) -> list[Chart]:
     if found:
         first = gravest(found)
         from_s, to_s = max(first.start_s - _NEAR_S, begin_s), min(first.alarm_s + _NEAR_S, end_s)
-        charts.insert(0, drawn(f"{kind_of(first).capitalize()} at {clock(first.start_s)}, from near", from_s, to_s))
+        charts.insert(0, drawn(f"{kind_of(first).capitalize()} at {clock(first.start_s)}, close-up", from_s, to_s))
     return charts
 
 

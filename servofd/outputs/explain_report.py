@@ -200,7 +200,7 @@ def _memory(found: Explanation, name: str) -> Picture:
         "Left, amplitude spectrum of the error; right, its autocorrelation. An error that is noise only has a flat "
         "spectrum and no memory, and stays in the grey band in 95% of all lags."
     )
-    return Picture(name, "Spectrum and memory of the error", text, figure)
+    return Picture(name, "Spectrum and autocorrelation of the error", text, figure)
 
 
 def _varying(each: Varying, name: str) -> Picture:

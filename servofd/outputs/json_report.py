@@ -30,7 +30,7 @@ def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
 
 
 def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
-    """Surface or axis of a log that came nearest to its threshold, or went furthest beyond it, and its outline."""
+    """Surface or axis of a log that came nearest to its threshold, or went furthest over it, and its outline."""
     outlines = {name: (entry["residual"] or {}).get("outline") or [] for name, entry in document["surfaces"].items()}
     outlines |= {name: entry["outline"] for name, entry in document.get("axes", {}).items()}
     name = max(outlines, key=lambda one: max((share or 0.0 for share in outlines[one]), default=-1.0), default="")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
 _MOST_BYTES = 1_000_000
-"""Of a form without files."""
+"""Largest form without files [bytes]."""
 _NAME = re.compile(rb'filename="((?:[^"\\]|\\.)*)"', re.IGNORECASE)
 
 

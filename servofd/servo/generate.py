@@ -73,7 +73,7 @@ class Stepper:
     run: Callable[..., int]
 
     def index(self, field: str) -> int:
-        """Where a field stands among the sizes."""
+        """Place of a field among the sizes."""
         return self.fields.index(field)
 
 
@@ -172,7 +172,7 @@ class _Source:
 
     @property
     def function(self) -> str:
-        """As a function of its own."""
+        """Source of the step as a function of its own."""
         return "\n".join(ast.unparse(each) for each in (*self.called, self.tree)) + "\n"
 
     @property

@@ -113,7 +113,7 @@ def _polynomial(denominator: tuple[float, ...], scales: Scales) -> FloatArray:
 
 
 class _Poles(NamedTuple):
-    """Of a servo of one to three: the slow one of three [rad/s], and what the others leave, s^2 + total s + product."""
+    """Poles of a servo of one to three: the slow one of three [rad/s], and s^2 + total s + product of the others."""
 
     slow: float
     total: float

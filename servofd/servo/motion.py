@@ -187,7 +187,7 @@ def _switched(stepper: Stepper) -> dict[str, list[Act]]:
 
 @lru_cache(maxsize=8)
 def _where(stepper: Stepper) -> dict[str, int]:
-    """Where each field stands among the sizes."""
+    """Place of each field among the sizes."""
     return {field: k for k, field in enumerate(stepper.fields)}
 
 

@@ -22,7 +22,7 @@ _LARGEST_RATIO = 1e200
 _SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e5
 """A day, and 10 us: no servo needs the one to move, or swings within the other; to follow it would take as long."""
 _ROUND_OFF = 2.2e-16
-"""Of a number in double precision."""
+"""Relative spacing of numbers in double precision."""
 _LARGEST_CANCELLATION = 1e9
 """Sum of the modes' weights; times round-off it is the error of the simulation, relative to the deflection."""
 

@@ -31,7 +31,7 @@ FEEDBACK: Final = ("named", "port", "array")
 _FASTEST_LINK_US: Final = 12_000
 """Delay of the fastest message on the link [us]."""
 _WAITING_US: Final = 3_000
-"""Mean time that a message waits beyond it, of an exponential distribution [us]."""
+"""Mean time that a message waits longer than that, of an exponential distribution [us]."""
 _ARMED_AUTO: Final = 128 | 16 | 8 | 4 | 1
 """Mode of an armed aircraft in AUTO (MAVLink, MAV_MODE_FLAG)."""
 _WRAP: Final = 2**32

@@ -23,7 +23,7 @@ from logparsers.units import S_PER_MS
 from servofd.aircraft.priors import SIGMAS
 from servofd.core.errors import NoMeasurement
 from servofd.core.fitting import Noise, Problem, fit
-from servofd.core.statistics import MAD_TO_SIGMA, Estimate, line, memory
+from servofd.core.statistics import MAD_TO_SIGMA, Estimate, correlation_factor, line
 from servofd.detection.flights import Flight, busiest
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
@@ -199,9 +199,9 @@ class Motion:
         """Median sample time of the first flight [s]."""
         return self.simulators[0].segment.period_s
 
-    def memory(self, error_deg: FloatArray) -> float:
+    def correlation_factor(self, error_deg: FloatArray) -> float:
         """Long-run variance of an error over its variance, at least 1."""
-        return memory(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
+        return correlation_factor(self.split(error_deg), max(1, round(_MEMORY_S / self.period_s)))
 
     def _pairs(self) -> Iterable[tuple[Simulator, BoolArray]]:
         """Each flight with its rows."""
@@ -327,7 +327,7 @@ class _Fit:
     found: Solution
     """Of width, the numbers of the servo, gain and offset."""
     deviation: FloatArray
-    memory: float
+    correlation_factor: float
     """Samples that tell as much as one."""
 
 
@@ -381,8 +381,8 @@ def estimate_flight(
 
 
 def _evidence(dead_band: _Fit, backlash: _Fit) -> float:
-    """Logarithm of the odds for backlash, the memory of the errors taken into account."""
-    return 0.5 * (dead_band.found.misfit - backlash.found.misfit) / backlash.memory
+    """Logarithm of the odds for backlash, with the correlation of the errors taken into account."""
+    return 0.5 * (dead_band.found.misfit - backlash.found.misfit) / backlash.correlation_factor
 
 
 def _of_residual(residuals: Residuals, level_deg: FloatArray) -> dict[str, Estimate]:
@@ -443,7 +443,7 @@ def _descended(
     steps = np.array([_WIDTH_STEP_DEG, *(_STEP for _ in names), _STEP, _STEP])
     noise = Noise(huber=_ORDINARY, sigma=sigma_deg)
     found = fit(Problem.free(error, (least, np.full(begin.size, np.inf)), noise, steps), begin, close=_CLOSE)
-    remembered = motion.memory(found.error)
+    remembered = motion.correlation_factor(found.error)
     deviation = np.sqrt(np.diag(found.covariance(remembered)))
     return _Fit(prior.with_vector(names, found.x[1:-2]), names, found, deviation, remembered)
 

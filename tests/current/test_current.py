@@ -127,7 +127,7 @@ def test_the_page_draws_the_current(tmp_path: Path) -> None:
     main(["audit", written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")), "--html", str(page)])
     text = page.read_text()
     assert "good ones differ by" in text
-    assert "Blocked at 1:40, from near" in text
+    assert "Blocked at 1:40, close-up" in text
 
 
 @pytest.mark.parametrize("position", [False, True])

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 DEFLECTIONS = ("command", "simulated", "measured")
 WIDTHS = (1.0, 2.5, 1.5)
-"""Of the lines of deflections."""
+"""Widths of the lines of deflections."""
 RESIDUALS = ("residual", "+threshold", "-threshold")
 MARKER_HEIGHT = 4.6
 """Of onset markers in the overview, whose plot reaches to 5 thresholds."""

@@ -1,5 +1,5 @@
 "use strict";
-// Charts: the value under the pointer, and a view from nearer. Without this the page says the same.
+// Charts: the value under the pointer, and a closer view. Without this the page says the same.
 for (const chart of document.querySelectorAll(".chart")) {
   const first = +chart.dataset.first, last = +chart.dataset.last, WIDTH = 4000, HEIGHT = 1000;
   const plots = [...chart.querySelectorAll(".plot")], fingers = new Map(), ticks = chart.querySelector(".times");
