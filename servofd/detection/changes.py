@@ -46,9 +46,12 @@ if TYPE_CHECKING:
     from servofd.estimate.record import Record
 
 GRID_S: Final = 0.25
+"""Time between two evaluations of the windows [s]."""
 WINDOWS_S: Final = (2.0, 10.0, 30.0)
+"""Lengths of the windows of the tests of changed parameters [s]."""
 _ENERGY_S: Final = (0.5, 2.0)
 _BAND_S: Final = 10.0
+"""Length of the window of the narrow-band test [s]."""
 _SCORES: Final = (("loss", 0), ("loss", 1), ("bias", 1), ("weak", 1), ("loss", 2), ("play", 2))
 """What is tested for in which window. Of the 41 tests of six changes in windows of 2 to 60 s, these and the six beside
 them raise the same alarms: 52 of 54 large faults and 31 of 36 medium ones after 0.5 and 1.6 s (0.5 and 1.25 with all),
@@ -64,8 +67,11 @@ STATISTICS: Final = (
 _WIDTH: Final = FITTED + len(PATTERNS)
 _MATRIX: Final = _WIDTH * _WIDTH
 _FIRST_HZ, _SPACING_HZ, _LAST_HZ = 1.0, 0.1, 12.0
+"""Lowest line of its spectrum, distance of two lines, and the highest one [Hz]."""
 _BLOCKS: Final = 128
+"""Sums that are kept, one every `GRID_S`: more than the longest window holds."""
 _LEFT, _FIRST, _BAND = 3, 5, len(STATISTICS) - 1
+"""Places among the statistics: what no parameter explains, the first test of a change, and the narrow band."""
 _EACH, _COUNT, _WEIGHT = _BAND + 1, _BAND + 1 + len(_SCORES), _BAND + 2 + len(_SCORES)
 _COLUMNS: Final = _WEIGHT + 1
 _WINDOW_OF: Final = tuple(window for _, window in _SCORES)
@@ -345,6 +351,7 @@ def _count(end: FloatArray, begin: FloatArray, after_b: int) -> float:
 
 
 MARGIN: Final = 1.25
+"""Factor of a threshold over the floor of its statistic."""
 FLOORS: Final = dict(zip(STATISTICS, (4.8, 9.2, 7.6, 5.0, 2.7, 3.0, 3.3, 2.5, 9.0, 3.9, 11.0, 5.1), strict=True))
 """Each 1.15 times the second largest of 640 good surface flights of 32 simulated aircraft of even seed (of 1280 for
 three residuals in a row); those of lost travel a third higher (small motion on the ground, real ArduPlane flights),
@@ -352,14 +359,18 @@ those of slow servos a tenth lower. None of those flights passes `MARGIN` times 
 _AT_ONCE: Final = 1.2
 """Times its threshold that a statistic need not reach twice: it raises no alarm in those flights either."""
 _OFTEN: Final = 0.9
+"""Quantile of the windows whose sensitivity counts for the smallest fault."""
 _BETWEEN_LINES: Final = 1.4
 """An oscillation between two lines of the spectrum shows less in each, and the autopilot works against it (83 % of 66
 found on aircraft of even seed where the least one was 0.3 deg)."""
 _BENT: Final = 2.5
 """A motor of half its torque has 0.17 to 0.8 of the score that its sensitivity promises (12 flights of even seed)."""
 _POWER: Final = 1.64
+"""Standard deviations by which a fault passes its threshold 19 times in 20."""
 _SLOWEST: Final = 0.1
+"""Share of the speed below which a servo stands."""
 _LEAST_WAVE_DEG: Final = 0.4
+"""Smallest amplitude of an oscillation that is promised [deg]."""
 _PLAY_DEG: Final = 2.4
 """Play of 2 deg is the pattern; the air holds a loose surface to one side for some time, so that a fifth more is needed
 (66 flights of even seed: 85 % found without it, 92 % with it)."""

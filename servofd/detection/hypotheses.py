@@ -27,20 +27,29 @@ if TYPE_CHECKING:
     from servofd.detection.changes import Watched
 
 WINDOW_S, SHORTEST_WINDOW_S = 20.0, 5.0
+"""Longest window that is explained, and the one below which it is not halved any more [s]."""
 _LEAD_S: Final = 1.0
 _COUNTED: Final = 0.5
 _ALARMED: Final = 3.0
-"""Logarithm of how much less likely a good servo is to be looked at than a faulty one: an alarm was raised."""
+"""Logarithm of how much less likely a good servo is judged here than a faulty one: an alarm was raised."""
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
+"""Shares of the travel that are tried for a loss."""
 _SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+"""Shares of the speed that are tried for a slow servo."""
 _FINER = 0.35
 """By so much, in the logarithm, a speed may be from the nearest of them: half of the largest ratio of two."""
 _WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+"""Widths of play and dead band that are tried [deg]."""
 _LEAST_LOSS: Final = 0.95
+"""Share of the gain above which nothing is lost."""
 _FLAT = 1e-8
+"""Precision of a number of which nothing is known before."""
 _LOST_GAIN = 0.12
+"""Gain below which a loss may as well be a floating surface."""
 _AT_STOP_DEG = 1.5
+"""Distance from the end of the travel within which a surface is at its stop [deg]."""
 _SURE = 0.3
+"""Probability below which the name is `unknown`."""
 LOUD: Final = 1.5
 """A good servo that passes its thresholds by so much is none."""
 _TWINS: Final = (
@@ -52,16 +61,21 @@ _TWINS: Final = (
 """Faults that look like others: a geared servo without power stays where it is, air pushes play to one side, or back by
 more the further the surface is out."""
 _FLYING: Final = 0.1
+"""Median dynamic pressure, over its unit in the model, above which the aircraft flies."""
 _WIDEST_PLAY_DEG: Final = 8.0
+"""Widest play that a linkage may have [deg]."""
 _USUAL_WIDTH_DEG: Final = 2.0
 """Wider play is rarer, by e for each of these: a surface that never moved is stuck, not loose by all that was asked."""
 _USUAL_BIAS_DEG: Final = 3.0
+"""Larger offsets are rarer, by e for each of these [deg]."""
 _MOVING, _MOVING_DEG = 3.0, 0.3
 """A surface that moves by so many sigma of the reading, and so much, is not stuck."""
 _AT_REST: Final = 6
 """So many readings in a row that stay where they are come to rest, after motion."""
 _LOOSE: Final = 0.3
+"""Share of its play by which a loose surface moves although it rests."""
 _LEAST_STILL_DEG: Final = 0.05
+"""Smallest deviation of the readings of a surface at rest [deg]."""
 _STRANGE, _UNEXPLAINED = 2.0, 0.55
 """Misfit for each sample, and the share of what a good servo does not do, that no hypothesis may leave."""
 _NOTHING: Final = 0.1

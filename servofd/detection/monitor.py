@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 _NAMED_S = 2.0
-"""A name follows its alarm within so long, or is not told."""
+"""A name follows its alarm within this time, or is not reported [s]."""
 _LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
@@ -56,7 +56,7 @@ _LOOKS_AGAIN_S = 30.0
 _LIKELY = 0.5
 """A name of this probability keeps until then."""
 _TOLD = 0.8
-"""A name of this probability is told with the first look, others from the second one on."""
+"""A name of this probability is reported with the first look, others from the second one on."""
 _BEFORE_S = 65.0
 """A look goes back so long before the alarm: past the longest window, and past the earliest onset."""
 _MOST = 0.5
@@ -99,7 +99,7 @@ class SurfaceMonitor:
     surface: Surface
     model: ServoModel
     listener: Callable[[str, Piece, Inputs], None] | None = None
-    """Told of every piece."""
+    """Called with every piece that was evaluated."""
     reading: Reading | None = None
     problem: str = ""
     """Why this surface is not watched; empty if it is."""
@@ -110,14 +110,14 @@ class SurfaceMonitor:
     is_periodic: bool = False
     """Whether commands are sent at a steady rate, as on a link: where they come unevenly, the rest was lost."""
     patience_s: float = 2.0
-    """Without commands or positions for so long, while the vehicle is heard, nothing is known of it [s]."""
+    """Without commands or positions for so long, while the vehicle sends, nothing is known of it [s]."""
     _stream: Stream | CalibratedStream | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _alarm: Alarm | None = None
     """The one that stands."""
     _finished: list[Fault] = field(default_factory=list)
     _from_s: float = -np.inf
-    """Since when the last fault is over [s]: what was before is not looked at again."""
+    """Since when the last fault is over [s]: what was before is not judged again."""
     _looks_s: list[float] = field(default_factory=list)
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
@@ -125,7 +125,7 @@ class SurfaceMonitor:
     """Median and mean time between positions as they come, those that only repeat the one before included [s]."""
     _least_hz: float = SLOWEST_RATE_HZ
     _passed_on_s: float = -np.inf
-    """Time of the last command that the listener was told of [s]."""
+    """Time of the last command that the listener was given [s]."""
     _begun_s: float = float("inf")
     """Since when positions were evaluated,"""
     _judged_s: float = 0.0
@@ -134,10 +134,10 @@ class SurfaceMonitor:
     """and the latest that had one [s]."""
     _command_period_s: float = float("nan")
     _off_pace: int = 0
-    _heard: dict[str, list[float]] = field(
+    _received: dict[str, list[float]] = field(
         default_factory=lambda: {"command": [np.nan, 0.0], "position": [np.nan, 0.0]}
     )
-    """When the latest of each was made [s], and for how long since then nothing at all was heard [s]."""
+    """When the latest of each was made [s], and for how long since then nothing at all was received [s]."""
     _steady_s: float = np.inf
     _latest_seen: float = float("nan")
     _moved: bool = False
@@ -148,7 +148,7 @@ class SurfaceMonitor:
     """What the last look found that is no fault."""
     _slow: str = ""
     _excused: tuple[float, float] = (-np.inf, 0.0)
-    """Until when nothing at all was heard of the vehicle, and for how long [s]."""
+    """Until when nothing at all was received of the vehicle, and for how long [s]."""
     _watch: Watch = field(default_factory=Watch)
     _asked_last: tuple[float, float] = (float("nan"), float("nan"))
     """Time [s] and value of the latest command, as the marks take it [deg]."""
@@ -187,7 +187,7 @@ class SurfaceMonitor:
         for what, rows in (("command", asked), ("position", seen)):
             if rows:
                 until_s, gap_s = self._excused
-                self._heard[what] = [rows[-1][0], gap_s if rows[-1][0] < until_s else 0.0]
+                self._received[what] = [rows[-1][0], gap_s if rows[-1][0] < until_s else 0.0]
         events = self._alive(seen)
         new = self.uncorrected(commands, positions)
         asked_then = self._asked_at(new)
@@ -222,9 +222,9 @@ class SurfaceMonitor:
         """Tell, once in each outage, that the telemetry of all surfaces stands still since then [s]."""
         if self.suspended or now_s - since_s < STANDS_STILL_S:
             return []
-        told, self._steady_s = self.outage, np.inf
+        was_known, self._steady_s = self.outage, np.inf
         self.outage = f"positions of all servos stand still since {since_s:.1f} s: servo bus?"
-        return [] if told else [Event(now_s, self.name, "no_data", text=self.outage)]
+        return [] if was_known else [Event(now_s, self.name, "no_data", text=self.outage)]
 
     @property
     def is_watched(self) -> bool:
@@ -262,8 +262,8 @@ class SurfaceMonitor:
         known = self.surface.calibrated
         if known is None or not self.surface.is_calibrated:
             return self.model.needs
-        told = {"airspeed_m_s": known.airspeed_m_s != 0.0, "servo_voltage_v": known.supply_v > 0.0}
-        return self.model.needs | {need for need, acts in told.items() if acts}
+        acting = {"airspeed_m_s": known.airspeed_m_s != 0.0, "servo_voltage_v": known.supply_v > 0.0}
+        return self.model.needs | {need for need, acts in acting.items() if acts}
 
     @property
     def rate_hz(self) -> float:
@@ -279,7 +279,7 @@ class SurfaceMonitor:
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What was found so far, in order of time; each as the last look at it told."""
+        """What was found so far, in order of time; each as the last look at it found."""
         stands = self._alarm.fault if self._alarm is not None else None
         return (*self._finished, *(() if stands is None else (stands,)))
 
@@ -289,15 +289,15 @@ class SurfaceMonitor:
         return self._alarm is not None or bool(self._finished)
 
     def excuse(self, gap_s: float, until_s: float) -> None:
-        """Nothing of the vehicle was heard for so long, until then [s]: that is no silence of this surface alone."""
+        """Nothing of the vehicle was received for so long, until then [s]: that is no silence of this surface alone."""
         self._excused = until_s, gap_s
-        for heard in self._heard.values():
-            heard[1] += gap_s
+        for received in self._received.values():
+            received[1] += gap_s
 
     def suspend(self, why: str, now_s: float) -> list[Event]:
         """Tell that nothing is known of this surface from now on [s], and why; empty: it is watched again."""
-        told, self.suspended = self.suspended, why
-        return [Event(now_s, self.name, "no_data", text=why)] if why and not told else []
+        was_known, self.suspended = self.suspended, why
+        return [Event(now_s, self.name, "no_data", text=why)] if why and not was_known else []
 
     def may_wait(self, commands: int, positions: int) -> bool:
         """Whether so many commands and positions that have come need not be evaluated yet.
@@ -323,11 +323,11 @@ class SurfaceMonitor:
         if self.suspended:
             return []
         for what, period_s in (("position", self._period_s), ("command", self._command_period_s)):
-            last_s, excused_s = self._heard[what]
+            last_s, excused_s = self._received[what]
             longest_s = max(self.patience_s, 5.0 * (period_s if np.isfinite(period_s) else 1.0))
             if now_s - last_s - excused_s > longest_s:
-                told, self.outage, self._steady_s = self.outage, f"no {what} since {last_s:.1f} s", np.inf
-                return [] if told else [Event(now_s, self.name, "no_data", text=self.outage)]
+                was_known, self.outage, self._steady_s = self.outage, f"no {what} since {last_s:.1f} s", np.inf
+                return [] if was_known else [Event(now_s, self.name, "no_data", text=self.outage)]
         if self.outage:
             self._steady_s = min(self._steady_s, now_s)
             if now_s - self._steady_s >= _STEADY_S:
@@ -401,7 +401,7 @@ class SurfaceMonitor:
         return bool(self.problem) or is_quiet or (healthy and now_s - alarm.raised_s >= _NAMED_S)
 
     def _look_later(self, look: Look, fault: Fault) -> None:
-        """What has a name is not looked at so soon: not in its first seconds if that is sure, then not for a while."""
+        """Put off the next look at a fault with a name: past its first seconds if that is sure, then for a while."""
         if fault.kind == "unknown" or not fault.probability >= _LIKELY:
             return
         named_s = fault.alarm_s + _NAMED_S
@@ -522,9 +522,9 @@ class SurfaceMonitor:
             except DesignError as error:
                 problem = str(error)
         if stream is None:
-            told, self.problem, self._told_slow = self._told_slow, problem, True
+            was_known, self.problem, self._told_slow = self._told_slow, problem, True
             self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
-            return [] if told else [Event(positions[-1][0], self.name, "no_data", text=problem)]
+            return [] if was_known else [Event(positions[-1][0], self.name, "no_data", text=problem)]
         self.problem, self._stream = "", stream
         self._command_period_s = beat.period_s
         self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)

@@ -270,7 +270,7 @@ def judged_named(flight: Watched, *, tells: bool, asked: bool, names: dict[float
     """Faults and suspicions of a named servo.
 
     Where a constant level is the only test of a fault, what the windows see beside it is suspect, if the model is known
-    well enough to tell, and the user has not asked for that level alone.
+    exactly enough to tell, and the user has not asked for that level alone.
     """
     found = judged(flight, names)
     if not flight.alone:

@@ -150,7 +150,7 @@ class SurfaceAudit:
 
     @property
     def is_judged(self) -> bool:
-        """True if the data told whether this surface is well."""
+        """True if the data decided whether this surface is well."""
         return self.status not in ("no_data", "unknown")
 
 
