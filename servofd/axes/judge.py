@@ -61,7 +61,7 @@ _OWN_PAST_S = 15.0
 _AT_ONCE_S = 10.0
 """What began within so many judged seconds is how this flight is, not what happened in it."""
 _LEARNING_S = 20.0
-"""Flight after which an axis is judged [s]."""
+"""Judged flight after an onset from which what the axis became is estimated [s]."""
 _LEAST_EXPLAINED = 0.1
 """Least share of the motion that a model is taken to explain."""
 _FAILED_LOSS, _FAILED_US = 0.25, 100.0

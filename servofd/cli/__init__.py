@@ -48,7 +48,8 @@ _SIMULATING = frozenset(
 _INTERRUPTED = 128 + signal.SIGINT
 """Exit code after Ctrl-C, as shells have it: 128 and the number of the signal."""
 _OBJECTS_BETWEEN_SEARCHES = 100_000
-"""New objects after which Python looks for circles of unused ones; its own 700 cost time in every verb."""
+"""New objects after which Python looks for circles of unused ones: rarely, for verbs are short and a search takes
+time."""
 _AGAIN_S = 0.01
 """Pause before an interrupt that was raised where it cannot be handled is raised again [s]."""
 

@@ -141,7 +141,8 @@ def judged_elsewhere(path: str, segment: Series, model: ServoModel, physics: Phy
 Conclusion = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 
 _MUCH_WORSE, _NO_NOISE = 4.0, 5.5
-"""How many times the variance of the noise a fault leaves, and how many usual errors from the model no noise is."""
+"""How many times the variance of the noise, or of the part before, a fault leaves; and how many usual errors from the
+model no noise is."""
 _SLOWLY_WORSE = 2.0
 """Times the variance of the healthy part, up to the first sample that is no noise: a drift, which has no beginning."""
 _AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0, 0.25

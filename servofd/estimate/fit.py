@@ -33,7 +33,7 @@ _NEAR: Final = 2.0
 """A descent whose cost is larger by no more, in terms of samples that are not alike, may be the right one as well;
 and no cost is known better than to the share at which a descent ends."""
 _MOST_PRIOR: Final = 0.9
-"""Share of a parameter's interval at most that its prior makes."""
+"""Largest ratio of a fitted variance to that of the prior that is taken out of a value."""
 _FOLD_S: Final = 20.0
 """Length of the stretches that belong to one fold in turn [s]."""
 _LAG_FLOOR_S: Final = 0.003

@@ -303,7 +303,7 @@ def _all_pole(
 _LARGEST_RIPPLE = 3.0
 """Of the logarithm of the magnitude: a factor of 20 is no fit."""
 _LOWEST = 1e-9
-"""Smallest coefficient of the linear programme, so that none is zero."""
+"""Least squared magnitude of the denominator in the linear programme, so that it stays positive."""
 _FAR = 1e3
 """The squared magnitude must stay positive up to so many times the highest frequency of the fit."""
 
