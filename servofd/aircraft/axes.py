@@ -136,7 +136,7 @@ def motion_to_toml(model: MotionModel) -> str:
     document = model.model_dump(exclude_none=True)
     axes, regime = document.pop("axes"), document.pop("regime")
     lines = [
-        "# What the aircraft's motion tells of its axes: fitted to healthy flights by servofd calibrate.",
+        "# How the aircraft's motion answers its axes: fitted to healthy flights by servofd calibrate.",
         "[motion]",
     ]
     lines += toml_lines(document, _COMMENTS)

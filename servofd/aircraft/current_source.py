@@ -101,7 +101,7 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
             )
         elif f"{name}_current" in log.channels:
             raise NoMeasurement(
-                f"column {name}_current tells no unit: call it {name}_current_a or {name}_current_ma, or name channel "
+                f"column {name}_current has no unit: call it {name}_current_a or {name}_current_ma, or name channel "
                 f"and unit in [surfaces.{name}.current] of the aircraft file"
             )
     return found

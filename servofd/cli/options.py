@@ -152,7 +152,7 @@ def _audit(parser: Parser) -> None:
     parser.file("--html", "write a page that can be sent by mail")
     parser.flag("--plot", "draw each residual against its threshold in the terminal")
     parser.file("--rrd", "write a Rerun recording (of one log)")
-    parser.flag("--include-position", "tell in the recording where it flew")
+    parser.flag("--include-position", "record where it flew")
     parser.flag("--map", "show it there on a map from openstreetmap.org")
     parser.folder(
         "write figures, recordings and audit.json to a folder; "
@@ -196,7 +196,7 @@ def _review(parser: Parser) -> None:
     parser.json(instead="text")
     parser.kind_of_threshold("judge again, with this alarm level [deg]", "judge again, with this kind")
     parser.add_argument("--between", nargs=2, type=float, metavar=("A", "B"), help="only from A to B [s]")
-    parser.file("--compare", "tell what is different in a recording of the same log", "OTHER.rrd")
+    parser.file("--compare", "list what is different in a recording of the same log", "OTHER.rrd")
     parser.flag("--repair", "save what is whole of a recording that was cut short")
     about = "write what --between, --repair or a new threshold gave"
     parser.add_argument("-o", "--output", metavar="FILE", help=about)
@@ -240,7 +240,7 @@ def _calibrate(parser: Parser) -> None:
     parser.config(help="what is known of it so far (default: drafted from the logs)")
     parser.flag(
         "--motion",
-        "calibrate what the aircraft's motion tells of its axes (which is what happens where no servo reports)",
+        "calibrate the axes by the aircraft's motion (which is what happens where no servo reports)",
     )
     parser.flag("--own-days", "of motion: flights of one date differ as days do, in payload, trim or wind")
     parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
@@ -397,7 +397,7 @@ def _stream(live: argparse._ArgumentGroup) -> None:
     live.add_argument("--wait", action="store_true", default=None, help="take off when the first message has arrived")
     live.add_argument("--system", type=int, metavar="N", help="number of the vehicle, 1 to 255 (default: 1)")
     feedback = (
-        "how it tells positions: named (NAMED_VALUE_FLOAT, default), port (SERVO_OUTPUT_RAW, port 2) or array "
+        "how it sends positions: named (NAMED_VALUE_FLOAT, default), port (SERVO_OUTPUT_RAW, port 2) or array "
         "(DEBUG_FLOAT_ARRAY); DataFlash over MAVLink, for whoever asks, is there in each case"
     )
     live.add_argument("--feedback", metavar="NAME", help=feedback)
@@ -418,7 +418,7 @@ def _stream(live: argparse._ArgumentGroup) -> None:
 
 
 def _help(parser: Parser) -> None:
-    parser.add_argument("about", nargs="?", metavar="VERB", help="verb to tell of (default: all of them)")
+    parser.add_argument("about", nargs="?", metavar="VERB", help="verb to describe (default: all of them)")
 
 
 _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
@@ -461,8 +461,8 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
         _trend: (
             "follow the servos of one aircraft over many flights",
             "Estimates bias, dead band, delay, bandwidth, rate limit, noise and margin of each servo in each "
-            "flight, finds what changes, tells wear from a swap, and forecasts when a limit is crossed. Exit code 0: "
-            "no limit in sight; 1: one is exceeded or will be; 2: some logs tell nothing.",
+            "flight, finds what changes, separates wear from a swap, and forecasts when a limit is crossed. Exit code "
+            "0: no limit in sight; 1: one is exceeded or will be; 2: some logs could not be judged.",
             "trend flights/ -c my_plane.toml --html trend.html",
         ),
         _serve: (
@@ -567,7 +567,7 @@ class _WholeParser(Parser):
             lines += ["", f"{title}:", *(f"  {one.__name__[1:]:<12}{about}" for one, (about, _, _) in group.items())]
         lines += [
             "",
-            "servofd help VERB tells its options, servofd LOG --help those of the first form.",
+            "servofd help VERB lists its options, servofd LOG --help those of the first form.",
             str(self.epilog),
         ]
         return "\n".join(lines) + "\n"

@@ -75,7 +75,7 @@ def run(options: Options) -> int:
     if streamed:
         if made.flight.context.logged:
             raise ConfigError(
-                "--stream: an effect depends on the air or the supply, which a stream does not tell: use -o"
+                "--stream: an effect depends on the air or the supply, which a stream does not hold: use -o"
             )
         return _stream(options, made.flight, made.aircraft)
     say(f"{options.output}: {duration_s:g} s at {made.rate_hz:g} Hz, {', '.join(made.flight.surfaces)}")

@@ -56,7 +56,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
         if source is not None and shared.count(source.channel) > 1:
             current = CurrentAudit(
                 "unknown",
-                f"channel {source.channel!r} is the current of several surfaces: it tells of none of them alone",
+                f"channel {source.channel!r} is the current of several surfaces: it shows none of them alone",
             )
         elif source is not None:
             current = _judged(log, aircraft, surface, source, cycles.setdefault(surface.surface, []))
@@ -202,7 +202,7 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
     if current.status in ("fault", "suspect") or _SENSOR in current.reason:
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
     if _agree(surface, current):
-        reason += "; position and current tell of the same"
+        reason += "; position and current agree"
     return replace(joined, status=status, reason=reason)
 
 

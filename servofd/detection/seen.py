@@ -197,5 +197,5 @@ def _beyond(flight: Watched) -> str:
         return ""
     return (
         f"{share:.0%} of it flown at more than {last_m_s:.0f} m/s, of which the flights of its calibration (up to "
-        f"{flight.known.fastest_m_s:.0f} m/s) tell nothing: calibrate it on one that is as fast"
+        f"{flight.known.fastest_m_s:.0f} m/s) show nothing: calibrate it on one that is as fast"
     )

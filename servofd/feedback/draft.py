@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from servofd.servo.library import Servo
 
 _MOTION = (
-    "healthy flights of four days tell what each axis loses: `servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, "
+    "healthy flights of four days show what each axis loses: `servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, "
     "then `servofd FLIGHT -c plane.toml`; for a verdict on each servo "
 )
 
@@ -168,7 +168,7 @@ def surface_entry(log: FlightLog, pair: Pair) -> dict[str, Any]:
     if measured_unit not in _ANGLES:
         raise NoMeasurement(
             f"{log.label}: {pair.position.channel} is in {measured_unit}, not in deg or rad: "
-            "tell in an aircraft file (-c) how to read it"
+            "say in an aircraft file (-c) how to read it"
         )
     measured = {"channel": pair.position.channel, "unit": measured_unit}
     entry = {"command": command, "measured": measured, "alive": pair.position.alive}

@@ -480,6 +480,6 @@ def judge_motion_alone(motion: Motion) -> dict[str, AxisChange]:
             text = f"pitch: engine or elevator: thrust is missing from {since_s:.0f} s on, which moves pitch as well"
             axes["pitch"] = replace(pitch, status="unknown", text=text, since_s=None, alarm_s=None)
     if "yaw" in motion.commands_us:
-        text = f"side: one flight alone does not tell of the {named(motion.members.get('side', ()), 'side')}"
+        text = f"side: one flight alone says nothing of the {named(motion.members.get('side', ()), 'side')}"
         axes["side"] = AxisChange("side", "unknown", text, motion.members.get("side", ()))
     return axes

@@ -31,7 +31,7 @@ class Check:
 
 
 _NO_OUTPUTS = "no output of a surface with its SERVOn_FUNCTION, MIN and MAX in this log"
-_NEVER_FLEW = "this log does not tell when the aircraft flew"
+_NEVER_FLEW = "this log does not show when the aircraft flew"
 
 _AT_END = 0.99
 """Share of its travel from which on an output is at its end."""
@@ -78,7 +78,7 @@ def trim(flight: Flight) -> Check:
     """Where the commands stand in level flight."""
     means = _level_means(flight)
     if not means:
-        return Check("trim", "unknown", _NO_OUTPUTS if not flight.outputs else "no level flight to tell the trim from")
+        return Check("trim", "unknown", _NO_OUTPUTS if not flight.outputs else "no level flight that shows the trim")
     name, mean = max(means.items(), key=lambda each: abs(each[1]))
     text = f"in level flight {name} stands at {mean:+.0%} of its half travel"
     return Check("trim", "look" if abs(mean) > _FAR_TRIM else "ok", f"{text}, the furthest of {len(means)}")

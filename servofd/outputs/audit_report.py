@@ -201,7 +201,7 @@ def _log(audit: LogAudit) -> Document:
             Items(
                 "Surfaces", ("surface", "status", "model", "why"), [_surface(audit.aircraft, one) for one in ordered]
             ),
-            Items("Axes", ("axis", "status", "what the motion tells"), [_axis(axis) for axis in audit.axes]),
+            Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
             Lanes(lambda: lanes_of(log)),
         ],
@@ -339,7 +339,7 @@ def _current(surface: SurfaceAudit) -> list[tuple[str, str]]:
     current = surface.current
     if current is None:
         return []
-    rows = [("what it tells", current.reason)]
+    rows = [("what it shows", current.reason)]
     if current.explained_share is not None:
         rows.append(("explained by the motion that was asked for", f"{current.explained_share:.0%}"))
     if current.ratio_to_good is not None:

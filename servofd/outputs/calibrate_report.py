@@ -45,7 +45,7 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
     of = "this surface" if len(found.surfaces) == 1 else f"these {len(found.surfaces)} surfaces"
     rate = f"false alarms to expect: about {per_hour:.2g} an hour of {of}, as measured on simulated aircraft"
     if not any(one.known.airspeed_m_s for one in found.surfaces):
-        rate += "; more in flight, for these logs tell no airspeed"
+        rate += "; more in flight, for these logs hold no airspeed"
     if wanted_per_hour is not None and wanted_per_hour < per_hour:
         rate += f"; {wanted_per_hour:g} cannot be promised"
     kept = f"; left as they were: {', '.join(map(spoken, found.kept))}" if found.kept else ""
@@ -93,7 +93,7 @@ def _drawn(name: str, current: CalibratedCurrent) -> list[str]:
         f"{current.noise.still_a:.2g}",
         f"{current.explained_share:.0%}",
         f"{current.lag_s:g}",
-        "four good flights or cycles tell it" if wear is None else f"known from {wear.flights}",
+        "four good flights or cycles show it" if wear is None else f"known from {wear.flights}",
     ]
 
 
@@ -175,8 +175,8 @@ def motion_report(model: MotionModel) -> Document:
     ]
     if model.days in _BY_DAYS:
         notes.append(
-            f"flights of {days} tell little of other days: thresholds allow for {_BY_DAYS[model.days]} times the false "
-            "alarms of four days, and fall with each day more"
+            f"flights of {days} say little about other days: thresholds allow for {_BY_DAYS[model.days]} times the "
+            "false alarms of four days, and fall with each day more"
         )
     if model.days == model.flights > 1:
         notes.append(

@@ -22,7 +22,7 @@ _STATUSES = ("healthy", "suspect", "fault", "not judged")
 FLIGHTS_HEAD = ("flight", "verdict", "begun (UTC)", "length", "residual", "what")
 _FAULTS_HEAD = ("log", "begun (UTC)", "surface", "kind", "onset [s]", "end [s]", "parameters", "probability")
 _LINE = (
-    "The small pictures show the residual of the worst surface (what its motion tells of the worst axis) over the "
+    "The small pictures show the residual of the worst surface (what its motion shows of the worst axis) over the "
     "flight; the line is its threshold."
 )
 _NEXT = (

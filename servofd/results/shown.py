@@ -98,7 +98,7 @@ Result = TypeVar("Result", bound=Shown)
 Given = TypeVar("Given")
 
 _OPTION = re.compile(r"(?<![\w-])(?:-(?P<short>[cs])|--(?P<long>[a-z][a-z-]*))(?![\w-])(?: (?P<value>[A-Za-z0-9.]+))?")
-_DISORDER = ("split the log there", "sort it by its time, or tell flights apart by a column run")
+_DISORDER = ("split the log there", "sort it by its time, or number the flights in a column run")
 _TABLES = ("DataFrame:", "dict:")
 _KEYWORDS = {"c": "aircraft", "s": "surface", "config": "aircraft", "duration": "duration_s"}
 

@@ -317,7 +317,7 @@ _KNOWN: Mapping[str, float] = MappingProxyType(
 )
 """How far any servo may differ from the usual one, in the units of `FlownServo.vector`: a flight that tells no more
 tells nothing."""
-_NOT_SHOWN = "its motion tells no more of it than is known of any servo"
+_NOT_SHOWN = "its motion shows no more of it than is known of any servo"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

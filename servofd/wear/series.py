@@ -477,7 +477,7 @@ def _known_swaps(
     if not wear.swaps:
         return (), ()
     if any(flight.start_utc is None for _, flight in flights):
-        return (), ("the swaps of the aircraft file are not used: not every log tells when it was flown",)
+        return (), ("the swaps of the aircraft file are not used: not every log holds the date of its flight",)
     after = [*(removed for _, removed in wear.swaps[1:]), wear.serial]
     found = []
     for (day, _), serial in zip(wear.swaps, after, strict=True):

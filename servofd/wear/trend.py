@@ -246,7 +246,7 @@ def trend_of(
     judged = [log for log in logs if log.flights]
     reasons = [*problems, *(f"{log.path}: {problem}" for log in logs for problem in log.problems)]
     if not judged:
-        raise NoMeasurement(f"no flight tells anything of a servo: {reasons[0]}" if reasons else "no flight")
+        raise NoMeasurement(f"no flight shows anything of a servo: {reasons[0]}" if reasons else "no flight")
     order = in_order(judged)
     numbered = list(enumerate(order.logs, start=1))
     axes = aircraft.motion.axes if aircraft.motion is not None else ()

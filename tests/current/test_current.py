@@ -83,13 +83,13 @@ def test_two_witnesses_agree(tmp_path: Path) -> None:
     found = servofd.audit(written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=True))
     assert found["aileron"].feedback == "both"
     assert {one.witness for one in found["aileron"].faults} == {"position", "current"}
-    assert "position and current tell of the same" in found["aileron"].reason
+    assert "position and current agree" in found["aileron"].reason
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda text: text.replace("aileron_current_a", "aileron_current"), "tells no unit"),
+        (lambda text: text.replace("aileron_current_a", "aileron_current"), "has no unit"),
         (lambda text: _current(text, lambda value: 0.0 * value), "never changes"),
         (lambda text: _current(text, lambda value: -value - 0.2), "wired the wrong way round"),
         (lambda text: _current(text, lambda value: value * float("nan")), "holds no value"),

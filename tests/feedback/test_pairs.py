@@ -200,5 +200,5 @@ def test_a_multirotor_is_called_one() -> None:
     for craft in ("quadrotor", "multirotor"):
         assert f"it is of a {craft}" in what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle=craft))
     wing = what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle="fixed wing"))
-    assert wing.startswith("healthy flights of four days tell what each axis loses: `servofd calibrate")
+    assert wing.startswith("healthy flights of four days show what each axis loses: `servofd calibrate")
     assert "CSRV" in wing

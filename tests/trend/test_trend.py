@@ -121,7 +121,7 @@ def test_slow_motion_tells_neither_delay_nor_bandwidth_and_says_so(rad_s: float)
     values, missing, _, _ = estimate_flight(flown(command_deg=asked_deg, measured_deg=moved_deg), PLANE)
     assert abs(values["dead_band_deg"].value) < 0.05
     assert not {"delay_s", "bandwidth_hz"} & set(values)
-    assert missing["delay_s"] == missing["bandwidth_hz"] == "its motion tells no more of it than is known of any servo"
+    assert missing["delay_s"] == missing["bandwidth_hz"] == "its motion shows no more of it than is known of any servo"
 
 
 def test_a_flight_in_which_the_surface_jammed_is_no_account_of_its_servo() -> None:
@@ -167,7 +167,7 @@ def test_a_swap_in_the_aircraft_file_begins_another_servo() -> None:
     assert [(p.first, p.last) for p in seen.quantities["dead_band_deg"].pieces] == [(1, 10), (11, 20)]
     undated = trend_of(logs([0.05] * 20), plane).surfaces[0]
     assert undated.serials == ((1, "B02"),)
-    assert "not every log tells when it was flown" in undated.notes[0]
+    assert "not every log holds the date of its flight" in undated.notes[0]
 
 
 def test_logs_of_several_vehicles_are_refused() -> None:
