@@ -30,7 +30,7 @@ from servofd.outputs.chart import (
 )
 from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Section, Table, Words
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.lanes import lanes_of
+from servofd.outputs.lanes import beside, diary
 from servofd.outputs.sentence import clock, other_way_round, plain_rate, seen, whole_sentence, worst
 
 if TYPE_CHECKING:
@@ -150,6 +150,7 @@ def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     )
 
 
+_DIARY = "Its flight modes and messages"
 _LOOKS = {"ok": "nothing wrong", "look": "look", "unknown": "cannot tell"}
 
 
@@ -192,6 +193,7 @@ def _log(audit: LogAudit) -> Document:
         (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
         for damage in log.damage_summary
     ]
+    told = diary(log)
     return Document(
         title=log.source.name + (f", run {log.run}" if log.run else ""),
         status=worst((*audit.surfaces, *audit.axes)),
@@ -203,7 +205,12 @@ def _log(audit: LogAudit) -> Document:
             ),
             Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
-            Lanes(lambda: lanes_of(log)),
+            *(
+                [Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), told)], folded=True)]
+                if told
+                else []
+            ),
+            Lanes(lambda: beside(log)),
         ],
         log=log.source.name,
     )

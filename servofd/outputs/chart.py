@@ -9,7 +9,7 @@ done above, the residual below.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import Fault, SurfaceAudit
 
-WIDTH, HEIGHT = 4000, 1000
-"""Units of the drawing: four to a column of pixels of a wide screen, four to a row of a tall panel."""
+WIDTH, HEIGHT = 2000, 500
+"""Units of the drawing: two to a column of pixels of a wide screen, two to a row of a tall panel."""
 _TIME_STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200, 86400)
 """Steps of the time axis [s]: the smallest of them that needs no more labels than fit is taken."""
 _BRIDGED_PERIODS, _BRIDGED_S = 5.0, 0.1
@@ -94,7 +94,7 @@ class Chart:
     >>> curve = Curve("residual", "residual", time_s, np.array([0.0, 0.5, np.nan]))
     >>> panel = Panel("residual", "deg", (curve,), -1.0, 1.0)
     >>> Chart("Residual", "What is left.", 0.0, 2.0, (panel,)).paths(panel)
-    [('residual', 'M0 500l2000-250')]
+    [('residual', 'M0 250l1000-125')]
     """
 
     title: str
@@ -105,8 +105,8 @@ class Chart:
     panels: tuple[Panel, ...]
     spans: tuple[Span, ...] = ()
     marks: tuple[Mark, ...] = ()
-    points: int = field(default=1200)
-    """Points drawn per curve, at most; the extremes of each column survive."""
+    points: int = 700
+    """Points drawn per curve, at most; the extremes of each column survive. A threshold gets half of them."""
 
     def across(self, time_s: float) -> float:
         """Where an instant stands, in units of the drawing from the left, within it."""
@@ -139,7 +139,8 @@ class Chart:
         inside = slice(
             max(int(np.searchsorted(time_s, self.first_s)) - 1, 0), int(np.searchsorted(time_s, self.last_s)) + 1
         )
-        time_s, values = thinned(time_s[inside], values[inside], self.points)
+        most = self.points // (2 if curve.role == "threshold" else 1)
+        time_s, values = thinned(time_s[inside], values[inside], most)
         if curve.holds:
             end_s = max(self.last_s, float(time_s[-1])) if time_s.size else self.last_s
             time_s = np.repeat(np.append(time_s, end_s), 2)[1:-1]
@@ -172,16 +173,29 @@ def _outline(x: FloatArray, y: FloatArray) -> str:
 
 
 def thinned(time_s: FloatArray, values: FloatArray, points: int) -> tuple[FloatArray, FloatArray]:
-    """Keep the smallest and the largest sample of each column, so that no spike is lost; `points` of them at most."""
+    """Keep the smallest and the largest sample of each column, so that no spike is lost; `points` of them at most.
+
+    Columns are equally long in time, however often there is a sample; of one without any, nothing is kept but that.
+
+    Examples
+    --------
+    >>> time_s = np.arange(8.0)
+    >>> thinned(time_s, np.array([0.0, 5.0, 1.0, 1.0, np.nan, np.nan, 2.0, -3.0]), 4)
+    (array([0., 1., 6., 7.]), array([ 0.,  5.,  2., -3.]))
+    """
     if time_s.size <= points:
         return time_s, values
-    edges = np.linspace(0, time_s.size, points // 2 + 1).astype(int)[:-1]
-    missing = ~np.isfinite(values)
-    low = np.minimum.reduceat(np.where(missing, np.inf, values), edges)
-    high = np.maximum.reduceat(np.where(missing, -np.inf, values), edges)
-    empty = low > high
-    both = np.column_stack([np.where(empty, np.nan, low), np.where(empty, np.nan, high)]).ravel()
-    return np.repeat(time_s[edges], 2), both
+    columns = points // 2
+    into = np.minimum((time_s - time_s[0]) * (columns / (time_s[-1] - time_s[0])), columns - 1).astype(int)
+    begins = np.flatnonzero(np.diff(into, prepend=-1))
+    of_sample = np.repeat(np.arange(begins.size), np.diff(begins, append=values.size))
+    low, high = np.fmin.reduceat(values, begins), np.fmax.reduceat(values, begins)
+    kept = [begins[np.isnan(low)]]
+    for extreme in (low, high):
+        at = np.flatnonzero(values == extreme[of_sample])
+        kept.append(at[np.diff(of_sample[at], prepend=-1) > 0])
+    chosen = np.unique(np.concatenate(kept))
+    return time_s[chosen], values[chosen]
 
 
 def bridged(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -225,6 +239,8 @@ MOST_FAULTS = 4
 _MARGIN_S, _MARGIN = 2.0, 0.35
 """Shown before and after a fault: this many seconds, or this share of the time from onset to alarm if that is
 more."""
+_POINTS_WELL = 400
+"""Points per curve of a surface that is well: its chart is folded away."""
 _SLACK = 0.06
 """Of a panel's height, above and below its curves."""
 
@@ -236,7 +252,8 @@ def flight_chart(surface: SurfaceAudit) -> Chart:
         f"Above, what {spoken(surface.surface)} was asked, what a healthy servo would have done, and what was "
         f"measured. Below, the residual{largest}, and its threshold, {surface.threshold_deg:.3g} deg."
     )
-    return _chart("Whole flight", text, surface, -math.inf, math.inf)
+    chart = _chart("Whole flight", text, surface, -math.inf, math.inf)
+    return chart if surface.faults or surface.suspicions else replace(chart, points=_POINTS_WELL)
 
 
 def fault_charts(surface: SurfaceAudit) -> list[Chart]:
@@ -284,7 +301,7 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
     judged = np.where(residuals.settled, residuals.residual_deg, np.nan)
     size = np.abs(judged[inside])
     limit = 1.15 * max(float(np.nanmax(size, initial=0.0)), 1.3 * threshold.typical_deg)
-    level_s, level_deg = thinned(time_s, threshold.level_deg, 600)
+    level_s, level_deg = time_s, threshold.level_deg
     if threshold.kind == "constant":
         level_s, level_deg = time_s[[0, -1]], threshold.level_deg[[0, -1]]
     with np.errstate(invalid="ignore"):
@@ -351,8 +368,8 @@ def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Pa
     curves = (
         Curve("good servo", "simulated", time_s, healthy_a),
         Curve("drawn", "measured", time_s, current.current_a),
-        Curve("good ones differ by", "threshold", *thinned(time_s, healthy_a + width_a, 600)),
-        Curve("", "threshold", *thinned(time_s, healthy_a - width_a, 600)),
+        Curve("good ones differ by", "threshold", time_s, healthy_a + width_a),
+        Curve("", "threshold", time_s, healthy_a - width_a),
     )
     return [Panel("current", "A", curves, low - slack, high + slack)]
 

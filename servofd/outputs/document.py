@@ -93,9 +93,9 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Lanes:
-    """Other channels of a log, which the reader of a page may lay below its charts (`servofd.outputs.lanes`)."""
+    """What a page lays beside its charts: other channels, modes and messages of the log (`servofd.outputs.lanes`)."""
 
-    draw: Callable[[], Sequence[Mapping[str, Any]]]
+    draw: Callable[[], Mapping[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)

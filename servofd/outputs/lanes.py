@@ -1,4 +1,4 @@
-"""Other channels of a log, which the reader of a page may lay below a chart: aircraft, air and supply."""
+"""What else a log tells of a flight, beside its charts: channels to lay below them, flight modes, and messages."""
 
 from __future__ import annotations
 
@@ -7,24 +7,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.modes import modes_of
 from servofd.outputs.chart import Chart, Curve, Panel
+from servofd.outputs.sentence import clock
 
 if TYPE_CHECKING:
     from logparsers.records import FlightLog
 
 MOST = 12
-"""Lanes of a page: with `_POINTS` each they are 40 kB of it."""
-_POINTS = 500
+"""Lanes of a page: with `_POINTS` each they are 20 kB of it."""
+_POINTS = 300
 """Points of a lane."""
 _ROOM = 0.06
 """Room above and below a lane, as a share of its range."""
 _SHOWN = re.compile(
-    r"(?:ATT\.(?:Roll|Pitch|Yaw)|ARSP(?:\[0\])?\.Airspeed|BAT(?:\[0\])?\.(?:Volt|Curr)|POWR\.V(?:Servo|cc)|MODE\.ModeNum"
+    r"(?:ATT\.(?:Roll|Pitch|Yaw)|ARSP(?:\[0\])?\.Airspeed|BAT(?:\[0\])?\.(?:Volt|Curr)|POWR\.V(?:Servo|cc)"
     r"|CTUN\.ThO|BARO(?:\[0\])?\.Alt|ATTITUDE\.(?:roll|pitch|yaw)|VFR_HUD\.(?:airspeed|throttle|alt)"
-    r"|SYS_STATUS\.(?:voltage|current)_battery|HEARTBEAT\.custom_mode|airspeed\[0\]\.indicated_airspeed_m_s"
-    r"|battery_status\[0\]\.(?:voltage_v|current_a)|system_power\[0\]\.voltage5v_v|vehicle_status\[0\]\.nav_state)"
+    r"|SYS_STATUS\.(?:voltage|current)_battery|airspeed\[0\]\.indicated_airspeed_m_s"
+    r"|battery_status\[0\]\.(?:voltage_v|current_a)|system_power\[0\]\.voltage5v_v)"
 )
-"""Of an autopilot's hundreds of channels: attitude, airspeed, supply, throttle, height, mode."""
+"""Of an autopilot's hundreds of channels: attitude, airspeed, supply, throttle, height; modes have a band."""
 _OF_SURFACES = re.compile(r".*_(?:cmd|pos)_(?:deg|rad)|d[aefr]\w*|time")
 
 
@@ -35,7 +37,7 @@ def lanes_of(log: FlightLog) -> list[dict[str, Any]]:
     --------
     >>> import logparsers
     >>> [lane["name"] for lane in lanes_of(logparsers.read("sample_logs/telemetry_stuck.tlog"))][:3]
-    ['HEARTBEAT.custom_mode', 'ATTITUDE.roll', 'ATTITUDE.pitch']
+    ['ATTITUDE.roll', 'ATTITUDE.pitch', 'ATTITUDE.yaw']
     """
     wanted = [
         name
@@ -60,3 +62,37 @@ def lanes_of(log: FlightLog) -> list[dict[str, Any]]:
             | {"first": first_s, "last": last_s, "path": path}
         )
     return lanes
+
+
+MOST_SAID = 80
+"""Messages of a page: the gravest of a log that has more."""
+_OF_ITS_PLACE = re.compile(r"\d\.\d{4,}|[0-9A-Fa-f]{8}")
+"""Coordinates, and the numbers of boards and builds: a page tells neither where nor with what somebody flew."""
+_LEAST_GRAVE = 8
+
+
+def said(log: FlightLog) -> list[tuple[float, str]]:
+    """Time [s] and words of what the autopilot told during a log.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from logparsers.records import FlightLog, Text
+    >>> texts = (Text(3.0, "Throttle armed"), Text(float("nan"), "no time"), Text(4.0, "Home -35.36326 149.16523"))
+    >>> said(FlightLog(Path("a.bin"), "dataflash", {}, texts=texts))
+    [(3.0, 'Throttle armed')]
+    """
+    told = [one for one in log.texts if np.isfinite(one.time_s) and one.text and not _OF_ITS_PLACE.search(one.text)]
+    gravest = sorted(told, key=lambda one: _LEAST_GRAVE if one.severity is None else one.severity)[:MOST_SAID]
+    return sorted({(one.time_s, one.text) for one in gravest})
+
+
+def beside(log: FlightLog) -> dict[str, Any]:
+    """What the script of a page lays beside its charts: channels, modes and messages, each with its time [s]."""
+    return {"lanes": lanes_of(log), "modes": modes_of(log), "said": said(log)}
+
+
+def diary(log: FlightLog) -> list[tuple[str, str]]:
+    """Rows of a table: when an autopilot changed its mode or told something, and what."""
+    changes = [(at_s, f"mode: {mode}") for at_s, mode in modes_of(log)]
+    return [(clock(at_s), words) for at_s, words in sorted([*changes, *said(log)])]

@@ -131,7 +131,7 @@ def test_a_chart_tells_values_and_shows_a_part_from_near(browser: Browser, tmp_p
     assert browser.tell("document.querySelector('.label').style.left.slice(0, -1) | 0") in range(58, 63)
     browser.tell("document.querySelector('.plots').focus()")
     browser.key("0")
-    assert browser.tell("document.querySelector('.chart svg').getAttribute('viewBox')") == "0 0 4000 1000"
+    assert browser.tell("document.querySelector('.chart svg').getAttribute('viewBox')") == "0 0 2000 500"
     assert browser.complaints == []
     assert browser.requested == [page.as_uri()]
 
@@ -151,12 +151,12 @@ def test_a_chart_is_turned_nearer_loses_a_curve_and_gets_a_lane(browser: Browser
     wheel = """(target => { const at = target.getBoundingClientRect(); target.dispatchEvent(new WheelEvent("wheel",
         { deltaY: -500, clientX: at.left + at.width / 4, clientY: at.top + 5, cancelable: true })); })"""
     browser.tell(f"{wheel}(document.querySelector('.chart .plot'))")
-    assert viewed() == [0.0, 0.0, 4000.0, 1000.0]  # a wheel over a page scrolls it
+    assert viewed() == [0.0, 0.0, 2000.0, 500.0]  # a wheel over a page scrolls it
     browser.tell("document.querySelector('.plots').focus()")
     browser.tell(f"{wheel}(document.querySelector('.chart .plot'))")
     x, _, width, _ = viewed()
-    assert width == pytest.approx(4000.0 / np.e, rel=0.01)
-    assert x + width / 4 == pytest.approx(1000.0, rel=0.02)  # what is under the pointer stays there
+    assert width == pytest.approx(2000.0 / np.e, rel=0.01)
+    assert x + width / 4 == pytest.approx(500.0, rel=0.02)  # what is under the pointer stays there
     # The axis follows what is in view; a curve that is hidden counts no more.
     before = viewed()[3]
     browser.tell(
@@ -165,16 +165,34 @@ def test_a_chart_is_turned_nearer_loses_a_curve_and_gets_a_lane(browser: Browser
     browser.tell("[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'asked').click()")
     assert browser.tell("getComputedStyle(document.querySelector('path.simulated')).display") == "none"
     assert viewed()[3] < before
+    drawn = len(plots(browser))
     browser.tell("""(select => { select.selectedIndex = 2; select.dispatchEvent(new Event("change")); })
         (document.querySelector(".more select"))""")
     assert browser.tell("document.querySelector('path.other').getBoundingClientRect().width") > 600
-    assert len(plots(browser)) == 3
+    assert len(plots(browser)) == drawn + 1
     roll = found.log["ATT.Roll"]
     shown = browser.tell("[...document.querySelectorAll('.lane1 .tick')].map(one => +one.textContent)")
     assert min(shown) >= roll.values.min() - 5.0
     assert max(shown) <= roll.values.max() + 5.0
     browser.tell("document.querySelector('.legend button.other').click()")
-    assert len(plots(browser)) == 2
+    assert len(plots(browser)) == drawn
+    assert browser.complaints == []
+
+
+def test_modes_and_messages_stand_along_the_time_axis(browser: Browser, tmp_path: Path) -> None:
+    found = servofd.audit(SAMPLES / "telemetry_stuck.tlog")
+    assert isinstance(found, servofd.Audit)
+    browser.size(360)
+    browser.goto(found.save_html(tmp_path / "page.html").as_uri())
+    bands = "[...document.querySelectorAll('.chart')].map(c => [...c.querySelectorAll('.band > *')].map(b => b.title))"
+    told = "0:00.03 ArduPlane V4.7.0-dev (simulated by servofd)"
+    near, whole, *_ = browser.tell(bands)
+    assert (near, whole) == (["AUTO"], ["AUTO", told])
+    spread = browser.tell("(b => b.offsetWidth / b.parentElement.offsetWidth)(document.querySelector('.band .mode'))")
+    assert spread == pytest.approx(1.0, abs=0.01)
+    # The same in words, for who cannot see it.
+    browser.tell("document.querySelectorAll('details').forEach(one => one.open = true)")
+    assert "mode: AUTO" in browser.tell("document.body.innerText")
     assert browser.complaints == []
 
 

@@ -1,10 +1,11 @@
 "use strict";
-// Charts: the value under the pointer, and a closer view. Without this the page says the same.
+// Charts: the value under the pointer, a closer view, and what the autopilot did. Without this the page says the same.
 for (const chart of document.querySelectorAll(".chart")) {
-  const first = +chart.dataset.first, last = +chart.dataset.last, WIDTH = 4000, HEIGHT = 1000;
+  const first = +chart.dataset.first, last = +chart.dataset.last, WIDTH = 2000, HEIGHT = 500;
   const plots = [...chart.querySelectorAll(".plot")], fingers = new Map(), ticks = chart.querySelector(".times");
   const readout = chart.querySelector(".readout"), whole = chart.querySelector(".whole");
-  const asDrawn = ticks.innerHTML;
+  const asDrawn = ticks.innerHTML, beside = JSON.parse((chart.closest(".log") ?? document).querySelector("template.lanes")?.content.textContent ?? "{}");
+  const modes = beside.modes ?? [], said = beside.said ?? [], band = document.createElement("div");
   let from = first, to = last, begun = null, at = null;
   const clock = (t, fine) => {
     const s = Math.abs(t), h = Math.floor(s / 3600), m = Math.floor(s / 60) % 60, r = s - 3600 * h - 60 * m;
@@ -42,6 +43,21 @@ for (const chart of document.querySelectorAll(".chart")) {
     }
     svg.setAttribute("viewBox", `${x} ${top} ${w} ${bottom - top}`);
   };
+  // Modes as bands along the time axis, with a stroke for each message.
+  const lay = () => {
+    const span = to - from, shown = modes.map(([at, name], k) => [Math.max(at, from), Math.min(modes[k + 1]?.[0] ?? last, to), name, k])
+      .filter(([begin, end]) => end > begin);
+    band.replaceChildren(...shown.map(([begin, end, name, k]) => {
+      const one = document.createElement("span");
+      one.className = k % 2 ? "mode odd" : "mode"; one.textContent = one.title = name;
+      one.style.left = 100 * (begin - from) / span + "%"; one.style.width = 100 * (end - begin) / span + "%";
+      return one;
+    }), ...said.filter(([at]) => at >= from && at <= to).map(([at, words]) => {
+      const one = document.createElement("i");
+      one.title = `${clock(at, true)} ${words}`; one.style.left = 100 * (at - from) / span + "%";
+      return one;
+    }));
+  };
   const show = (a, b) => {
     const span = Math.min(Math.max(b - a, (last - first) / 500), last - first);
     from = Math.min(Math.max(a, first), last - span); to = from + span;
@@ -54,6 +70,7 @@ for (const chart of document.querySelectorAll(".chart")) {
       label.hidden = share < 0 || share > 1;
       label.style.left = 100 * share + "%";
     }
+    lay();
     const near = span < last - first;
     whole.hidden = !near;
     if (!near) { ticks.innerHTML = asDrawn; return; }
@@ -94,7 +111,9 @@ for (const chart of document.querySelectorAll(".chart")) {
         if (y !== null) words.push(`${path.dataset.name} ${(high - y / HEIGHT * (high - low)).toFixed(2)} ${plot.dataset.unit}`);
       }
     }
-    readout.textContent = words.join("   ");
+    const mode = modes.findLast(([begin]) => begin <= at), heard = said.filter(([when]) => Math.abs(when - at) <= (to - from) / 100);
+    if (mode) words.push(mode[1]);
+    readout.textContent = [words.join("   "), ...heard.map(([when, text]) => `${clock(when, true)} “${text}”`)].join("\n");
   };
   const time = (event, plot) => {
     const box = plot.getBoundingClientRect();
@@ -143,6 +162,10 @@ for (const chart of document.querySelectorAll(".chart")) {
   };
   const area = chart.querySelector(".plots");
   plots.forEach(wire);
+  if (modes.length || said.length) {
+    band.className = "band"; band.setAttribute("aria-hidden", "true");
+    ticks.before(band); lay();
+  }
   // A name of the legend hides its curve.
   const legend = chart.querySelector(".legend");
   legend.removeAttribute("aria-hidden");
@@ -158,7 +181,7 @@ for (const chart of document.querySelectorAll(".chart")) {
     entry.replaceWith(button);
   }
   // Other channels of the log, below.
-  const all = JSON.parse((chart.closest(".log") ?? document).querySelector("template.lanes")?.content.textContent ?? "[]");
+  const all = beside.lanes ?? [];
   if (all.length) {
     const label = document.createElement("label"), choice = document.createElement("select");
     label.className = "more"; label.append("Add a lane ", choice);
@@ -183,7 +206,7 @@ for (const chart of document.querySelectorAll(".chart")) {
       away.type = "button"; away.className = "other"; away.textContent = lane.name + " ✕"; away.setAttribute("aria-label", "Remove " + lane.name);
       away.addEventListener("click", () => { away.remove(); axis.remove(); plot.remove(); plots.splice(plots.indexOf(plot), 1); });
       label.before(away);
-      ticks.before(axis, plot);
+      (band.isConnected ? band : ticks).before(axis, plot);
       plots.push(plot); wire(plot); show(from, to);
     });
     legend.append(label);
