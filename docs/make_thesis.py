@@ -14,8 +14,8 @@ from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.identification.identify import identify
-from servofd.outputs.figure import save_figure
-from servofd.outputs.identify_report import identify_figures
+from servofd.outputs.figure import chart_png, save_figure
+from servofd.outputs.identify_report import identify_charts
 from servofd.servo.effects.commands import Delay
 from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named
@@ -28,7 +28,6 @@ SAMPLES = HERE.parent / "sample_logs"
 RATE_HZ, POLE_RAD_S, THRESHOLD_DEG = 100.0, 50.0, 1.5
 FLEET = 40
 BENCH_SERVOS, BENCH_SCATTER, BENCH_DELAY_S, BENCH_NOISE_DEG = 3, 0.05, 5e-4, 0.2
-BENCH_FIGURES = ("response", "coherence", "normalised_error")
 
 PRINTED = {
     "s9254": ("127.6, 5074", "127.2"),
@@ -118,15 +117,13 @@ Eq. 3.1 and the HS-225BB of Fig. 3.10 are two fits, not two roundings of one; th
 def validation(folder: Path) -> str:
     found = identify([[bench_chirp(seed)] for seed in range(BENCH_SERVOS)])
     (folder / "images").mkdir(exist_ok=True)
-    for picture in identify_figures(found):
-        if picture.name in BENCH_FIGURES:
-            (folder / "images" / f"bench_{picture.name}.png").write_bytes(picture.png())
+    (folder / "images" / "bench_response.png").write_bytes(chart_png(identify_charts(found)["response"]))
     inside = [(r.frequency_rad_s >= 10.0) & (r.frequency_rad_s <= 100.0) for r in found.responses]
     smallest = min(e[w].min() for e, w in zip(found.normalized_errors(), inside, strict=True))
     largest = max(e[w].max() for e, w in zip(found.normalized_errors(), inside, strict=True))
     coherence = min(r.coherence[w].min() for r, w in zip(found.responses, inside, strict=True))
     linear = found.servo.linear
-    figures = "\n\n".join(f"![{name}](images/bench_{name}.png)" for name in BENCH_FIGURES)
+    figures = "![Magnitude, phase, coherence and normalised error over frequency](images/bench_response.png)"
     (healthy,) = servofd.audit(SAMPLES / "faser_healthy_flight.mat")
     aileron = next(s for s in healthy.surfaces if s.surface == "aileron_right")
     error_deg = aileron.statistics.simulation_error_rms_deg if aileron.statistics else float("nan")

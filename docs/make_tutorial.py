@@ -12,7 +12,8 @@ import tempfile
 from pathlib import Path
 
 from servofd.cli import main as servofd
-from servofd.outputs.explain_report import explain_figures
+from servofd.outputs.explain_report import explain_charts
+from servofd.outputs.figure import chart_png
 from servofd.results import explain
 
 HERE = Path(__file__).parent
@@ -77,7 +78,7 @@ model with backlash now runs through the measurement:
 
 Before, the error was half a degree whichever way the surface moved, of the other sign each way; now only noise is left:
 
-![Error over command rate, deflection, speed, amplitude and time, before and after](tutorial/maps.png)
+![Error over the speed of the surface, before and after](tutorial/over-speed.png)
 
 With the better aircraft file the same log is healthy, its residual is a fraction of what it was, and a threshold of a third of
 the usual one stays quiet. That is how much smaller a fault can now be found:
@@ -96,12 +97,10 @@ def main(folder: Path) -> None:
         lines = [shown(line[2:]) if line.startswith("@ ") else line for line in TEXT.splitlines()]
         shutil.copy(Path("out", "flight-elevator.png"), pictures)
         shutil.copy(Path("before", LOOSE.replace(".csv", "-elevator.png")), pictures / "before-elevator.png")
-        for picture in explain_figures(
-            explain(LOOSE, surface="elevator", servo="hs225bb-eq31").explanation, "elevator"
-        ):
-            name = picture.name.removeprefix("elevator-")
+        charts = explain_charts(explain(LOOSE, surface="elevator", servo="hs225bb-eq31").explanation)
+        for name, chart in charts.items():
             if f"{name}.png" in TEXT:
-                (pictures / f"{name}.png").write_bytes(picture.png())
+                (pictures / f"{name}.png").write_bytes(chart_png(chart))
     page = "\n".join(lines).replace("```\n```console\n", "") + "\n"
     (folder / "tutorial.md").write_text(page, encoding="utf-8")
     print(folder / "tutorial.md")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from servofd.batch.find import find_logs
 from servofd.batch.key import page_name
-from servofd.cli.options import FLEET_PAGE
 from servofd.cli.terminal import complain, give_json, one_line, print_document, progress, say, worst, write_page
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
@@ -18,6 +17,7 @@ from servofd.fleets.overview import Overview, log_status, overview
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore, by_path, read_logs
 from servofd.outputs.fleet_report import fleet_report, flight_name
+from servofd.outputs.page import FLEET_PAGE
 
 if TYPE_CHECKING:
     from servofd.batch.find import Found, LogSource

@@ -9,8 +9,9 @@ from servofd.cli.terminal import check_targets, complain, give_json, progress, s
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.bench import identify
+from servofd.outputs.figure import chart_png
 from servofd.outputs.identify_recording import save_identification
-from servofd.outputs.identify_report import identify_figures, identify_report
+from servofd.outputs.identify_report import identify_charts, identify_report
 from servofd.outputs.model_file import servo_file
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ def run(options: Options) -> int:
     if options.output:
         folder = Path(options.output)
         make_folder(folder)
-        for picture in identify_figures(found):
-            write_whole(folder / f"{picture.name}.png", picture.png())
+        for name, chart in identify_charts(found).items():
+            write_whole(folder / f"{name}.png", chart_png(chart))
         give_json(str(folder / "identify.json"), report.data)
     show(report, json=options.json, html=options.html)
     if found.not_told and options.save:

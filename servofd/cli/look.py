@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.cli import audit
-from servofd.cli.options import FLEET_PAGE
 from servofd.cli.terminal import one_line, say, write_page
 from servofd.core.files import beginning, distinct_file_names
 from servofd.detection.verdict import next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_report import audit_report
-from servofd.outputs.page import source_tag
+from servofd.outputs.page import FLEET_PAGE, source_tag
 from servofd.outputs.sentence import spoken, whole_sentence, worst
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd.cli.terminal import say
+from servofd.outputs.page import FLEET_PAGE
 from servofd.outputs.plain import plain
 from servofd.version import __version__
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 Options = argparse.Namespace
 """Of one call; a verb's function takes them."""
 COULD_NOT_TELL = 2
-FLEET_PAGE = "fleet.html"
 SERVE_PORT, MOST_MB = 8787, 4096
 """Port of `servofd serve`, and the largest log that it takes [MB]."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1")

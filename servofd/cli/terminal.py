@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,9 +139,10 @@ def show(document: Document, *, json: str | None = None, html: str | None = None
 
 
 def write_page(document: Document, path: str | Path) -> None:
-    """Write the page of a result."""
-    from servofd.outputs.page import html_page
+    """Write the page of a result, with links to those of many flights beside it."""
+    from servofd.outputs.page import beside, html_page
 
+    document = replace(document, links=(*document.links, *beside(path).overviews))
     write_whole(path, html_page(document).encode())
 
 

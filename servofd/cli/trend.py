@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from servofd.cli.terminal import check_targets, complain, progress, show, worst
+from servofd.outputs.page import beside
 from servofd.outputs.trend_report import trend_report
 from servofd.wear.trend import trend_document, trend_logs
 
@@ -27,7 +28,8 @@ def run(options: Options) -> int:
         workers=options.workers,
         progress=partial(progress, "trend"),
     )
-    show(trend_report(trend_document(seen)), json=options.json, html=options.html)
+    pages = beside(options.html).flights if options.html else {}
+    show(trend_report(trend_document(seen), pages), json=options.json, html=options.html)
     for problem in seen.problems[:_SHOWN]:
         complain(problem)
     if len(seen.problems) > _SHOWN:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.page import html_page
+from servofd.outputs.page import FLEET_PAGE, html_page
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.batch.find import LogSource
     from servofd.batch.key import Job
+    from servofd.detection.verdict import LogAudit
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +85,14 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
                 (document,) = audit_document([result])["logs"]
                 why = result.not_judged and f"{result.log.label.replace(local, source.path)}: {result.not_judged}"
                 runs.append(RunVerdict(document | {"path": source.path}, why))
-            return JudgedLog(source, content, tuple(runs), html_page(audit_report(audits)) if audits else "")
+            return JudgedLog(source, content, tuple(runs), _page(audits) if audits else "")
     except ConfigError as error:
         return failed(source, str(error), content)
+
+
+def _page(audits: Sequence[LogAudit]) -> str:
+    """Page of a log, which leads back to that of all."""
+    return html_page(replace(audit_report(audits), links=[("All flights", FLEET_PAGE)]))
 
 
 def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:

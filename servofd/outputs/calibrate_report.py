@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.axis_names import SURFACE_AXES
-from servofd.outputs.document import Bullets, Document, Figures, Table
-from servofd.outputs.picture import Picture, finish, new_figure
+from servofd.outputs.document import Bullets, Document, Table
+from servofd.outputs.picture import finish, new_figure
 from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
@@ -63,18 +63,10 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
         parts=[
             Table("Fitted, with 95% intervals; error on what the fit had not seen", _HEAD, fitted),
             Table("Smallest faults that flights like these show, 19 times in 20", _SMALLEST, sizes),
-            *(
-                [Figures(lambda: [Picture("smallest", "Smallest faults", _CAPTION, calibrate_figure(found))])]
-                if found.surfaces
-                else []
-            ),
             Table("Currents", _DRAWN, drawn),
             Bullets([*notes, *([rate] if found.surfaces else [])]),
         ],
     )
-
-
-_CAPTION = "Bars of the smallest faults that 19 of 20 flights like the good ones show; none where none would show."
 
 
 _DRAWN = ("surface", "idle (A)", "most in motion (A)", "noise at rest (A)", "explained", "late (s)", "wear")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from servofd.detection.verdict import gravest
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import Fault, SurfaceAudit
 
@@ -27,8 +29,12 @@ _TIME_STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 180
 """Steps of the time axis [s]: the smallest of them that needs no more labels than fit is taken."""
 _BRIDGED_PERIODS, _BRIDGED_S = 5.0, 0.1
 """A line is broken where samples are missing for longer than both: this many periods, and this many seconds."""
-_MOST_TIME_TICKS, _MOST_VALUE_TICKS = 6, 4
-"""Labels at most on the time axis and on the axis of values."""
+_MOST_TIME_TICKS, _MOST_VALUE_TICKS = 6, 5
+"""Labels at most on the axis and on that of values."""
+_TINY = 1e-12
+"""Stands for nothing on an axis of ratios."""
+_SLACK = 0.06
+"""Of a panel's height, above and below its curves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +45,11 @@ class Curve:
     """In the legend; empty for a line that belongs to the one before."""
     role: str
     """Class in `page.css`, which gives it its colour."""
-    time_s: FloatArray
+    x: FloatArray
     values: FloatArray
-    holds: bool = False
-    """Whether each value lasts until the next."""
+    style: Literal["line", "steps", "dots", "bars"] = "line"
+    """Steps: each value lasts until the next. Bars: upright lines to what `until` says."""
+    until: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +62,23 @@ class Panel:
     low: float
     high: float
 
+    @classmethod
+    def around(cls, title: str, unit: str, curves: Sequence[Curve], least: float = 1e-9) -> Panel:
+        """A panel as high as its curves, with some room; at least `least` above and below them."""
+        every = [np.asarray(one) for curve in curves for one in (curve.values, curve.until) if one is not None]
+        known = np.concatenate([one[np.isfinite(one)] for one in every]) if every else np.empty(0)
+        low, high = (float(known.min()), float(known.max())) if known.size else (-1.0, 1.0)
+        room = max(_SLACK * (high - low), least)
+        return cls(title, unit, tuple(curves), low - room, high + room)
+
     def top(self, value: float) -> float:
         """Where a value stands, in percent from above."""
         return 100.0 * (self.high - value) / (self.high - self.low)
+
+    @property
+    def label(self) -> str:
+        """Title with the unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
 
     @property
     def ticks(self) -> list[tuple[float, str]]:
@@ -67,26 +88,26 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A time that is shaded."""
+    """A part of the axis that is shaded."""
 
     role: str
-    start_s: float
-    end_s: float
+    start: float
+    end: float
     label: str
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """An instant that is marked."""
+    """A place on the axis that is marked."""
 
     role: str
-    time_s: float
+    x: float
     label: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chart:
-    """Panels above each other, over the same time.
+    """Panels above each other, over the same axis: the time, or what `axis` names.
 
     Examples
     --------
@@ -95,35 +116,54 @@ class Chart:
     >>> panel = Panel("residual", "deg", (curve,), -1.0, 1.0)
     >>> Chart("Residual", "What is left.", 0.0, 2.0, (panel,)).paths(panel)
     [('residual', 'M0 250l1000-125')]
+    >>> Chart("", "", 1.0, 100.0, (panel,), axis="frequency [Hz]", log=True).ticks[:2]
+    [(0.0, '1'), (15.05149978319906, '2')]
     """
 
     title: str
     text: str
     """What it shows, for readers who cannot see it."""
-    first_s: float
-    last_s: float
+    first: float
+    last: float
     panels: tuple[Panel, ...]
     spans: tuple[Span, ...] = ()
     marks: tuple[Mark, ...] = ()
     points: int = 700
     """Points drawn per curve, at most; the extremes of each column survive. A threshold gets half of them."""
+    axis: str = ""
+    """Name and unit of the axis; empty where it is the time, told as on a clock."""
+    log: bool = False
+    """Whether equal steps of the axis are equal ratios."""
 
-    def across(self, time_s: float) -> float:
-        """Where an instant stands, in units of the drawing from the left, within it."""
-        return round(min(max((time_s - self.first_s) / (self.last_s - self.first_s), 0.0), 1.0) * WIDTH)
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Both ends of the axis, as it is drawn: logarithms to base ten where it is logarithmic."""
+        return (math.log10(self.first), math.log10(self.last)) if self.log else (self.first, self.last)
+
+    def _share(self, x: Any) -> Any:  # noqa: ANN401 - a number or an array
+        first, last = self.ends
+        return ((np.log10(np.maximum(x, _TINY)) if self.log else x) - first) / (last - first)
+
+    def across(self, x: float) -> float:
+        """Where something stands, in units of the drawing from the left, within it."""
+        return round(min(max(float(self._share(x)), 0.0), 1.0) * WIDTH)
 
     @property
     def ticks(self) -> list[tuple[float, str]]:
-        """Place [%] and text of each tick of the time axis."""
-        span_s = self.last_s - self.first_s
-        step_s = next((step for step in _TIME_STEPS_S if span_s / step <= _MOST_TIME_TICKS), span_s)
-        first = math.ceil(self.first_s / step_s - 1e-9)
-        last = math.floor(self.last_s / step_s + 1e-9)
-        times_s = [k * step_s for k in range(first, last + 1)]
-        return [
-            (100.0 * (time_s - self.first_s) / span_s, clock(time_s) if step_s >= 1 else f"{time_s:.1f} s")
-            for time_s in times_s
-        ]
+        """Place [%] and text of each tick of the axis."""
+        span = self.last - self.first
+        if self.log:
+            begin, end = (math.floor(one) for one in self.ends)
+            every = [k * 10.0**power for power in range(begin, end + 1) for k in (1, 2, 5)]
+            shown = [(x, f"{x:g}") for x in every if self.first <= x <= self.last]
+        elif self.axis:
+            shown = [(x, f"{x:g}") for x in nice_ticks(self.first, self.last, _MOST_TIME_TICKS)]
+        else:
+            step_s = next((step for step in _TIME_STEPS_S if span / step <= _MOST_TIME_TICKS), span)
+            first, last = math.ceil(self.first / step_s - 1e-9), math.floor(self.last / step_s + 1e-9)
+            times_s = [k * step_s for k in range(first, last + 1)]
+            shown = [(x, clock(x) if step_s >= 1 else f"{x:.1f} s") for x in times_s]
+        return [(100.0 * float(self._share(x)), text) for x, text in shown]
 
     @property
     def legend(self) -> list[tuple[str, str]]:
@@ -135,19 +175,24 @@ class Chart:
         return [(curve.role, self._path(curve, panel)) for curve in panel.curves]
 
     def _path(self, curve: Curve, panel: Panel) -> str:
-        time_s, values = curve.time_s, curve.values
-        inside = slice(
-            max(int(np.searchsorted(time_s, self.first_s)) - 1, 0), int(np.searchsorted(time_s, self.last_s)) + 1
-        )
+        x, values = curve.x, curve.values
+        heights = HEIGHT / (panel.high - panel.low)
+        if curve.style in ("dots", "bars"):
+            ends = values if curve.until is None else curve.until
+            places = np.round(
+                np.column_stack([self._share(x) * WIDTH, *((panel.high - y) * heights for y in (values, ends))])
+            )
+            known = np.all(np.isfinite(places), axis=1) & (x >= self.first) & (x <= self.last)
+            return "".join(f"M{at} {y}l0 {end - y}" for at, y, end in places[known].astype(int).tolist())
+        inside = slice(max(int(np.searchsorted(x, self.first)) - 1, 0), int(np.searchsorted(x, self.last)) + 1)
         most = self.points // (2 if curve.role == "threshold" else 1)
-        time_s, values = thinned(time_s[inside], values[inside], most)
-        if curve.holds:
-            end_s = max(self.last_s, float(time_s[-1])) if time_s.size else self.last_s
-            time_s = np.repeat(np.append(time_s, end_s), 2)[1:-1]
+        x, values = thinned(x[inside], values[inside], most)
+        if curve.style == "steps":
+            end = max(self.last, float(x[-1])) if x.size else self.last
+            x = np.repeat(np.append(x, end), 2)[1:-1]
             values = np.repeat(values, 2)
-        x = np.round((time_s - self.first_s) / (self.last_s - self.first_s) * WIDTH)
-        y = np.round((panel.high - values) / (panel.high - panel.low) * HEIGHT)
-        return _outline(x, np.clip(y, -HEIGHT, 2 * HEIGHT))
+        y = np.round((panel.high - values) * heights)
+        return _outline(np.round(self._share(x) * WIDTH), np.clip(y, -HEIGHT, 2 * HEIGHT))
 
 
 def _outline(x: FloatArray, y: FloatArray) -> str:
@@ -241,8 +286,6 @@ _MARGIN_S, _MARGIN = 2.0, 0.35
 more."""
 _POINTS_WELL = 400
 """Points per curve of a surface that is well: its chart is folded away."""
-_SLACK = 0.06
-"""Of a panel's height, above and below its curves."""
 
 
 def flight_chart(surface: SurfaceAudit) -> Chart:
@@ -294,7 +337,7 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
     low, high = (float(known.min()), float(known.max())) if known.size else (-1.0, 1.0)
     slack = max(_SLACK * (high - low), 0.5)
     curves = (
-        Curve("asked", "command", segment.command_s, segment.command_deg, holds=True),
+        Curve("asked", "command", segment.command_s, segment.command_deg, "steps"),
         Curve("healthy servo", "simulated", time_s, residuals.simulated_deg),
         Curve("measured", "measured", *bridged(time_s, residuals.measured_deg)),
     )
@@ -331,7 +374,7 @@ def current_charts(surface: SurfaceAudit) -> list[Chart]:
     begin_s, end_s = float(current.time_s[0]), float(current.time_s[-1])
     spans, marks = _found(surface, end_s)
     low, high = float(asked_deg.min()) - 0.5, float(asked_deg.max()) + 0.5
-    asked = Panel("deflection", "deg", (Curve("asked", "command", asked_s, asked_deg, holds=True),), low, high)
+    asked = Panel("deflection", "deg", (Curve("asked", "command", asked_s, asked_deg, "steps"),), low, high)
     text = f"Above, what {spoken(surface.surface)} was asked; below, what it drew, and what a good servo draws."
 
     def drawn(title: str, from_s: float, to_s: float) -> Chart:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
 
 from servofd.outputs.chart import Chart, Curve, Panel, thinned
 from servofd.outputs.document import Cell, Document, Figures, Table
@@ -19,10 +16,8 @@ if TYPE_CHECKING:
     from servofd.outputs.document import Part
 
 _RANKS = ("fault", "suspect", "healthy", "unknown", "no_data", "")
-_ROOM = 1.15
-"""Length of the axis over the largest bar."""
 _LEAST_DEG = 0.1
-"""Shortest axis [deg], where all bars are smaller."""
+"""Room above and below curves that hardly move [deg]."""
 _FEWEST = 2
 
 
@@ -125,7 +120,7 @@ def overlaid(name: str, tracks: Sequence[Track], names: Sequence[str], at_s: Seq
     >>> one = Track(np.array([10.0, 11.0]), np.array([0.0, 1.0]), np.array([0.0, 0.0]))
     >>> other = one._replace(time_s=np.array([30.0, 32.0]))
     >>> chart = overlaid("rudder", (one, other), ("a.bin", "b.bin"), (10.0, 30.0))
-    >>> chart.first_s, chart.last_s, chart.legend
+    >>> chart.first, chart.last, chart.legend
     (0.0, 2.0, [('measured', 'a.bin'), ('simulated', 'b.bin')])
     """
     drawn: dict[str, list[Curve]] = {"deflection": [], "residual": []}
@@ -133,12 +128,8 @@ def overlaid(name: str, tracks: Sequence[Track], names: Sequence[str], at_s: Seq
         time_s = track.time_s - moment_s
         drawn["deflection"].append(Curve(flight, role, time_s, track.measured_deg))
         drawn["residual"].append(Curve(flight, role, time_s, track.residual_deg))
-    panels = []
-    for title, curves in drawn.items():
-        sizes = [abs(float(size)) for curve in curves for size in (np.nanmin(curve.values), np.nanmax(curve.values))]
-        high = _ROOM * max([size for size in sizes if math.isfinite(size)] + [_LEAST_DEG])
-        panels.append(Panel(title, "deg", tuple(curves), -high, high))
-    times_s = [curve.time_s for curve in drawn["deflection"]]
+    panels = [Panel.around(title, "deg", curves, _LEAST_DEG) for title, curves in drawn.items()]
+    times_s = [curve.x for curve in drawn["deflection"]]
     text = f"What was measured of {spoken(name)}, and its residual, in both flights."
     first_s, last_s = min(float(t[0]) for t in times_s), max(float(t[-1]) for t in times_s)
     return Chart(spoken(name).capitalize(), text, first_s, last_s, tuple(panels))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from servofd.outputs.chart import Chart
-    from servofd.outputs.picture import Picture
 
 _PLAIN_HEAD = 3
 """Headings of items that have nothing beside their status."""
@@ -86,9 +85,9 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Pictures, drawn only where they can be seen."""
+    """Charts, drawn only where they can be seen."""
 
-    draw: Callable[[], Sequence[Picture | Chart]]
+    draw: Callable[[], Sequence[Chart]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +156,8 @@ class Document:
     """The same for machines."""
     log: str = ""
     """File that a page is of, so that the page of another is never written over."""
+    links: Sequence[tuple[str, str]] = ()
+    """Words and address of pages that stand beside this one."""
 
 
 def markdown(document: Document) -> str:

@@ -20,14 +20,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from servofd.detection.verdict import SurfaceAudit
-    from servofd.outputs.chart import Chart
+    from servofd.outputs.chart import Chart, Curve
 
 _TITLE_COLUMNS = 130
 """Characters in a line of a figure's title."""
 _WIDEST = 4000
 """Points drawn per curve; more cannot be seen, and slow the drawing down."""
-_WIDTHS = {"simulated": 2.0, "threshold": 1.0, "alarm": 5.0}
-_COLOURS = {"residual": "black", "threshold": COLOURS["fault"], "alarm": COLOURS["fault"]}
+_WIDTHS = {"simulated": 2.0, "likely": 2.0, "threshold": 1.0, "alarm": 5.0}
+"""Widths of lines by their role [points], where not 0.9."""
+_DASHED = ("threshold", "before")
+_COLOURS = {
+    **dict.fromkeys(("threshold", "alarm", "before"), COLOURS["fault"]),
+    **dict.fromkeys(("after", "likely"), COLOURS["simulated"]),
+    "residual": "black",
+    "raw": COLOURS["command"],
+    "other2": COLOURS["suspect"],
+}
 
 
 def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
@@ -43,34 +51,60 @@ def audit_figure(audit: SurfaceAudit) -> Figure:
     return chart_figure(flight_chart(audit))
 
 
+def chart_png(chart: Chart) -> bytes:
+    """A chart as PNG, under its title."""
+    figure = chart_figure(chart)
+    figure.axes[0].set_title(chart.title, loc="left", fontsize=10)
+    return saved(figure)
+
+
 def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw a chart of a page, all of it, or into given axes as many of its panels as these are."""
     if ax is None:
-        figure, all_axes = new_figure(len(chart.panels), height=6.5, width=11.0, ratios=(3, 2, 2)[: len(chart.panels)])
+        ratios = (3, *(2,) * (len(chart.panels) - 1))
+        figure, all_axes = new_figure(len(chart.panels), height=2.0 + 0.9 * sum(ratios), width=11.0, ratios=ratios)
     else:
         all_axes = tuple(np.ravel(np.asarray(ax, dtype=object)))
         figure = cast("Figure", all_axes[0].get_figure(root=True))
     panels = chart.panels[: len(all_axes)]
     for panel, axes in zip(panels, all_axes, strict=False):
         for curve in panel.curves:
-            time_s, values = thinned(curve.time_s, curve.values, _WIDEST)
-            axes.plot(
-                time_s,
-                values,
-                color=_COLOURS.get(curve.role) or COLOURS[curve.role],
-                lw=_WIDTHS.get(curve.role, 0.9),
-                ls="--" if curve.role == "threshold" else "-",
-                drawstyle="steps-post" if curve.holds else "default",
-                label=curve.name or None,
-            )
+            _draw(axes, curve)
         for span in chart.spans:
-            axes.axvspan(span.start_s, span.end_s, color=COLOURS[span.role], alpha=0.12, lw=0)
+            axes.axvspan(span.start, span.end, color=_colour(span.role), alpha=0.12, lw=0)
         for mark in chart.marks:
-            axes.axvline(mark.time_s, color=COLOURS[mark.role], lw=0.8)
+            axes.axvline(mark.x, color=_colour(mark.role), lw=0.8)
         axes.set_ylim(panel.low, panel.high)
+        if chart.axis:
+            axes.set_xlim(chart.first, chart.last)
+        if chart.log:
+            axes.set_xscale("log")
     upper = all_axes[0]
     for span in chart.spans:
-        style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": COLOURS[span.role]}
-        upper.text(span.start_s, 1.0, f" {span.label}", transform=upper.get_xaxis_transform(), **style)
-    finish(*all_axes[: len(panels)], x="time [s]", y=[f"{panel.title} [{panel.unit}]" for panel in panels])
+        style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": _colour(span.role)}
+        upper.text(span.start, 1.0, f" {span.label}", transform=upper.get_xaxis_transform(), **style)
+    finish(*all_axes[: len(panels)], x=chart.axis or "time [s]", y=[panel.label for panel in panels])
     return figure
+
+
+def _draw(axes: Axes, curve: Curve) -> None:
+    colour, width = _colour(curve.role), _WIDTHS.get(curve.role, 0.9)
+    if curve.style == "bars":
+        axes.vlines(curve.x, curve.values, curve.values if curve.until is None else curve.until, color=colour, lw=width)
+        return
+    x, values = (curve.x, curve.values) if curve.style == "dots" else thinned(curve.x, curve.values, _WIDEST)
+    axes.plot(
+        x,
+        values,
+        color=colour,
+        lw=0.0 if curve.style == "dots" else width,
+        marker="." if curve.style == "dots" else "",
+        ms=1.5 if curve.role == "raw" else 6.0,
+        ls="--" if curve.role in _DASHED else "-",
+        drawstyle="steps-post" if curve.style == "steps" else "default",
+        label=curve.name or None,
+    )
+
+
+def _colour(role: str) -> str:
+    return _COLOURS.get(role) or COLOURS[role]

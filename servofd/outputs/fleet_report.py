@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from servofd.outputs.audit_report import quantity
-from servofd.outputs.document import Cell, Document, Section, Table, Words
+from servofd.outputs.chart import Chart, Curve, Panel
+from servofd.outputs.document import Cell, Document, Figures, Section, Table, Words
 from servofd.outputs.sentence import clock, minute_of, spoken
 
 if TYPE_CHECKING:
@@ -14,6 +17,14 @@ if TYPE_CHECKING:
 
     from servofd.outputs.document import Part
 
+_HIGHEST_SHARE = 3.0
+_DOTS = (
+    ("fault", "before", ("fault",)),
+    ("suspect", "other2", ("suspect",)),
+    ("others", "after", ("healthy", "unknown", "no_data", "not_judged")),
+)
+"""Name in the legend, role, and statuses of the dots of a kind."""
+_FEWEST_DRAWN = 3
 _MOST_ROWS = 200
 """Rows of a table on the page at most: logs that were not judged, and faults."""
 _MOST_FLIGHTS = 2000
@@ -64,6 +75,7 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
         facts=f"{document['logs']} logs, {flown} of flight",
         parts=[
             Table("Flights, the worst first", FLIGHTS_HEAD, rows, long=True),
+            *([Figures(lambda: [_chart(flights)])] if len(flights) >= _FEWEST_DRAWN else []),
             Table(
                 "Surfaces",
                 (*of_surfaces, "kinds of faults", "largest residual / threshold, where no fault"),
@@ -85,6 +97,30 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
         ],
         data=document,
     )
+
+
+def _chart(flights: Sequence[Mapping[str, Any]]) -> Chart:
+    """How far the worst surface of each flight was from its threshold, in the order in which they were flown."""
+    flown = sorted(flights, key=lambda one: (one["start_utc"] is None, one["start_utc"] or "", one["path"]))
+    shares = np.array([max((share or 0.0 for share in one["outline"]), default=np.nan) for one in flown])
+    number, high = np.arange(1.0, len(flown) + 1.0), _HIGHEST_SHARE
+    curves = [
+        Curve(
+            words,
+            role,
+            number,
+            np.where([one["status"] in those for one in flown], np.minimum(shares, high), np.nan),
+            "dots",
+        )
+        for words, role, those in _DOTS
+        if any(one["status"] in those for one in flown)
+    ]
+    limit = Curve("threshold", "threshold", np.array([0.5, len(flown) + 0.5]), np.ones(2))
+    panel = Panel("residual of the worst surface over its threshold", "", (*curves, limit), 0.0, 1.05 * high)
+    text = (
+        f"One dot a flight, in the order of their dates; what is {high:g} times the threshold or more is drawn there."
+    )
+    return Chart("All flights", text, 0.5, len(flown) + 0.5, (panel,), axis="flight")
 
 
 def flight_row(

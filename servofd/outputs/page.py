@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import platform
 import re
+from dataclasses import dataclass
+from html import unescape
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.core.files import beginning
 from servofd.outputs.palette import BANNER_COLOURS, STATUS_COLOURS
 from servofd.outputs.plain import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from servofd.outputs.document import Document
 
 _TYPED = re.compile("`(.*?)`")
+_HEAD = re.compile(
+    r'<meta name="generator" content="servofd">\n(?:<meta name="servofd-log" content="([^"]*)">)?'
+    r".*?<title>(.*?) \S servofd<",
+    re.DOTALL,
+)
+_HEAD_BYTES = 2000
+FLEET_PAGE = "fleet.html"
+"""Name of the page of all logs of a folder, beside those of each."""
+OF_MANY = ("Many flights", "Trend of ")
+"""Titles of pages that are of more than one flight begin so."""
 _PACKAGES = ("numpy", "scipy", "numba")
 
 
@@ -51,6 +66,38 @@ def source_tag(log: str) -> str:
     from markupsafe import escape
 
     return f'<meta name="servofd-log" content="{escape(log)}">'
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Pages of servofd in a folder."""
+
+    overviews: tuple[tuple[str, str], ...]
+    """Title and file name of those of many flights: of a fleet, of trends."""
+    flights: Mapping[str, str]
+    """File name of the page of each log, by the log's; of logs of one name none."""
+
+
+def beside(page: str | Path) -> Beside:
+    """Other pages in the folder of one, to which it can lead."""
+    overviews: list[tuple[str, str]] = []
+    flights: dict[str, list[str]] = {}
+    for path in sorted(Path(page).resolve().parent.glob("*.html")):
+        if path.name == Path(page).name or not (found := _HEAD.search(_head(path))):
+            continue
+        log, title = (unescape(part or "") for part in found.groups())
+        if log:
+            flights.setdefault(log, []).append(path.name)
+        elif title.startswith(OF_MANY):
+            overviews.append((title, path.name))
+    return Beside(tuple(overviews), {log: names[0] for log, names in flights.items() if len(names) == 1})
+
+
+def _head(path: Path) -> str:
+    try:
+        return beginning(path, _HEAD_BYTES).decode(errors="replace")
+    except OSError:
+        return ""
 
 
 def _versions() -> dict[str, str]:

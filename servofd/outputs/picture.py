@@ -1,11 +1,9 @@
-"""One figure of a page or a folder: drawn once, saved as PNG, or set into HTML as vector graphics."""
+"""Figures of matplotlib, for files and notebooks: made, finished, and saved."""
 
 from __future__ import annotations
 
 import io
-import re
 import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,50 +16,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_PATH = re.compile(r'(?<= d=")[^"]+(?=")')
-_NUMBER = re.compile(r"(-?\d+\.\d)\d+")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """One figure and what it shows in words."""
-
-    name: str
-    title: str
-    text: str
-    """What it shows, for readers who cannot see it."""
-    figure: Figure
-
-    def png(self) -> bytes:
-        """The picture as PNG."""
-        return self._saved("png")
-
-    def svg(self) -> str:
-        """The picture as SVG, the same bytes for the same data."""
-        from matplotlib import rc_context
-
-        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none"}):
-            return self._saved("svg").decode()
-
-    def inline(self) -> str:
-        """SVG element with names of its own, so that several can stand in one page, and its text for screen readers.
-
-        Coordinates are rounded to a tenth of a point, which no eye can tell and which halves the page.
-        """
-        from markupsafe import escape
-
-        svg = self.svg()
-        svg = svg[svg.index("<svg") :]
-        svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-        svg = _PATH.sub(lambda path: _NUMBER.sub(r"\1", " ".join(path[0].split())), svg)
-        anchor = re.sub(r"[^\w-]", "_", self.name)
-        svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{anchor}-", svg)
-        label = escape(plain(f"{self.title}. {self.text}"))
-        return svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
-
-    def _saved(self, kind: str) -> bytes:
-        return saved(self.figure, kind)
 
 
 def saved(figure: Figure, kind: str = "png") -> bytes:

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servofd.core.statistics import Z_95
-from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
+from servofd.outputs.chart import Chart, Curve, Mark, Panel
+from servofd.outputs.document import Bullets, Cell, Document, Figures, Section, Table, Words
 from servofd.outputs.fleet_report import flight_name
-from servofd.outputs.palette import COLOURS
-from servofd.outputs.picture import Picture, finish, new_figure
 from servofd.outputs.sentence import minute_of, spoken
 from servofd.wear.estimate import QUANTITIES
 from servofd.wear.series import TOO_FEW
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.axes import Axes
+    from collections.abc import Mapping, Sequence
 
     from servofd.outputs.document import Part
 
-_EVENT_STYLES = {"swap": "-", "adjusted": "--", "changed": ":"}
 _STATUSES = {"reached": "fault", "crossing": "suspect", "none": "healthy"}
 """By the forecast, the worst first."""
 _BADGES = {"fault": "beyond its limit", "suspect": "wears"}
@@ -38,8 +35,8 @@ A forecast is made from eight flights on, if the trend is no chance, and for no 
 were seen."""
 
 
-def trend_report(document: dict[str, Any]) -> Document:
-    """What wears, since when, and when it will be too much; the worst surface first."""
+def trend_report(document: dict[str, Any], pages: Mapping[str, str] = MappingProxyType({})) -> Document:
+    """What wears, since when, and when it will be too much; the worst surface first; flights are linked to `pages`."""
     flights, aircraft = document["flights"], document["aircraft"] or "aircraft"
     surfaces = [_surface(name, surface, flights) for name, surface in document["surfaces"].items()]
     surfaces.sort(key=lambda surface: [*_STATUSES.values()].index(surface.status))
@@ -51,9 +48,13 @@ def trend_report(document: dict[str, Any]) -> Document:
     ]
     method = [Words(_MOTION)] if axes else []
     method += [Words(_FITTED)] if len(surfaces) > len(axes) else []
-    rows = [
-        [str(one["number"]), flight_name(one), minute_of(one["start_utc"])]
-        + [_effect(document["surfaces"][axis]["quantities"]["effect"], one, axis) for axis in axes]
+    rows: list[tuple[str | Cell, ...]] = [
+        (
+            str(one["number"]),
+            Cell(flight_name(one), link=pages.get(flight_name(one), "")),
+            minute_of(one["start_utc"]),
+            *(_effect(document["surfaces"][axis]["quantities"]["effect"], one, axis) for axis in axes),
+        )
         for one in flights
     ]
     heading = ("number", "log", "begun (UTC)", *(f"effect left of {axis} [%]" for axis in axes))
@@ -150,47 +151,40 @@ def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any
     parts += [Words(f"{note}.") for note in surface["notes"]]
     parts.append(Table("Now, with 95% intervals", _HEAD, [quantity_row(one) for one in quantities.values()]))
     if len(flights) > 1 and quantities:
-        parts.append(Figures(lambda: [trend_picture(name, surface)]))
+        parts.append(Figures(lambda: [trend_chart(name, surface)]))
     parts.append(Bullets([f"{QUANTITIES[what].title} not followed: {why}" for what, why in surface["missing"].items()]))
     return Section(spoken(name), parts, status, badge)
 
 
-def trend_picture(name: str, surface: dict[str, Any]) -> Picture:
+def trend_chart(name: str, surface: dict[str, Any]) -> Chart:
     """All quantities over the flights, one below the other."""
-    from matplotlib.ticker import MaxNLocator
-
     quantities = surface["quantities"]
-    figure, all_axes = new_figure(len(quantities), height=0.6 + 1.55 * len(quantities))
-    for one, axes in zip(quantities.values(), all_axes, strict=True):
-        _draw(one, axes)
-        for event in surface["events"]:
-            axes.axvline(event["flight"] - 0.5, color="0.3", linestyle=_EVENT_STYLES[event["kind"]], linewidth=1.0)
-        axes.set_ylabel(f"{one['title'].replace(', ', chr(10))}\n[{one['shown']['unit']}]", fontsize=8)
-    all_axes[-1].set_xlabel("flight")
-    all_axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
-    finish(*all_axes)
-    return Picture(
-        f"trend-{name}",
-        f"{spoken(name)} over its flights",
-        "Dots are flights with their 95% intervals, blue lines what they follow since the last change, the dashed "
-        "part what is expected; level lines are limits, vertical lines changes at once (solid: another servo).",
-        figure,
+    ends = [flight for one in quantities.values() for flight in one["flights"]]
+    coming = [one["forecast"]["high"] for one in quantities.values() if one["forecast"]["kind"] == "crossing"]
+    last = min(max([*ends, *coming]), 2.0 * max(ends))
+    marks = tuple(Mark("command", event["flight"] - 0.5, spoken(event["kind"])) for event in surface["events"])
+    text = (
+        "Dots are flights with their 95% intervals; lines what they follow since the last change, dashed what is "
+        "expected; level lines are limits, vertical lines changes at once."
     )
+    panels = tuple(_panel(one, last) for one in quantities.values())
+    return Chart(spoken(name), text, min(ends) - 0.5, last + 0.5, panels, (), marks, axis="flight")
 
 
-def _draw(one: dict[str, Any], axes: Axes) -> None:
+def _panel(one: dict[str, Any], last: float) -> Panel:
     scale, forecast = one["shown"]["scale"], one["forecast"]
+    flights = np.array(one["flights"], dtype=float)
     values, spread = scale * np.array(one["values"]), scale * Z_95 * np.array(one["deviations"])
-    axes.errorbar(one["flights"], values, spread, fmt="o", markersize=3, color=COLOURS["measured"], elinewidth=1.0)
+    curves = [Curve("", "measured", flights, values - spread, "bars", values + spread)]
     lines = [piece for piece in one["pieces"] if "begin" in piece]
-    for piece in lines:
+    for k, piece in enumerate(lines):
         ends = scale * np.array([piece["begin"]["value"], piece["end"]["value"]])
-        axes.plot([piece["first"], piece["last"]], ends, color=COLOURS["simulated"], linewidth=1.5)
-    if one["limit"] is None:
-        return
-    limit = scale * one["limit"] * (np.sign(one["now"]["value"]) if one["worse"] == "away" else 1.0)
-    axes.axhline(limit, color=COLOURS["threshold"], linewidth=1.5)
-    if forecast["kind"] == "crossing":
-        begin, now = lines[-1]["last"], scale * one["now"]["value"]
-        axes.plot([begin, forecast["flight"]], [now, limit], "--", color=COLOURS["simulated"], linewidth=1.5)
-        axes.plot([forecast["low"], forecast["high"]], [limit, limit], color=COLOURS["fault"], linewidth=4.0, zorder=3)
+        curves.append(Curve("" if k else "what they follow", "likely", np.array([piece["first"], piece["last"]]), ends))
+    if one["limit"] is not None:
+        limit = scale * one["limit"] * (np.sign(one["now"]["value"]) if one["worse"] == "away" else 1.0)
+        curves.append(Curve("limit", "threshold", np.array([flights[0] - 0.5, last + 0.5]), np.full(2, limit)))
+        if forecast["kind"] == "crossing":
+            ahead = np.array([lines[-1]["last"], forecast["flight"]])
+            curves.append(Curve("expected", "before", ahead, np.array([scale * one["now"]["value"], limit])))
+    curves.append(Curve("each flight", "measured", flights, values, "dots"))
+    return Panel.around(one["title"], one["shown"]["unit"], curves)

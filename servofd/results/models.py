@@ -17,10 +17,11 @@ from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.calibrate_report import calibrate_figure, calibrate_report
 from servofd.outputs.document import Table
-from servofd.outputs.explain_report import explain_figures, explain_report
-from servofd.outputs.identify_report import identify_figures, identify_report
+from servofd.outputs.explain_report import explain_charts, explain_report
+from servofd.outputs.figure import chart_figure
+from servofd.outputs.identify_report import identify_charts, identify_report
 from servofd.outputs.model_file import model_file
-from servofd.outputs.trend_report import quantity_row, trend_picture, trend_report
+from servofd.outputs.trend_report import quantity_row, trend_chart, trend_report
 from servofd.results.shown import Shown, in_words_of_python, plain_log, shown
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
@@ -49,7 +50,7 @@ class Identified(Identification, Shown):
     def plot(self) -> Figure:
         """Figure of the frequency response, or of the motion where there is none."""
         needs("matplotlib")
-        return identify_figures(self)[0].figure
+        return chart_figure(next(iter(identify_charts(self).values())))
 
     def _rows(self) -> list[dict[str, Any]]:
         (table,) = (part for part in self.report().parts if isinstance(part, Table))
@@ -89,7 +90,7 @@ class Explained(Shown):
     def plot(self) -> Figure:
         """Figure of the motion where the models differ most."""
         needs("matplotlib")
-        return explain_figures(self.explanation, "explain")[0].figure
+        return chart_figure(explain_charts(self.explanation)["traces"])
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file with the better model, and give the path."""
@@ -200,7 +201,7 @@ class Trend(AircraftTrend, Shown):
         name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
         if name not in known:
             raise UnknownName(suggest("surface", name, known))
-        return trend_picture(name, trend_document(self)["surfaces"][name]).figure
+        return chart_figure(trend_chart(name, trend_document(self)["surfaces"][name]))
 
     def _rows(self) -> list[dict[str, Any]]:
         names = ("quantity", "now", "per_flight", "limit", "forecast")

@@ -10,11 +10,11 @@ import pytest
 
 import servofd
 from servofd.cli import main
-from servofd.cli.options import FLEET_PAGE as PAGE
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.explain_report import explain_report
 from servofd.outputs.identify_report import identify_report
+from servofd.outputs.page import FLEET_PAGE as PAGE
 from servofd.outputs.page import html_page
 from servofd.simulation.airframe import fly_airframe
 from servofd.simulation.airframe_log import airframe_log

@@ -130,7 +130,7 @@ def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
     page = Page(explained)
     for words in ("rate limit", "explains the gap", "held-out samples", "Rivals, tried", "Error by regime"):
         assert words in page.text
-    assert len(page.of("svg")) == 5
+    assert len(page.of("svg")) >= 8
 
 
 @pytest.mark.slow

@@ -5,13 +5,15 @@ for (const chart of document.querySelectorAll(".chart")) {
   const plots = [...chart.querySelectorAll(".plot")], fingers = new Map(), ticks = chart.querySelector(".times");
   const readout = chart.querySelector(".readout"), whole = chart.querySelector(".whole");
   const asDrawn = ticks.innerHTML, beside = JSON.parse((chart.closest(".log") ?? document).querySelector("template.lanes")?.content.textContent ?? "{}");
-  const modes = beside.modes ?? [], said = beside.said ?? [], band = document.createElement("div");
+  const { axis, log } = chart.dataset, ofTime = axis === undefined;
+  const modes = ofTime && beside.modes || [], said = ofTime && beside.said || [], band = document.createElement("div");
   let from = first, to = last, begun = null, at = null;
   const clock = (t, fine) => {
     const s = Math.abs(t), h = Math.floor(s / 3600), m = Math.floor(s / 60) % 60, r = s - 3600 * h - 60 * m;
     const rest = (r < 9.995 ? "0" : "") + r.toFixed(fine ? 2 : 0);
     return (t < 0 ? "-" : "") + (h ? h + ":" + String(m).padStart(2, "0") : m) + ":" + rest;
   };
+  const named = t => ofTime ? clock(t, true) : `${axis} ${+(log === undefined ? t : 10 ** t).toPrecision(4)}`;
   // Ends of what a plot draws: a lane has its own.
   const ends = plot => [+(plot.dataset.first ?? first), +(plot.dataset.last ?? last)];
   const shownBy = path => getComputedStyle(path).display !== "none";
@@ -31,8 +33,8 @@ for (const chart of document.querySelectorAll(".chart")) {
         top -= room; bottom += room;
       }
       const low = +plot.dataset.low, high = +plot.dataset.high, at = y => high - y / HEIGHT * (high - low);
-      const span = at(top) - at(bottom), power = 10 ** Math.floor(Math.log10(span / 4));
-      const step = power * [1, 2, 5, 10, 20].find(k => span / (power * k) <= 4);
+      const span = at(top) - at(bottom), power = 10 ** Math.floor(Math.log10(span / 5));
+      const step = power * [1, 2, 5, 10, 20].find(k => span / (power * k) <= 5);
       for (let k = Math.ceil(at(bottom) / step); k * step <= at(top); k++) {
         const y = (high - k * step) / (high - low) * HEIGHT, tick = document.createElement("span");
         tick.className = "tick nearer"; tick.style.top = 100 * (y - top) / (bottom - top) + "%"; tick.textContent = +(k * step).toPrecision(6);
@@ -74,6 +76,18 @@ for (const chart of document.querySelectorAll(".chart")) {
     const near = span < last - first;
     whole.hidden = !near;
     if (!near) { ticks.innerHTML = asDrawn; return; }
+    if (!ofTime) {
+      const real = t => log === undefined ? t : 10 ** t, places = [];
+      const low = real(from), high = real(to), power = 10 ** Math.floor(Math.log10((high - low) / 6));
+      const step = power * [1, 2, 5, 10, 20].find(k => (high - low) / (power * k) <= 6);
+      for (let k = Math.ceil(low / step); k * step <= high; k++) places.push(k * step);
+      ticks.replaceChildren(...places.map(x => {
+        const tick = document.createElement("span");
+        tick.style.left = 100 * ((log === undefined ? x : Math.log10(x)) - from) / span + "%"; tick.textContent = +x.toPrecision(6);
+        return tick;
+      }));
+      return;
+    }
     const step = [.05, .1, .2, .5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600].find(s => span / s <= 6) || 7200;
     ticks.replaceChildren();
     for (let k = Math.ceil(from / step); k * step <= to; k++) {
@@ -89,6 +103,10 @@ for (const chart of document.querySelectorAll(".chart")) {
     return all;
   });
   const value = (path, x) => {
+    if (path.classList.contains("dots")) {
+      const near = points(path).flat().map(([at, y]) => [Math.abs(at - x), y]).sort(([a], [b]) => a - b)[0];
+      return near && near[0] < WIDTH / 50 * (to - from) / (last - first) ? near[1] : null;
+    }
     for (const piece of points(path)) {
       if (x < piece[0][0] || x > piece.at(-1)[0]) continue;
       let low = 0, high = piece.length - 1;
@@ -100,7 +118,7 @@ for (const chart of document.querySelectorAll(".chart")) {
   };
   const tell = t => {
     at = Math.min(Math.max(t, from), to);
-    const words = [clock(at, true)];
+    const words = [named(at)];
     for (const plot of plots) {
       const [begin, end] = ends(plot), x = (at - begin) / (end - begin) * WIDTH;
       const low = +plot.dataset.low, high = +plot.dataset.high;
@@ -181,7 +199,7 @@ for (const chart of document.querySelectorAll(".chart")) {
     entry.replaceWith(button);
   }
   // Other channels of the log, below.
-  const all = beside.lanes ?? [];
+  const all = ofTime && beside.lanes || [];
   if (all.length) {
     const label = document.createElement("label"), choice = document.createElement("select");
     label.className = "more"; label.append("Add a lane ", choice);
@@ -222,5 +240,5 @@ for (const chart of document.querySelectorAll(".chart")) {
     if (keys[event.key]) { keys[event.key](); event.preventDefault(); }
   });
   whole.addEventListener("click", () => show(first, last));
-  chart.querySelector(".how").hidden = false;
 }
+document.querySelector(".how").hidden = false;
