@@ -168,7 +168,7 @@ def filter_design() -> str:
     cells = "\n".join(f"| {10 * k} | {exact[k]:.4f} | {step[k]:.4f} |" for k in range(1, 11))
     return f"""## Eqs 4.10 and 4.11: the filter
 
-`servofd design hs225bb-eq31 --pole 50 --printed-gain` prints Eq. 4.10 with its fractions multiplied out:
+`servofd config --filter hs225bb-eq31 --pole 50 --printed-gain` prints Eq. 4.10 with its fractions multiplied out:
 
     Qy = ({row.qy[0]:.8f} s³ + {row.qy[1]:.6f} s² + {row.qy[2]:.4f} s + {row.qy[3]:.3f}) / (s + 50)⁴
     Qu = {row.qu[0][0]:.0f} / (s + 50)⁴

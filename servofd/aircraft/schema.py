@@ -245,7 +245,7 @@ class Aircraft(_Entry):
         """
         name = self.surfaces[surface].servo
         if name == UNKNOWN_SERVO:
-            raise ConfigError(f"{surface}: no servo is named; 'servofd servos' lists those that are known")
+            raise ConfigError(f"{surface}: no servo is named; 'servofd config --servos' lists those that are known")
         return self.servos[name] if name in self.servos else library()[name]
 
     def check_names(self, surfaces: Iterable[str], where: str = "") -> None:

@@ -20,7 +20,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.cli.options import COULD_NOT_TELL, VERBS, Options, build_parser, look_parser
+from servofd.cli.options import COULD_NOT_TELL, VERBS, WAYS, Options, build_parser, look_parser, way_parser
 from servofd.cli.terminal import complain, say, say_aside
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Examples
     --------
-    >>> main(["design", "s9254", "--pole", "50"])  # doctest: +ELLIPSIS
+    >>> main(["config", "--filter", "s9254", "--pole", "50"])  # doctest: +ELLIPSIS
     Futaba S9254...
     0
     """
@@ -121,10 +121,20 @@ def _prepare() -> None:
 
 def parsed(words: Sequence[str]) -> Options:
     """Options of a verb, or of the logs, the recording or the endpoint that stand in its place."""
+    words = list(words)
     parser = build_parser()
     if any("\0" in word for word in words):
         parser.error("a word with a NUL in it, which is in no file's name")
+    if words[:1] == ["version"]:
+        words = ["--version"]
+    if words and words[0] in WAYS:
+        verb, option, *_ = WAYS[words[0]]
+        say_aside(f"servofd: 'servofd {words[0]}' is now 'servofd {verb} {option}'")
+        return way_parser(words[0]).parse_args(words[1:])
     verb = _verb_for(words) if words else ""
+    for way, (of, option, *_) in WAYS.items():
+        if option in words and of == ("audit" if verb == "look" else verb):
+            return way_parser(way).parse_args([word for word in words[words[0] == of :] if word != option])
     if verb == "look":
         return look_parser().parse_args(words)
     if verb and verb != words[0]:
@@ -181,6 +191,8 @@ def _show_help(options: Options) -> int:
     """The manual of a verb, or the list of them, page by page on a terminal."""
     if options.about is None:
         page = options.whole.format_help()
+    elif options.about in WAYS:
+        page = way_parser(options.about).format_help()
     elif options.about in options.manuals:
         page = options.manuals[options.about].format_help()
     else:

@@ -1,4 +1,4 @@
-"""``servofd design``: the residual filter of a servo, and its proof."""
+"""``servofd config --filter``: the residual filter of a servo, and its proof."""
 
 from __future__ import annotations
 

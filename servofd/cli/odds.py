@@ -1,4 +1,4 @@
-"""``servofd odds``: how often noise alone raises an alarm, and which faults are seen how soon."""
+"""``servofd config --odds``: how often noise alone raises an alarm, and which faults are seen how soon."""
 
 from __future__ import annotations
 

@@ -304,7 +304,7 @@ def _odds(parser: Parser) -> None:
 
 
 def _design(parser: Parser) -> None:
-    parser.add_argument("servo", metavar="SERVO", help="name from 'servofd servos'")
+    parser.add_argument("servo", metavar="SERVO", help="name from 'servofd config --servos'")
     parser.add_argument("--pole", type=float, metavar="RAD_S", help="filter pole (default: fastest, noise gain <= 0.5)")
     parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
     parser.flag("--printed-gain", "keep the dc gain as printed, do not scale it to 1")
@@ -441,11 +441,6 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
             "missing, or it was found; 1: something stays unexplained; 2: could not tell.",
             "explain flight.csv -s elevator --save better.toml",
         ),
-        _view: (
-            "look at a flight in the Rerun viewer",
-            "Audits a log, if it is given one, and opens the Rerun viewer on the recording.",
-            "view sample_logs/faser_stuck_flight.mat",
-        ),
         _review: (
             "read recordings back: verdicts, events, statistics",
             "Reads recordings (.rrd) of servofd back, without the logs. Exit code 0: healthy; 1: a fault is "
@@ -493,39 +488,15 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
             "gives their mean. Exit code 2: the test does not show what the servo is like.",
             "identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
         ),
-        _sweep: (
-            "pre-flight check: go or no-go from a short sweep on the ground",
-            "Judges a log in which each surface was moved to both sides on the ground, by a script or with the "
-            "sticks. Exit code 0: go for all; 1: at least one no-go; 2: could not tell.",
-            "sweep ground_check.bin -c calibrated.toml",
-        ),
-        _servos: (
-            "print the servo library",
-            "Prints the servos that can be used by name: poles, bandwidth, rate limit, delay, source.",
-            "servos --notes",
-        ),
-        _odds: (
-            "false alarms per flight hour, missed faults, delays",
-            "Tells how often noise alone would raise an alarm, which faults are seen how soon, and which "
-            "threshold gives a wanted rate of false alarms: from the design alone, or from healthy flights. "
-            "Exit code 0: done; 2: could not tell.",
-            "odds -c faser --log flight1.mat flight2.mat --false-alarms-per-hour 1e-3 -o odds/",
-        ),
-        _design: (
-            "design the residual filter of a servo",
-            "Prints the nullspace filter of a servo: Q in continuous time (thesis Eq. 4.10), its poles, "
-            "gains and noise gain, and how a fault shows in the residual.",
-            "design hs225bb-eq31 --plot fault_step.png",
-        ),
     },
     "fly": {
         _monitor: (
-            "watch the servos of a flying aircraft on its MAVLink stream",
+            "watch a flying aircraft on its MAVLink stream",
             f"Watches the servos of a flying aircraft and raises alarms. Never commands the vehicle. {_JUDGED}",
             "monitor udpin:127.0.0.1:14550 -c my_plane.toml",
         ),
         _onboard: (
-            "write the surveillance as a script that runs on an ArduPilot autopilot",
+            "the same watch as a script on an ArduPilot autopilot",
             "Writes one Lua script for ArduPilot 4.6 or newer: it watches the servos of an aircraft file on "
             "the autopilot itself, tells the ground station which one fails, logs what it saw and sends the positions.",
             "onboard plane.toml -o servofd.lua; then copy it to APM/scripts and set SCR_ENABLE = 1",
@@ -537,7 +508,7 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
             "simulate -o flight.csv --fault elevator:deadband@20:width_deg=3",
         ),
     },
-    "more": {
+    "and": {
         _help: (
             "show the manual of a verb",
             "Shows the options of a verb, or the list of verbs, with a pager where stdout is a terminal.",
@@ -546,6 +517,44 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
     },
 }
 """In the order in which the help shows them: what declares a verb's options; its help, description and example."""
+WAYS: dict[str, tuple[str, str, Callable[[Parser], None], str, str, str]] = {
+    "view": (
+        *("review", "--view", _view),
+        "look at a flight in the Rerun viewer: of a log, after an audit, or of a recording",
+        "Audits a log, if it is given one, and opens the Rerun viewer on the recording.",
+        "sample_logs/faser_stuck_flight.mat",
+    ),
+    "sweep": (
+        *("audit", "--sweep", _sweep),
+        "pre-flight check: go or no-go from a short sweep on the ground",
+        "Judges a log in which each surface was moved to both sides on the ground, by a script or with the "
+        "sticks. Exit code 0: go for all; 1: at least one no-go; 2: could not tell.",
+        "ground_check.bin -c calibrated.toml",
+    ),
+    "servos": (
+        *("config", "--servos", _servos),
+        "print the servo library",
+        "Prints the servos that can be used by name: poles, bandwidth, rate limit, delay, source.",
+        "--notes",
+    ),
+    "odds": (
+        *("config", "--odds", _odds),
+        "false alarms per flight hour, missed faults and delays of an aircraft file",
+        "Tells how often noise alone would raise an alarm, which faults are seen how soon, and which "
+        "threshold gives a wanted rate of false alarms: from the design alone, or from healthy flights. "
+        "Exit code 0: done; 2: could not tell.",
+        "-c faser --log flight1.mat flight2.mat --false-alarms-per-hour 1e-3 -o odds/",
+    ),
+    "design": (
+        *("config", "--filter", _design),
+        "design the residual filter of a servo",
+        "Prints the nullspace filter of a servo: Q in continuous time (thesis Eq. 4.10), its poles, "
+        "gains and noise gain, and how a fault shows in the residual.",
+        "hs225bb-eq31 --plot fault_step.png",
+    ),
+}
+"""Other ways of a verb, by the file that does it, which was a verb of its own: verb and option that choose it, what
+declares its options, help, description and example."""
 VERBS = tuple(declare.__name__[1:] for group in _GROUPS.values() for declare in group)
 
 
@@ -556,20 +565,13 @@ class _WholeParser(Parser):
         """What to type first, then the verbs in their groups."""
         lines = [
             "usage: servofd LOG... [-c AIRCRAFT.toml] [options]     judge, and open the page",
-            "       servofd VERB ...",
-            "",
+            "       servofd VERB ...                                (see servofd help VERB)",
             str(self.description),
-            "",
-            "LOG is a flight log (.bin, .log, .tlog, .ulg, .mat, .csv, ...), a folder of them, a recording (.rrd), or",
-            "the endpoint of a flying aircraft (udpin:127.0.0.1:14550).",
+            "LOG: a flight log (.bin, .log, .tlog, .ulg, .mat, .csv, ...), a folder of them,",
+            "a recording (.rrd), or the endpoint of an aircraft (udpin:127.0.0.1:14550).",
         ]
         for title, group in _GROUPS.items():
-            lines += ["", f"{title}:", *(f"  {one.__name__[1:]:<12}{about}" for one, (about, _, _) in group.items())]
-        lines += [
-            "",
-            "servofd help VERB lists its options, servofd LOG --help those of the first form.",
-            str(self.epilog),
-        ]
+            lines += [f"{title}:", *(f"  {one.__name__[1:]:<11}{about}" for one, (about, _, _) in group.items())]
         return "\n".join(lines) + "\n"
 
 
@@ -578,7 +580,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _WholeParser(
         prog="servofd",
         description="Tells which servo of an aircraft is lying, from its flight log.",
-        epilog="Example: servofd sample_logs/faser_stuck_flight.mat",
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     parser.add_argument(
@@ -591,8 +592,26 @@ def build_parser() -> argparse.ArgumentParser:
     for group in _GROUPS.values():
         for declare, (about, description, example) in group.items():
             name = declare.__name__[1:]
-            declare(verbs.add_parser(name, help=about, description=description, epilog=f"Example: servofd {example}"))
+            verb = verbs.add_parser(name, help=about, description=description, epilog=f"Example: servofd {example}")
+            declare(verb)
+            ways = [way for way in WAYS.values() if way[0] == name]
+            other = verb.add_argument_group("instead") if ways else verb
+            for _, option, _, what, _, _ in ways:
+                other.add_argument(
+                    option, action="store_true", help=f"{what} (options: servofd {name} {option} --help)"
+                )
     parser.set_defaults(whole=parser, manuals=verbs.choices)  # of which `servofd help` shows one
+    return parser
+
+
+def way_parser(way: str) -> argparse.ArgumentParser:
+    """Options of another way of a verb."""
+    verb, option, declare, _, description, example = WAYS[way]
+    parser = Parser(
+        prog=f"servofd {verb} {option}", description=description, epilog=f"Example: servofd {verb} {option} {example}"
+    )
+    declare(parser)
+    parser.set_defaults(verb=way)
     return parser
 
 

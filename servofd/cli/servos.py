@@ -1,4 +1,4 @@
-"""``servofd servos``: the library."""
+"""``servofd config --servos``: the library."""
 
 from __future__ import annotations
 

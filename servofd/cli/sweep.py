@@ -1,4 +1,4 @@
-"""``servofd sweep``: pre-flight check of each surface from a commanded sweep on the ground."""
+"""``servofd audit --sweep``: pre-flight check of each surface from a commanded sweep on the ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``servofd view``: look at a log or a recording."""
+"""``servofd review --view``: look at a log or a recording."""
 
 from __future__ import annotations
 

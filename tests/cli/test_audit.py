@@ -192,7 +192,7 @@ def test_results_go_to_stdout_and_nothing_else_does() -> None:
 
 @pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error() -> None:
-    command = f"{sys.executable} -m servofd servos --json | head -n 1"
+    command = f"{sys.executable} -m servofd config --servos --json | head -n 1"
     result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)  # noqa: S607
     assert result.stdout.strip() == "{"
     assert result.stderr == ""

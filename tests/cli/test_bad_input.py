@@ -187,10 +187,10 @@ def test_bad_aircraft_files(name: str, tmp_path: Path, capsys: pytest.CaptureFix
         (["simulate", "-o", "a.bin", "--generation", "volts"], "did you mean volz?"),
         (["simulate", "-o", "a.tlog", "--generation", "volz"], "belongs to a .bin"),
         (["simulate", "-o", "a.bin", "--fault", "elevtor:stuck@1"], "did you mean elevator?"),
-        (["design", "hs225"], "unknown servo"),
-        (["design", "s9254", "--pole", "0"], "pole"),
-        (["design", "s9254", "--rate-hz", "0"], "rate"),
-        (["design", "s9254", "--plot", "no/such/folder/a.png"], "cannot write here"),
+        (["config", "--filter", "hs225"], "unknown servo"),
+        (["config", "--filter", "s9254", "--pole", "0"], "pole"),
+        (["config", "--filter", "s9254", "--rate-hz", "0"], "rate"),
+        (["config", "--filter", "s9254", "--plot", "no/such/folder/a.png"], "cannot write here"),
     ],
 )
 def test_bad_requests(
@@ -208,7 +208,8 @@ def test_bad_requests(
 
 
 @pytest.mark.parametrize(
-    "arguments", [["audit"], ["audit", "a.csv", "--threshold-deg", "-1"], ["nonsense"], [], ["servos", "--colour"]]
+    "arguments",
+    [["audit"], ["audit", "a.csv", "--threshold-deg", "-1"], ["nonsense"], [], ["config", "--servos", "--colour"]],
 )
 def test_wrong_calls(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:

@@ -1,4 +1,4 @@
-"""`servofd calibrate` and `servofd sweep`: files written and refused, tables, exit codes."""
+"""`servofd calibrate` and `servofd audit --sweep`: files written and refused, tables, exit codes."""
 
 from __future__ import annotations
 
@@ -182,9 +182,9 @@ def swept(faults: dict[str, Stuck] | None = None) -> SimulatedFlight:
 
 
 def test_a_sweep_is_a_go_or_a_no_go(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sweep", logged(tmp_path, "ground.csv", swept()), "-c", config]) == 0
+    assert main(["audit", "--sweep", logged(tmp_path, "ground.csv", swept()), "-c", config]) == 0
     assert " go " in capsys.readouterr().out
-    assert main(["sweep", logged(tmp_path, "jam.csv", swept({"rudder": Stuck(5.0)})), "-c", config]) == 1
+    assert main(["audit", "--sweep", logged(tmp_path, "jam.csv", swept({"rudder": Stuck(5.0)})), "-c", config]) == 1
     assert "NO-GO" in capsys.readouterr().out
 
 
@@ -195,7 +195,7 @@ def test_a_surface_that_was_not_moved_cannot_be_judged(
     command_deg = 1.0 * np.sin(time_s)
     measured_deg = plain_aircraft(["rudder"], "hs225bb-eq31").model("rudder").simulate(time_s, command_deg, time_s)
     log = written(tmp_path, "still.csv", time_s, command_deg, measured_deg + 0.02 * np.sin(50.0 * time_s))
-    assert main(["sweep", log, "-c", config]) == 2
+    assert main(["audit", "--sweep", log, "-c", config]) == 2
     assert "move it at least ±3 deg" in capsys.readouterr().out
 
 
@@ -205,7 +205,7 @@ def test_a_sweep_measures_what_is_wrong(tmp_path: Path, config: str, capsys: pyt
     healthy_deg = plain_aircraft(["rudder"], "hs225bb-eq31").model("rudder").simulate(time_s, command_deg, time_s)
     noise_deg = 0.05 * np.random.default_rng(0).standard_normal(time_s.size)
     log = written(tmp_path, "weak.csv", time_s, command_deg, 0.94 * healthy_deg + noise_deg)
-    code = main(["sweep", log, "-c", config, "--json", "-"])
+    code = main(["audit", "--sweep", log, "-c", config, "--json", "-"])
     document = json.loads(capsys.readouterr().out)
     rudder = document["surfaces"]["rudder"]
     assert document["schema"] == "servofd.sweep/1"

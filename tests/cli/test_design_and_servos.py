@@ -1,4 +1,4 @@
-"""``servofd design`` and ``servofd servos``."""
+"""``servofd config --filter`` and ``servofd config --servos``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from servofd.servo.library import library
 
 
 def test_design_prints_thesis_eq_4_10(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "hs225bb-eq31", "--pole", "-50", "--printed-gain"]) == 0
+    assert main(["config", "--filter", "hs225bb-eq31", "--pole", "-50", "--printed-gain"]) == 0
     out = capsys.readouterr().out
     for number in ("51.10384301", "4848.732625", "340392.1504", "6246813.164", "-6250000"):
         assert number in out
@@ -21,12 +21,12 @@ def test_design_prints_thesis_eq_4_10(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_design_draws_the_fault_step(tmp_path: Path) -> None:
     target = tmp_path / "step.png"
-    assert main(["design", "s9254", "--plot", str(target)]) == 0
+    assert main(["config", "--filter", "s9254", "--plot", str(target)]) == 0
     assert target.read_bytes().startswith(b"\x89PNG")
 
 
 def test_servos_prints_every_servo(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["servos", "--notes"]) == 0
+    assert main(["config", "--servos", "--notes"]) == 0
     out = capsys.readouterr().out
     for name, servo in library().items():
         assert name in out
@@ -34,7 +34,7 @@ def test_servos_prints_every_servo(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_servos_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["servos", "--json"]) == 0
+    assert main(["config", "--servos", "--json"]) == 0
     servos = json.loads(capsys.readouterr().out)
     assert servos["s3151"]["bandwidth_rad_s"] == pytest.approx(36.47, abs=0.005)
     assert servos["s3151"]["poles_rad_s"][0] == pytest.approx([-8.635, -24.0736], abs=1e-3)

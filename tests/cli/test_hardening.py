@@ -36,7 +36,7 @@ def elevator(path: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 @pytest.mark.parametrize(
-    "verb", [[], ["audit"], ["info"], ["explain"], ["identify"], ["review"], ["config"], ["sweep"]]
+    "verb", [[], ["audit"], ["info"], ["explain"], ["identify"], ["review"], ["config"], ["audit", "--sweep"]]
 )
 def test_a_pipe_that_nobody_writes_to_is_not_waited_for(
     verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -90,7 +90,7 @@ class TestOutputs:
     def test_a_full_disk_is_told(self) -> None:
         if not Path("/dev/full").exists():
             pytest.skip("no /dev/full on this system")
-        command = f"{sys.executable} -m servofd servos --json > /dev/full"
+        command = f"{sys.executable} -m servofd config --servos --json > /dev/full"
         result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)  # noqa: S607
         assert result.returncode == 2
         assert "Traceback" not in result.stderr

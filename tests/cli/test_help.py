@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from servofd.cli import build_parser, main
-from servofd.cli.options import SHELLS, VERBS
+from servofd.cli.options import SHELLS, VERBS, WAYS
 
 
 def script(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
@@ -31,6 +31,30 @@ def test_help_of_a_verb_is_what_its_option_prints(capsys: pytest.CaptureFixture[
 def test_help_alone_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help"]) == 0
     assert capsys.readouterr().out == build_parser().format_help()
+
+
+def test_help_fits_a_screen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) < 24
+    assert max(map(len, lines)) <= 80
+    assert len(VERBS) <= 15
+
+
+@pytest.mark.parametrize("old", WAYS)
+def test_an_old_spelling_works_and_says_the_new_one(old: str, capsys: pytest.CaptureFixture[str]) -> None:
+    verb, option, *_ = WAYS[old]
+    for words in ([old, "--help"], [verb, option, "--help"]):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code == 0
+        printed = capsys.readouterr()
+        assert printed.out.startswith(f"usage: servofd {verb} {option} ")
+        says = [f"servofd: 'servofd {old}' is now 'servofd {verb} {option}'"] if words[0] == old else []
+        assert printed.err.splitlines() == says
+    with pytest.raises(SystemExit):
+        main([verb, "--help"])
+    assert option in capsys.readouterr().out
 
 
 def test_an_unknown_verb_is_one_line_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:

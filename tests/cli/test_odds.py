@@ -1,4 +1,4 @@
-"""``servofd odds`` from the shell."""
+"""``servofd config --odds`` from the shell."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ HEALTHY, STUCK = str(SAMPLES / "faser_healthy_flight.mat"), str(SAMPLES / "faser
 @pytest.mark.slow
 def test_odds_of_a_design(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     target = tmp_path / "odds.json"
-    code = main(["odds", "-c", "faser", "-s", "rudder", "--false-alarms-per-hour", "1e-6", "--json", str(target)])
+    code = main(
+        ["config", "--odds", "-c", "faser", "-s", "rudder", "--false-alarms-per-hour", "1e-6", "--json", str(target)]
+    )
     assert code == 0
     document = json.loads(target.read_text())
     assert document["schema"] == "servofd.odds/1"
@@ -35,7 +37,9 @@ def test_odds_of_a_design(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
 def test_odds_of_a_servo_scale_with_its_noise(capsys: pytest.CaptureFixture[str]) -> None:
     thresholds = []
     for noise in ("0.1", "0.2"):
-        assert main(["odds", "--servo", "s9254", "--noise-deg", noise, "--rate-hz", "50", "--json", "-"]) == 0
+        assert (
+            main(["config", "--odds", "--servo", "s9254", "--noise-deg", noise, "--rate-hz", "50", "--json", "-"]) == 0
+        )
         (surface,) = json.loads(capsys.readouterr().out)["surfaces"].values()
         thresholds.append(surface["wished"]["threshold_deg"]["gaussian"])
     assert thresholds[1] == pytest.approx(2.0 * thresholds[0])
@@ -43,7 +47,21 @@ def test_odds_of_a_servo_scale_with_its_noise(capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.slow
 def test_odds_of_flights(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    command = ["odds", "--log", HEALTHY, STUCK, "-s", "elevator", "-s", "rudder", "--json", "-", "-o", str(tmp_path)]
+    command = [
+        "config",
+        "--odds",
+        "--log",
+        HEALTHY,
+        STUCK,
+        "-s",
+        "elevator",
+        "-s",
+        "rudder",
+        "--json",
+        "-",
+        "-o",
+        str(tmp_path),
+    ]
     assert main(command) == 0
     surfaces = json.loads(capsys.readouterr().out)["surfaces"]
     assert surfaces["rudder"]["healthy_hours"] == pytest.approx(2.0 * surfaces["elevator"]["healthy_hours"], rel=0.01)
@@ -60,13 +78,13 @@ def test_a_surface_at_fault_tells_nothing_and_writes_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     outputs = ["-o", str(tmp_path / "odds"), "--json", str(tmp_path / "odds.json")]
-    assert main(["odds", "--log", STUCK, "-s", "elevator", *outputs]) == 2
+    assert main(["config", "--odds", "--log", STUCK, "-s", "elevator", *outputs]) == 2
     assert "no healthy surface to learn the odds from: elevator" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
 def test_one_bad_log_does_not_stop_the_others(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["odds", "--log", "no_such.mat", HEALTHY, "-s", "rudder"]) == 2
+    assert main(["config", "--odds", "--log", "no_such.mat", HEALTHY, "-s", "rudder"]) == 2
     captured = capsys.readouterr()
     assert "rudder" in captured.out
     assert "no such file" in captured.err
@@ -88,7 +106,7 @@ def test_one_bad_log_does_not_stop_the_others(capsys: pytest.CaptureFixture[str]
     ],
 )
 def test_wrong_calls_are_told_in_one_line(words: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["odds", *words]) == 2
+    assert main(["config", "--odds", *words]) == 2
     error = capsys.readouterr().err
     assert reason in error
     assert error.count("\n") == 1
@@ -97,6 +115,6 @@ def test_wrong_calls_are_told_in_one_line(words: list[str], reason: str, capsys:
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "x"])
 def test_a_rate_must_be_positive(value: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
-        main(["odds", "-c", "faser", f"--false-alarms-per-hour={value}"])
+        main(["config", "--odds", "-c", "faser", f"--false-alarms-per-hour={value}"])
     assert stopped.value.code == 2
     assert "positive" in capsys.readouterr().err

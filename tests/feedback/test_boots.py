@@ -68,7 +68,7 @@ def test_each_boot_is_a_sweep_of_its_own_and_one_that_is_no_go_counts(
     sweep = ["--duration", "20", "--command", "chirp"]
     both = _two_boots(tmp_path, first=[*sweep, "--fault", "rudder:stuck@5"], second=sweep)
     capsys.readouterr()
-    assert main(["sweep", str(both), "-c", "simulated", "--json", "-"]) == 1
+    assert main(["audit", "--sweep", str(both), "-c", "simulated", "--json", "-"]) == 1
     last = json.loads(capsys.readouterr().out)
     (first,) = last["earlier_boots"]
     assert {name for name, one in first["surfaces"].items() if one["status"] == "no_go"} == {"rudder"}

@@ -260,7 +260,7 @@ WORDS = (
     ("effect", "elevator:rate_limit:rate_limit_deg_s=60:form=output", "elevator:deadband:width_deg=0.5"),
     ("simulate", "--duration", "2", "--rate-hz", "50", "--noise-deg", "0.1", "--seed", "3", "--command", "steps"),
     ("audit", "--threshold-deg", "1.5", "--servo", "s9254", "-s", "elevator", "--threshold", "interval"),
-    ("design", "s9254", "--pole", "50", "--rate-hz", "100"),
+    ("filter", "s9254", "--pole", "50", "--rate-hz", "100"),
     ("endpoint", "udpin:127.0.0.1:14550", "tcp:localhost:5760", "/dev/ttyACM0,57600", "tcpin:5760"),
     ("key", "00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff", "a passphrase"),
     ("aircraft", "faser", "no/such.toml"),
@@ -282,9 +282,10 @@ def _worded(content: bytes, folder: Path) -> str:
             return _said([*simulate, "--duration", "2", *(f"--{verb}={word}" for word in words[:2])])
         case "simulate":
             return _said([*simulate, *words])
-        case "audit" | "design":
-            log = [str(folder / "flight.csv")] if verb == "audit" else []
-            return _said([verb, *log, *words])
+        case "audit":
+            return _said([verb, str(folder / "flight.csv"), *words])
+        case "filter":
+            return _said(["config", "--filter", *words])
         case "key":
             signing_key(content)
         case "aircraft":

@@ -296,18 +296,18 @@ def test_a_fault_larger_than_any_servo(size: str, tmp_path: Path, capsys: pytest
 
 @pytest.mark.parametrize("pole", ["1e-320", "1e30", "0", "nan"])
 def test_a_filter_pole_whose_powers_are_no_numbers(pole: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "s9254", "--pole", pole]) == 2
+    assert main(["config", "--filter", "s9254", "--pole", pole]) == 2
     assert "must lie between" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("rate_hz", ["1e-320", "0", "nan", "2e6"])
 def test_a_rate_whose_inverse_is_no_time(rate_hz: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "s9254", "--pole", "50", "--rate-hz", rate_hz]) == 2
+    assert main(["config", "--filter", "s9254", "--pole", "50", "--rate-hz", rate_hz]) == 2
     assert "give a rate between" in capsys.readouterr().err
 
 
 def test_a_filter_that_takes_a_billion_samples_to_settle(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "s9254", "--pole", "1e-5"]) == 2
+    assert main(["config", "--filter", "s9254", "--pole", "1e-5"]) == 2
     assert "is no use at 100 Hz" in capsys.readouterr().err
 
 

@@ -315,7 +315,7 @@ def test_view_needs_a_display(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
         pytest.skip("elsewhere there always is one")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    assert main(["view", str(STUCK)]) == 2
+    assert main(["review", "--view", str(STUCK)]) == 2
     assert "no display" in capsys.readouterr().err
 
 
@@ -326,11 +326,11 @@ def test_view_opens_recordings_and_logs(
     opened = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("servofd.cli.view.open_viewer", lambda path: opened.append(read_recording(path)))
-    assert main(["view", str(stuck)]) == 0
-    assert main(["view", str(STUCK)]) == 0
+    assert main(["review", "--view", str(stuck)]) == 0
+    assert main(["review", "--view", str(STUCK)]) == 0
     assert opened[0].audit.surfaces == opened[1].audit.surfaces
     assert "stuck at" in capsys.readouterr().out
-    assert main(["view", "no.bin"]) == 2
+    assert main(["review", "--view", "no.bin"]) == 2
 
 
 @pytest.mark.slow
@@ -346,7 +346,7 @@ def test_view_gives_the_viewer_names_that_it_can_draw(
     for source in (stuck, STUCK):
         odd = tmp_path / f"飛行{source.suffix}"
         odd.write_bytes(source.read_bytes())
-        assert main(["view", str(odd)]) == 0
+        assert main(["review", "--view", str(odd)]) == 0
     assert opened == [("U+98DBU+884C.rrd", True)] * 2
 
 
@@ -355,7 +355,7 @@ def test_the_viewer_that_fails_is_one_line(
 ) -> None:
     monkeypatch.setenv("DISPLAY", ":77")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert main(["view", str(stuck)]) == 2
+    assert main(["review", "--view", str(stuck)]) == 2
     shown = capsys.readouterr().err
     assert "could not be opened" in shown
     assert shown.count("\n") == 1
