@@ -102,7 +102,8 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
     schema = properties.get("schema")
     if isinstance(schema, str) and schema in _WITHOUT_VERDICTS:
         raise RecordingError(
-            f"{name}: a recording of {_WITHOUT_VERDICTS[schema]}: no verdicts; 'servofd review --view' shows it"
+            f"{name}: a recording of {_WITHOUT_VERDICTS[schema]}: no verdicts to review; "
+            "'servofd review --view' shows it"
         )
     if schema != SCHEMA:
         wrote = f"schema {schema}" if schema else "an older servofd, without a schema"
