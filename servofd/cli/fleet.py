@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 from servofd.batch.find import find_logs
 from servofd.batch.key import page_name
-from servofd.cli.terminal import complain, give_json, one_line, print_document, progress, say, worst, write_page
+from servofd.cli.terminal import (
+    complain,
+    give_json,
+    one_line,
+    print_document,
+    print_lines,
+    progress,
+    say,
+    worst,
+    write_page,
+)
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import layout_of
@@ -18,6 +28,7 @@ from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore, by_path, read_logs
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import FLEET_PAGE
+from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
     from servofd.batch.find import Found, LogSource
@@ -26,7 +37,9 @@ if TYPE_CHECKING:
     from servofd.fleets.run import JudgedLog
 
 _SHOWN = 3
-"""Flights with a fault, and files passed over, that are listed by name."""
+"""Files passed over that are listed by name."""
+_MOST = 100
+"""Flights in a table on a terminal."""
 
 
 def run(options: Options) -> int:
@@ -61,15 +74,23 @@ def run_fleet(options: Options, job: Job) -> int:
     for page in filter(None, (options.html, str(Path(folder, FLEET_PAGE)) if folder else None)):
         _write_page(seen, page)
     printed = give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]})
+    flights = seen.document()["flights"]
     if options.pages and not printed:
         say(f"{fleet_report(seen.document()).sentence} → {Path(options.pages, FLEET_PAGE)}")
-        for flight in [flight for flight in seen.flights if flight["status"] in ("fault", "suspect")][:_SHOWN]:
-            say(f"{one_line(flight_name(flight))}: {one_line(flight['sentence'])}")
+        print_lines([_brief(one) for one in flights[:_MOST]])
+        if len(flights) > _MOST:
+            say(f"and {len(flights) - _MOST} more, on the page")
     elif not printed:
         print_document(fleet_report(seen.document()))
     for problem in (*found.problems, *(one["reason"] for one in seen.not_judged)):
         complain(problem)
     return worst([seen.exit_code, *(2 for _ in found.problems)])
+
+
+def _brief(flight: dict[str, Any]) -> tuple[str, str, str]:
+    """Status, name and sentence of a flight."""
+    said = flight["sentence"].replace(" Do not fly.", "")
+    return spoken(flight["status"]), one_line(flight_name(flight)), one_line(said)
 
 
 def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) -> list[JudgedLog]:

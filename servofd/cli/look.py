@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 from servofd.cli import audit
 from servofd.cli.terminal import one_line, say, write_page
 from servofd.core.files import beginning, distinct_file_names
-from servofd.detection.verdict import next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.page import FLEET_PAGE, source_tag
-from servofd.outputs.sentence import spoken, whole_sentence, worst
+from servofd.outputs.sentence import answers, whole_sentence, worst
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +59,7 @@ def _many(options: Options) -> int:
 
 
 def _closing_lines(results: Sequence[LogAudit | FailedLog], sentence: str, page: Path | None) -> list[str]:
-    """What happened, what to do, what is well, and where the page is: at most four lines."""
+    """What happened, what to do, what is well, and where the page is: one line a surface."""
     where = f" → {page}" if page else ""
     audits = [result for result in results if not isinstance(result, FailedLog)]
     if not audits:
@@ -71,16 +70,7 @@ def _closing_lines(results: Sequence[LogAudit | FailedLog], sentence: str, page:
     if len(audits) > 1:
         clear = sum(worst((*audit.surfaces, *audit.axes)) == "healthy" for audit in audits)
         lines.append(f"{clear} of {len(audits)} runs are healthy; this one is the worst.")
-    steps = [
-        f"{spoken(s.surface).capitalize()}: {next_step(s).removeprefix('do not fly; ')}."
-        for s in shown.surfaces
-        if s.status in ("fault", "suspect")
-    ]
-    lines += steps[:1]
-    healthy = [spoken(s.surface) for s in shown.surfaces if s.status == "healthy"]
-    if healthy and steps:
-        lines.append(f"Followed {'its command' if len(healthy) == 1 else 'their commands'}: {', '.join(healthy)}.")
-    return lines
+    return lines + answers(shown)
 
 
 def _written(options: Options, report: Document) -> Path | None:

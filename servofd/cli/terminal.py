@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 _WIDEST = 100
 """Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
+_PIPED = 80
+"""Columns of a table of one line a row, where there is no terminal."""
 _NARROWEST = 64
 """Below this a table of sentences becomes a list."""
 
@@ -128,6 +130,24 @@ def print_table(
         named = [f"{heading} {cell}" for heading, cell in zip(headings[2:-1], row[2:-1], strict=True) if cell]
         for line in filter(None, (", ".join(named), *row[2:][-1:])):
             shown.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
+
+
+def print_lines(rows: Sequence[tuple[str, str, str]]) -> None:
+    """Print status, name and words of each row on a line, cut where the terminal ends; of a pipe at 80 columns."""
+    from rich.cells import cell_len
+    from rich.text import Text
+
+    shown = console()
+    if not shown.is_terminal:
+        shown = console(width=_PIPED)
+    first, second = (max((cell_len(row[k]) for row in rows), default=0) for k in (0, 1))
+    for status, name, words in rows:
+        line, named = Text(status, style=_style(status)), Text(name)
+        line.pad_right(first + 1 - line.cell_len)
+        named.truncate(min(second, shown.width // 3), overflow="ellipsis", pad=True)
+        line.append_text(named).append(f" {words}")
+        line.truncate(shown.width, overflow="ellipsis")
+        shown.print(line, no_wrap=True)
 
 
 def show(document: Document, *, json: str | None = None, html: str | None = None) -> None:

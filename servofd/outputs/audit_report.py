@@ -31,7 +31,7 @@ from servofd.outputs.chart import (
 from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Section, Table, Words
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.lanes import beside, diary
-from servofd.outputs.sentence import clock, other_way_round, plain_rate, seen, whole_sentence, worst
+from servofd.outputs.sentence import clock, gravity, other_way_round, plain_rate, seen, whole_sentence, worst
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -188,7 +188,7 @@ def _log(audit: LogAudit) -> Document:
     facts = [log.source.name, log.format, f"{log.duration_s:.1f} s", log.vehicle, log.firmware]
     if log.start_utc is not None:
         facts.append(f"begun {log.start_utc:%Y-%m-%d %H:%M} UTC")
-    ordered = sorted(audit.surfaces, key=lambda surface: _SHOWN_FIRST.index(surface.status))
+    ordered = sorted(audit.surfaces, key=lambda surface: (_SHOWN_FIRST.index(surface.status), gravity(surface)))
     damage = [
         (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
         for damage in log.damage_summary

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from servofd.detection.verdict import gravest
+from servofd.detection.verdict import gravest, next_step
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.axes.verdict import AxisAudit
     from servofd.core.evidence import Detectable
-    from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit
+    from servofd.detection.verdict import CommonCause, Fault, LogAudit, Status, SurfaceAudit
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 _WHAT = {
@@ -36,7 +36,15 @@ _CAUSES = {
     "servo_type": "WRONG SERVO TYPE",
     "unknown": "ONE CAUSE",
 }
-_MOST_NAMED = 2
+_GRAVITY = (
+    *("hardover", "stuck", "blocked", "floating", "unpowered", "loss_of_effectiveness", "slow", "binding"),
+    *("bias", "oscillation", "deadband", "worn"),
+)
+"""Kinds of faults, the worst first by what they may do to an aircraft; what is not among them comes last."""
+_AT_ITS_CAUSE_S = 5.0
+"""A fault that begins within so much of a common cause is told with it [s]."""
+_STATES = ("OFF", "TOO", "BLOCKED", "WITHOUT", "NOT")
+"""First words of what a fault is rather than does."""
 _CLAUSE = re.compile(r"[:;]| \(|, ")
 """Where the first clause of a reason ends."""
 _RARE_PER_HOUR = 1e-6
@@ -72,10 +80,8 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
     faulty = [s for s in surfaces if s.status == "fault"]
     suspect = [s for s in surfaces if s.status == "suspect"]
     healthy = [s for s in surfaces if s.status == "healthy"]
-    if len(faulty) > _MOST_NAMED:
-        return f"{len(faulty)} SERVOS AT FAULT: {_surfaces(faulty)}. Do not fly."
     if faulty:
-        each = "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in faulty)
+        each = "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in sorted(faulty, key=gravity))
         return f"{each}. Do not fly."
     if suspect:
         by_current = all(s.suspicions and all(f.witness == "current" for f in s.suspicions) for s in suspect)
@@ -108,12 +114,69 @@ def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> s
     return " ".join(part for part in (text, missing, not_moved) if part)
 
 
+def gravity(surface: SurfaceAudit) -> int:
+    """Place of a surface among others, by what its faults or suspicions may do to the aircraft; the worst is first."""
+    kinds = {fault.kind for fault in surface.faults or surface.suspicions}
+    return min((_GRAVITY.index(kind) for kind in kinds if kind in _GRAVITY), default=len(_GRAVITY))
+
+
 def whole_sentence(audit: LogAudit) -> str:
-    """What happened to surfaces and axes, and whether to fly, once."""
+    """What happened to surfaces and axes, and whether to fly, once; what all share comes first, and is said once."""
     parts = [f"{_CAUSES[one.kind]} at {clock(one.since_s)}: {one.text}." for one in audit.common_causes]
-    parts += [sentence(audit.surfaces)] if audit.surfaces else []
+    apart = [s for s in audit.surfaces if not any(_is_of(s, one) for one in audit.common_causes)]
+    if audit.surfaces and not any(s.status == "fault" for s in apart) and len(apart) < len(audit.surfaces):
+        parts.append("Do not fly.")
+    elif audit.surfaces:
+        parts.append(sentence(apart))
     advised = worst(audit.surfaces)
     return " ".join([*parts, *([axes_sentence(audit.axes, advised)] if audit.axes else [])]) or sentence(())
+
+
+def _is_of(surface: SurfaceAudit, cause: CommonCause) -> bool:
+    """Whether all that a surface did wrong began with a common cause."""
+    return (
+        surface.surface in cause.surfaces
+        and bool(surface.faults)
+        and all(abs(fault.start_s - cause.since_s) <= _AT_ITS_CAUSE_S for fault in surface.faults)
+    )
+
+
+def answers(audit: LogAudit) -> list[str]:
+    """Beside the sentence: what to do about each surface, the worst first; no verdicts and why; what is cleared.
+
+    A surface with several faults names each, and one that rests on a fitted zero or scale says so.
+    """
+    lines = []
+    surfaces = sorted(audit.surfaces, key=lambda s: (_WORST_FIRST.index(s.status), gravity(s)))
+    for surface in surfaces:
+        if surface.status in ("fault", "suspect"):
+            step = next_step(surface).removeprefix("do not fly; ")
+            more = [_what(fault) for fault in surface.faults if fault is not gravest(surface.faults)]
+            also = f" It also {'; '.join(map(_calmly, more))}." if more else ""
+            either = other_way_round(surface)
+            note = f" {either[:1].upper()}{either[1:]}." if either else ""
+            lines.append(f"{spoken(surface.surface).capitalize()}: {step}.{also}{note}")
+    if not lines:
+        return []  # the sentence says all there is
+    dark = [s for s in surfaces if s.expected and not s.is_judged and s.status not in ("fault", "suspect")]
+    lines += [f"No verdict on {spoken(s.surface)}: {_CLAUSE.split(s.reason, maxsplit=1)[0]}." for s in dark]
+    healthy = [spoken(s.surface) for s in surfaces if s.status == "healthy"]
+    if healthy:
+        lines.append(f"Followed {'its command' if len(healthy) == 1 else 'their commands'}: {', '.join(healthy)}.")
+    return lines
+
+
+def _calmly(what: str) -> str:
+    """What a fault does, without capitals.
+
+    Examples
+    --------
+    >>> _calmly("TOO SLOW since 0:05"), _calmly("JAMMED at 0:30 (+0.5 deg)")
+    ('was too slow since 0:05', 'jammed at 0:30 (+0.5 deg)')
+    """
+    words = what.split(" ")
+    plain = " ".join(word.lower() if word.isupper() else word for word in words)
+    return f"was {plain}" if words[0] in _STATES else plain
 
 
 def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str:
