@@ -31,7 +31,16 @@ from servofd.outputs.chart import (
 from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Section, Table, Words
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.lanes import beside, diary
-from servofd.outputs.sentence import clock, gravity, other_way_round, plain_rate, seen, whole_sentence, worst
+from servofd.outputs.sentence import (
+    clock,
+    gravity,
+    other_way_round,
+    plain_rate,
+    seen,
+    whole_sentence,
+    with_interval,
+    worst,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -230,7 +239,7 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
             f"{fault.alarm_s:.2f}",
             "lasts" if fault.end_s is None else f"{fault.end_s:.2f}",
             "; ".join(
-                f"{quantity(name)} {one.value:.3g} ({one.low:.3g} to {one.high:.3g})"
+                f"{quantity(name)} {with_interval(one.value, one.low, one.high)}"
                 for name, one in fault.parameters.items()
             )
             or _MISSING,

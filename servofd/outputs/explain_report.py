@@ -13,7 +13,7 @@ from servofd.discrepancy.locate import binned, errors_by_regime, maps, quantitie
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
-from servofd.outputs.sentence import spoken
+from servofd.outputs.sentence import known_digits, spoken
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -205,7 +205,7 @@ def _surface(found: Explanation, anchor: str) -> Section:
     errors = [("as it was", document["nominal"]), *((f"+ {name}", step) for name, step in steps)]
     ladder = [(name, *(_number(one[key]) for key in ("train_rms_deg", "held_out_rms_deg"))) for name, one in errors]
     parameters = [
-        (effect, quantity(name), *(_number(one[key]) for key in ("value", "low", "high")))
+        (effect, quantity(name), *known_digits(one["value"], one["low"], one["high"]))
         for effect, step in steps
         for name, one in step["parameters"].items()
     ]

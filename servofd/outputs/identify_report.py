@@ -13,7 +13,7 @@ from servofd.identification.records import longest_uniform
 from servofd.identification.response import raw_response
 from servofd.outputs.chart import Chart, Curve, Panel, Span
 from servofd.outputs.document import Bullets, Document, Figures, Table
-from servofd.outputs.sentence import spoken
+from servofd.outputs.sentence import known_digits, spoken
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
@@ -178,12 +178,15 @@ def identify_report(found: Identification, source: str) -> Document:
     for name, (label, value, scale) in values.items():
         if value is not None and math.isfinite(value):
             interval = found.intervals.get(name)
-            shown = "" if interval is None else f"{scale * interval.low:.5g} to {scale * interval.high:.5g}"
-            rows.append((label, f"{scale * value:.5g}", shown))
+            shown, between = f"{scale * value:.4g}", ""
+            if interval is not None and interval.low < interval.high < math.inf:
+                shown, low, high = known_digits(scale * value, scale * interval.low, scale * interval.high)
+                between = f"{low} to {high}"
+            rows.append((label, shown, between))
     rows.append(("rms error [deg]", f"{found.rms_deg:.4g}", ""))
     if found.band_rad_s is not None:
-        low, high = found.band_rad_s
-        rows.append(("normalised error", f"up to {found.max_normalized_error:.3f}", f"{low:.1f} to {high:.1f} rad/s"))
+        begin, end = found.band_rad_s
+        rows.append(("normalised error", f"up to {found.max_normalized_error:.3f}", f"{begin:.1f} to {end:.1f} rad/s"))
     return Document(
         title=f"Identification of {spoken(found.surface)}",
         status="unknown" if found.not_told else "healthy",

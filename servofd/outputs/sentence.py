@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
@@ -226,6 +227,42 @@ def spoken(name: str) -> str:
     return name.replace("_", " ")
 
 
+_LEAST_SAID_DEG, _LEAST_SAID_SHARE = 0.1, 0.01
+"""Smallest angle [deg] and share that a sentence has digits for."""
+_MOST_DECIMALS = 6
+"""Decimals of a number that is known very well."""
+
+
+def known_digits(value: float, low: float, high: float, most: int = _MOST_DECIMALS) -> tuple[str, str, str]:
+    """A value and the ends of its interval, with as many decimals as two digits of the interval's width need.
+
+    Examples
+    --------
+    >>> known_digits(28.381, 28.266, 28.693), known_digits(-0.3652, -0.3652, -0.3651)
+    (('28.38', '28.27', '28.69'), ('-0.36520', '-0.36520', '-0.36510'))
+    """
+    width = high - low
+    if not (math.isfinite(width) and width > 0.0):
+        return f"{value:.4g}", f"{low:.4g}", f"{high:.4g}"
+    digits = min(most, max(1 - math.floor(math.log10(width)), 0))
+    first, second, third = (f"{one:z.{digits}f}" for one in (value, low, high))
+    return first, second, third
+
+
+def with_interval(value: float, low: float, high: float) -> str:
+    """A value with its interval in brackets; alone where both ends read alike.
+
+    Examples
+    --------
+    >>> with_interval(2.51, 2.43, 2.59), with_interval(-0.365, -0.365, -0.365)
+    ('2.51 (2.43 to 2.59)', '-0.365')
+    """
+    if not low < high or not math.isfinite(high - low):
+        return f"{value:.3g}"
+    value_text, low_text, high_text = known_digits(value, low, high)
+    return value_text if low_text == high_text else f"{value_text} ({low_text} to {high_text})"
+
+
 def seen(detectable: Detectable) -> str:
     """The smallest faults that a flight would have shown; empty if it would have shown none.
 
@@ -237,12 +274,15 @@ def seen(detectable: Detectable) -> str:
     >>> seen(Detectable(bias_deg=0.8, slow_share=0.5, oscillation_deg=0.42))
     'would have seen an offset of 0.8 deg, 50% less speed, ±0.4 deg of oscillation'
     """
+    angle_deg, share = _LEAST_SAID_DEG, _LEAST_SAID_SHARE  # what is seen larger is seen as well: nothing is said of 0.0
     sizes = [
-        None if detectable.bias_deg is None else f"an offset of {detectable.bias_deg:.1f} deg",
-        None if detectable.loss_share is None else f"{detectable.loss_share:.0%} less travel",
-        None if detectable.slow_share is None else f"{1.0 - detectable.slow_share:.0%} less speed",
-        None if detectable.deadband_deg is None else f"{detectable.deadband_deg:.1f} deg of play",
-        None if detectable.oscillation_deg is None else f"±{detectable.oscillation_deg:.1f} deg of oscillation",
+        None if detectable.bias_deg is None else f"an offset of {max(detectable.bias_deg, angle_deg):.1f} deg",
+        None if detectable.loss_share is None else f"{max(detectable.loss_share, share):.0%} less travel",
+        None if detectable.slow_share is None else f"{max(1.0 - detectable.slow_share, share):.0%} less speed",
+        None if detectable.deadband_deg is None else f"{max(detectable.deadband_deg, angle_deg):.1f} deg of play",
+        None
+        if detectable.oscillation_deg is None
+        else f"±{max(detectable.oscillation_deg, angle_deg):.1f} deg of oscillation",
     ]
     known = [size for size in sizes if size is not None]
     return f"would have seen {', '.join(known)}" if known else ""

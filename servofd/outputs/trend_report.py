@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from servofd.core.statistics import Z_95
 from servofd.outputs.chart import Chart, Curve, Mark, Panel
 from servofd.outputs.document import Bullets, Cell, Document, Figures, Section, Table, Words
 from servofd.outputs.fleet_report import flight_name
-from servofd.outputs.sentence import minute_of, spoken
+from servofd.outputs.sentence import known_digits, minute_of, spoken
 from servofd.wear.estimate import QUANTITIES
 from servofd.wear.series import TOO_FEW
 
@@ -126,10 +125,9 @@ def _when(one: dict[str, Any]) -> str:
 
 def _interval(estimate: dict[str, float], scale: float, digits: int) -> str:
     """As many decimals as are known: two of the width of the interval, at most."""
-    width = scale * (estimate["high"] - estimate["low"])
-    if math.isfinite(width) and width > 0.0:
-        digits = min(digits, max(1 - math.floor(math.log10(width)), 0))
-    value, low, high = (f"{scale * estimate[key]:z.{digits}f}" for key in ("value", "low", "high"))
+    value, low, high = known_digits(
+        scale * estimate["value"], scale * estimate["low"], scale * estimate["high"], digits
+    )
     return f"{value} [{low}, {high}]"
 
 
