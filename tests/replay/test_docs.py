@@ -286,4 +286,4 @@ def test_the_calibration_page_shows_what_its_commands_print(
                 printed = ""
             assert plain(printed) == plain(output), command
     assert codes["audit flight.bin -c plane.toml"] == 1
-    assert codes["sweep ground.bin -c plane.toml"] == 0
+    assert codes["audit --sweep ground.bin -c plane.toml"] == 0
