@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import MS_PER_S
 from servofd.identification.choice import step_slopes
 from servofd.identification.records import longest_uniform
 from servofd.identification.response import raw_response
@@ -158,8 +159,8 @@ def identify_report(found: Identification, source: str) -> Document:
         sentence += f", bandwidth {bandwidth:.3g} rad/s"
     values: dict[str, tuple[str, float | None, float]] = {
         "dc_gain": ("dc gain", linear.gain, 1.0),
-        "delay_s": ("delay [ms], hold apart", linear.delay_s, 1e3),
-        "lag_s": ("total lag [ms]", linear.lag_s, 1e3),
+        "delay_s": ("delay [ms], hold apart", linear.delay_s, MS_PER_S),
+        "lag_s": ("total lag [ms]", linear.lag_s, MS_PER_S),
         "bandwidth_rad_s": ("bandwidth [rad/s]", bandwidth, 1.0),
         "rate_up_deg_s": ("rate limit up [deg/s]", servo.rate_up_deg_s, 1.0),
         "rate_down_deg_s": ("rate limit down [deg/s]", servo.rate_down_deg_s, 1.0),
