@@ -25,6 +25,7 @@ from servofd.axes.model import (
 )
 from servofd.axes.windows import Sliding, Windows, lags, sliding, slowness
 from servofd.core.errors import CalibrationError
+from servofd.core.statistics import LEAST_DIVISOR
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -252,13 +253,13 @@ class _Setting:
             right[where] += rows @ answer
             power += float(answer @ answer)
             count += answer.size
-        scale = np.sqrt(np.diag(normal)) + 1e-300
+        scale = np.sqrt(np.diag(normal)) + LEAST_DIVISOR
         scaled = normal / np.outer(scale, scale)
         solved = np.linalg.solve(scaled + 1e-9 * np.eye(scale.size), right / scale) / scale
         offsets = solved[shared:]
         groups = np.array([self.groups[i] for i in members])
         offset = float(np.mean([offsets[groups == group].mean() for group in dict.fromkeys(groups)]))
-        explained = 1.0 - (power - float(solved @ right)) / max(power, 1e-300)
+        explained = 1.0 - (power - float(solved @ right)) / max(power, LEAST_DIVISOR)
         return _Fit(1.0 if form.inverse else float(solved[0]), offset, solved[drive:shared], explained)
 
     def learning(self, trial: _Trial, per_hour: float) -> _Trial:
@@ -368,7 +369,7 @@ class _Setting:
 def _centred(inputs: Inputs) -> FloatArray:
     """Residual of one flight without the flight's own offset, where it is usable."""
     e, x = inputs.residual[inputs.usable], inputs.offset[inputs.usable]
-    return np.asarray(e - x * (e @ x) / max(float(x @ x), 1e-300))
+    return np.asarray(e - x * (e @ x) / max(float(x @ x), LEAST_DIVISOR))
 
 
 def _explained(flights: Sequence[Inputs], columns: Sequence[Regression], *, own: bool) -> float:
@@ -378,7 +379,7 @@ def _explained(flights: Sequence[Inputs], columns: Sequence[Regression], *, own:
         effect = np.concatenate([_centred(Inputs(one.loss, one.loss, one.offset, one.usable)) for one in flights])
     else:
         effect = np.concatenate([column.answer[one.usable] for one, column in zip(flights, columns, strict=True)])
-    return 1.0 - float(np.var(left) / max(np.var(effect), 1e-300))
+    return 1.0 - float(np.var(left) / max(np.var(effect), LEAST_DIVISOR))
 
 
 _OF_FLIGHT, _MOST_OF_FLIGHT = 0.5, 0.9

@@ -32,7 +32,7 @@ from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
 from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus, excludes_none, left_out, reason_of
 from servofd.axes.windows import Sliding, Windows, lags, nothing_known, sliding
 from servofd.core.errors import NoMeasurement
-from servofd.core.statistics import Z_95, Estimate
+from servofd.core.statistics import LEAST_DIVISOR, Z_95, Estimate
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, MotionModel
@@ -271,7 +271,7 @@ def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estim
     left, lost = beside_offset(inputs.residual), beside_offset(inputs.loss)
     by_offset = float(away @ inputs.residual[used]) ** 2
     squares = np.array([np.sum((left - beside_offset(lagged(inputs.loss, lag_s, rate_hz))) ** 2) for lag_s in _LAGS_S])
-    share = max(float(lost @ left) / max(float(lost @ lost), 1e-300), 0.0)
+    share = max(float(lost @ left) / max(float(lost @ lost), LEAST_DIVISOR), 0.0)
     best = int(np.argmin(squares))
     if best == 0 or squares[best] >= np.sum((left - share * lost) ** 2) or left @ left - squares[best] < by_offset:
         return None

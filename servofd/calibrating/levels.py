@@ -9,6 +9,7 @@ import numpy as np
 
 from servofd.aircraft.series import cut
 from servofd.core.errors import DesignError, NoMeasurement
+from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
 from servofd.detection.residual import ResidualGenerator, noise_deg, prepared
 from servofd.detection.threshold import interval_threshold
@@ -67,7 +68,7 @@ def levels_of(model: ServoModel, segments: Iterable[Series]) -> dict[str, Any]:
         return {}
     each = [drafted.tolerance.model_dump() for drafted in drafts]
     power = float(np.mean(np.concatenate(error_deg) ** 2))
-    explained = 1.0 - power / max(float(np.var(np.concatenate(moved_deg))), 1e-300)
+    explained = 1.0 - power / max(float(np.var(np.concatenate(moved_deg))), LEAST_DIVISOR)
     return {
         "threshold": "interval",
         "threshold_deg": max(drafted.level_deg for drafted in drafts),

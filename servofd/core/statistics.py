@@ -15,6 +15,8 @@ Z_95: Final = 1.96
 """Standard deviations of a 95 % interval."""
 MAD_TO_SIGMA: Final = 1.4826
 """From the median size of normal errors to their standard deviation."""
+LEAST_DIVISOR: Final = 1e-300
+"""Least sum of squares that is divided by, so that signals of zeros give a number."""
 
 
 class Estimate(NamedTuple):

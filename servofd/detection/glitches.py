@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servofd.core.statistics import MAD_TO_SIGMA
+from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
 from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.loops import compiled, inlined
 
@@ -37,7 +37,7 @@ def new_running_median() -> RunningMedian:
 def with_value(median: RunningMedian, value: float) -> float:
     """Add a value above zero, and tell the median of all."""
     counts, place = median
-    octave = np.log2(max(value, 1e-300))
+    octave = np.log2(max(value, LEAST_DIVISOR))
     bin_ = int(min(max((octave - _LOWEST_OCTAVE) * _PER_OCTAVE, 0.0), _BINS - 1.0))
     counts[bin_] += 1
     place[2] += 1

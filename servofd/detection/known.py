@@ -10,6 +10,7 @@ from logparsers.units import MS_PER_S
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.errors import CalibrationError
+from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
 from servofd.detection.faults import judged
@@ -319,7 +320,7 @@ def crude_line(record: Record) -> Line | None:
         usual_deg = float(asked.mean())
         asked -= usual_deg
         common, asked2 = float(asked @ seen), float(asked @ asked)
-        share = abs(common) / max(float(np.sqrt(asked2 * (seen @ seen))), 1e-300)
+        share = abs(common) / max(float(np.sqrt(asked2 * (seen @ seen))), LEAST_DIVISOR)
         if share > (_IN_COMMON if best is None else best.correlation):
             gain = common / asked2
             best = Line(gain, middle_deg - gain * usual_deg, share)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.statistics import LEAST_DIVISOR
+
 if TYPE_CHECKING:
     from servofd.core.types import IntArray
     from servofd.detection.residual import Residuals
@@ -44,5 +46,5 @@ def _gain(residuals: Residuals, part: IntArray) -> float | None:
         return None
     spread = np.cov(asked, measured)
     slope = spread[0, 1] / spread[0, 0]
-    explained = spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300)
+    explained = spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], LEAST_DIVISOR)
     return float(slope) if explained >= _FIT else 0.0

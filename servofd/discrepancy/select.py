@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.statistics import LEAST_DIVISOR
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.ladder import BETTER, Step, climbed, prefix
@@ -484,7 +485,7 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
 
     def rank(key: tuple[str, ...]) -> tuple[float, int]:  # what is equal goes by the catalogue's order
         late = sum(search.able.index(plain(effect)) for effect in first[key].effects)
-        return -round(float(np.log(max(weight[key] / most, 1e-300))), 1), late
+        return -round(float(np.log(max(weight[key] / most, LEAST_DIVISOR))), 1), late
 
     for key in sorted(weight, key=rank):
         if reached >= declared * total:

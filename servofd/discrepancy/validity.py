@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import stretches
-from servofd.core.statistics import MAD_TO_SIGMA
+from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
 from servofd.detection.residual import Commands
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
@@ -87,8 +87,8 @@ def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
     at = measured[shift : measured.size - shift]
     for late in sorted(range(-shift, shift + 1), key=abs):
         spread = np.cov(asked[shift - late : shift - late + at.size], at)
-        gain = float(spread[0, 1] / max(spread[0, 0], 1e-300))
-        likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], 1e-300))
+        gain = float(spread[0, 1] / max(spread[0, 0], LEAST_DIVISOR))
+        likeness = float(spread[0, 1] ** 2 / max(spread[0, 0] * spread[1, 1], LEAST_DIVISOR))
         low, high = _LATE_GAINS if late else _GAINS
         if likeness > _SAME and not low <= gain <= high:
             what = "sign" if gain < 0.0 else "scale"
@@ -98,7 +98,7 @@ def _check_scale(asked: FloatArray, measured: FloatArray, shift: int) -> None:
 def _likeness(one: FloatArray, other: FloatArray) -> float:
     """Correlation; 0 where either stands still."""
     spread = np.cov(one, other)
-    return float(spread[0, 1] / np.sqrt(max(spread[0, 0] * spread[1, 1], 1e-300)))
+    return float(spread[0, 1] / np.sqrt(max(spread[0, 0] * spread[1, 1], LEAST_DIVISOR)))
 
 
 def _check_order(record: Record, error_deg: FloatArray) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from servofd.axes.model import FORMS, Filtered
 from servofd.axes.verdict import named
 from servofd.axes.windows import Sliding, distance, smallest
-from servofd.core.statistics import Estimate
+from servofd.core.statistics import LEAST_DIVISOR, Estimate
 
 if TYPE_CHECKING:
     from servofd.axes.model import Form, Regression
@@ -148,7 +148,7 @@ class Seconds:
         known = np.arange(1 if self.form.inverse else 0, q - 1)
         answer = 0 if self.form.inverse else q - 1
         normal = grams[:, known[:, None], known]
-        scale = np.sqrt(np.maximum(np.einsum("kii->ki", normal), 1e-300))
+        scale = np.sqrt(np.maximum(np.einsum("kii->ki", normal), LEAST_DIVISOR))
         normal = normal / scale[:, :, None] / scale[:, None, :] + _RIDGE * np.eye(known.size)
         inverse = np.linalg.inv(normal) / scale[:, :, None] / scale[:, None, :]
         found = np.einsum("kij,kj->ki", inverse, grams[:, known, answer])
@@ -167,9 +167,9 @@ class Seconds:
         _, variance, _ = self.fitted(last)
         place = 0 if self.form.inverse else -1
         gram, count = self.totals[-1], max(self.samples[-1], 1.0)
-        mean = gram[place, -2] / max(gram[-2, -2], 1e-300)
+        mean = gram[place, -2] / max(gram[-2, -2], LEAST_DIVISOR)
         power = gram[place, place] / count - mean**2 * gram[-2, -2] / count
-        return float(1.0 - variance[0] / max(power, 1e-300))
+        return float(1.0 - variance[0] / max(power, LEAST_DIVISOR))
 
 
 def windows(seconds: Seconds, length_s: int) -> Sliding:

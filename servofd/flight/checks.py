@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.axes.motion import Series
+from servofd.core.statistics import LEAST_DIVISOR
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -188,7 +189,7 @@ def _narrow(command: FloatArray, rate: FloatArray, rate_hz: float) -> tuple[floa
     fast = frequency_hz >= _SLOWEST_CYCLE_HZ
     peak_hz = float(frequency_hz[fast][np.argmax(power[1][fast])])
     near = np.abs(frequency_hz - peak_hz) <= _NARROW * peak_hz
-    return min(float(each[near].sum() / max(each.sum(), 1e-300)) for each in power), peak_hz
+    return min(float(each[near].sum() / max(each.sum(), LEAST_DIVISOR)) for each in power), peak_hz
 
 
 _LOWEST_V, _DIP_SHARE = 4.5, 0.15

@@ -12,7 +12,7 @@ import numpy as np
 from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import DesignError, IdentificationError
 from servofd.core.fitting import Noise, Problem, fit
-from servofd.core.statistics import Estimate, correlation_factor
+from servofd.core.statistics import LEAST_DIVISOR, Estimate, correlation_factor
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.loops import play
@@ -312,7 +312,7 @@ def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatAr
 
 def _von_neumann(errors: Sequence[FloatArray]) -> float:
     long = [error for error in errors if error.size > 2]
-    return float(sum(np.sum(np.diff(e) ** 2) for e in long) / max(sum(np.sum(e**2) for e in long), 1e-300))
+    return float(sum(np.sum(np.diff(e) ** 2) for e in long) / max(sum(np.sum(e**2) for e in long), LEAST_DIVISOR))
 
 
 _AT_LIMIT, _SATURATED_TIME, _DENSE_S = 0.97, 0.8, 2e-3

@@ -10,6 +10,7 @@ import numpy as np
 from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.core.series import latest
+from servofd.core.statistics import LEAST_DIVISOR
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
@@ -170,7 +171,7 @@ def check_drift(run: Run, error_deg: FloatArray, label: str) -> None:
     """Refuse a position that wanders off while the command does not: it would pass for rate limits."""
     since = (run.measured_s - run.measured_s.mean()) / np.ptp(run.measured_s)
     drift_deg = float(since @ error_deg / (since @ since))
-    explained = drift_deg**2 * float(since @ since) / max(float(error_deg @ error_deg), 1e-300)
+    explained = drift_deg**2 * float(since @ since) / max(float(error_deg @ error_deg), LEAST_DIVISOR)
     if explained > _DRIFT_OF_ERROR and abs(drift_deg) > _DRIFT_SHARE * np.ptp(run.command_deg):
         raise IdentificationError(
             f"{label}: the position drifts by {drift_deg:.3g} deg over the test while the command does not: a sensor "

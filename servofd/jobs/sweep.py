@@ -11,7 +11,7 @@ from logparsers.units import MS_PER_S
 from servofd.aircraft.priors import NAMES
 from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
 from servofd.core.errors import DesignError, NoMeasurement
-from servofd.core.statistics import Estimate
+from servofd.core.statistics import LEAST_DIVISOR, Estimate
 from servofd.detection.named import judge
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.verdict import describe
@@ -98,7 +98,7 @@ def _misfit_deviation(misfit_deg: FloatArray, noise_deg: float) -> float:
     if misfit_deg.size < 3:
         return deviation
     power = float(misfit_deg @ misfit_deg)
-    likeness = min(max(float(misfit_deg[1:] @ misfit_deg[:-1]) / max(power, 1e-300), 0.0), 0.98)
+    likeness = min(max(float(misfit_deg[1:] @ misfit_deg[:-1]) / max(power, LEAST_DIVISOR), 0.0), 0.98)
     return deviation * float(np.sqrt((1.0 + likeness) / (1.0 - likeness)))
 
 

@@ -22,6 +22,20 @@ if TYPE_CHECKING:
 
 _STEP_S: Final = 0.01
 """Step of the integration [s]."""
+_GRAVITY_M_S2: Final = 9.81
+"""Acceleration of gravity [m/s2]."""
+_USUAL_M_S: Final = 18.0
+"""Airspeed for which the derivatives are given [m/s]."""
+_MOST_US: Final = 450.0
+"""Largest pulse from trim that the autopilot asks for [us]."""
+_DEG_PER_US: Final = 0.05
+"""Deflection for a microsecond of pulse [deg]."""
+_LAG_S: Final = 0.06
+"""Lag of a servo [s]."""
+_MOST_DEG: Final = 4.0
+"""Largest motion of a servo in a step of the integration [deg], its rate limit."""
+_GUST_M, _GUST_M_S = 20.0, 1.5
+"""Flight over which gusts are correlated [m], and their deviation in moderate turbulence [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,26 +219,26 @@ def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it hap
     s = mix.shape[0]
     out = np.zeros((steps, 12 + 2 * s))
     p = q = r = roll = pitch = 0.0
-    alpha, beta, speed, thrust = 0.05, 0.0, 18.0, 0.5
+    alpha, beta, speed, thrust = 0.05, 0.0, _USUAL_M_S, 0.5
     gust_a = gust_b = gust_p = 0.0
     pulses, angles = np.zeros(s), np.zeros(s)
     norm = (mix**2).sum(axis=0)
     for k in range(steps):
-        time_s = k * 0.01
-        v = speed / 18.0
+        time_s = k * _STEP_S
+        v = speed / _USUAL_M_S
         # The autopilot: attitude loops around rates, gains by airspeed.
         ask_roll = (700.0 * (wanted[k, 0] - roll) - 90.0 * p) / v**2
         climb = wanted[k, 1] - 0.08 * max(15.0 - speed, 0.0)  # the nose goes down before the wing stalls
         ask_pitch = (900.0 * (climb - pitch) - 160.0 * q) / v**2 + 500.0 * abs(roll) * 0.3
-        ask_yaw = wanted[k, 3] - 60.0 * r + 60.0 * 9.81 / speed * np.sin(roll)
+        ask_yaw = wanted[k, 3] - 60.0 * r + 60.0 * _GRAVITY_M_S2 / speed * np.sin(roll)
         ask = np.array([ask_roll, ask_pitch, ask_yaw])
         throttle = min(1.0, max(0.0, 0.45 + 0.12 * (wanted[k, 2] - speed) + 1.2 * pitch))
         for i in range(s):
             pulse = 0.0
             for axis in range(3):
-                pulse += mix[i, axis] * min(max(ask[axis], -450.0), 450.0)
-            pulses[i] = min(max(pulse, -450.0), 450.0)
-            target, lag = 0.05 * pulses[i], 0.06
+                pulse += mix[i, axis] * min(max(ask[axis], -_MOST_US), _MOST_US)
+            pulses[i] = min(max(pulse, -_MOST_US), _MOST_US)
+            target, lag = _DEG_PER_US * pulses[i], _LAG_S
             if faults[i, 0] <= time_s < faults[i, 3]:
                 if faults[i, 1] == 0.0:
                     angles[i] = faults[i, 2]
@@ -232,40 +246,40 @@ def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it hap
                 if faults[i, 1] == 1.0:
                     target *= faults[i, 2]
                 elif faults[i, 1] == 2.0:
-                    lag = 0.06 + faults[i, 2]
+                    lag = _LAG_S + faults[i, 2]
                 else:
                     target += faults[i, 2]
-            change = (target - angles[i]) * 0.01 / lag
-            angles[i] += min(max(change, -4.0), 4.0)
+            change = (target - angles[i]) * _STEP_S / lag
+            angles[i] += min(max(change, -_MOST_DEG), _MOST_DEG)
         given = np.zeros(3)
         for axis in range(3):
             if norm[axis] > 0.0:
                 for i in range(s):
                     given[axis] += mix[i, axis] * angles[i] / norm[axis]
-            given[axis] += 0.05 * trims_us[axis]
+            given[axis] += _DEG_PER_US * trims_us[axis]
             given[axis] -= 2e-4 * given[axis] ** 3
         # Gusts: correlation over 20 m of flight.
-        fade = np.exp(-speed * 0.01 / 20.0)
+        fade = np.exp(-speed * _STEP_S / _GUST_M)
         kick = np.sqrt(1.0 - fade * fade) * turbulence
-        gust_a = fade * gust_a + kick * 1.5 / speed * shocks[k, 0]
-        gust_b = fade * gust_b + kick * 1.5 / speed * shocks[k, 1]
+        gust_a = fade * gust_a + kick * _GUST_M_S / speed * shocks[k, 0]
+        gust_b = fade * gust_b + kick * _GUST_M_S / speed * shocks[k, 1]
         gust_p = fade * gust_p + kick * 0.25 * shocks[k, 2]
         a, b = alpha + gust_a, beta + gust_b
         da, de, dr = given[0], given[1], given[2]
         lift = load[0] * 27.5 * np.tanh((a + 0.03) / 0.25) * v**2
         side = -9.0 * b * v**2 + 0.05 * dr * v**2
         drag = 0.9 * v**2 + 0.012 * lift**2 / max(v, 0.3) ** 2
-        thrust += ((throttle if time_s < engine_cut_s else 0.0) - thrust) * 0.01 / 0.3
+        thrust += ((throttle if time_s < engine_cut_s else 0.0) - thrust) * _STEP_S / 0.3
         pull = load[1] * (6.0 * thrust - 0.5 * v)
-        p += 0.01 * (-9.0 * v * (p - gust_p) + 2.0 * v * r - 12.0 * b * v**2 + load[2] * 2.6 * da * v**2)
-        q += 0.01 * (-load[3] * 45.0 * (a - 0.055) * v**2 - 6.0 * v * q + load[4] * 2.2 * de * v**2 + 0.6 * thrust)
-        r += 0.01 * (16.0 * b * v**2 - 2.2 * v * r - 0.4 * v * p + load[5] * 0.9 * dr * v**2 - 0.08 * da * v**2)
-        g_n = 9.81 * np.cos(roll) * np.cos(pitch)
-        alpha += 0.01 * (q + (g_n - lift) / speed)
-        beta += 0.01 * (-r + (9.81 * np.sin(roll) * np.cos(pitch) + side) / speed)
-        roll += 0.01 * (p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)))
-        pitch += 0.01 * (q * np.cos(roll) - r * np.sin(roll))
-        speed = max(speed + 0.01 * (pull - drag - 9.81 * np.sin(pitch - alpha)), 6.0)
+        p += _STEP_S * (-9.0 * v * (p - gust_p) + 2.0 * v * r - 12.0 * b * v**2 + load[2] * 2.6 * da * v**2)
+        q += _STEP_S * (-load[3] * 45.0 * (a - 0.055) * v**2 - 6.0 * v * q + load[4] * 2.2 * de * v**2 + 0.6 * thrust)
+        r += _STEP_S * (16.0 * b * v**2 - 2.2 * v * r - 0.4 * v * p + load[5] * 0.9 * dr * v**2 - 0.08 * da * v**2)
+        g_n = _GRAVITY_M_S2 * np.cos(roll) * np.cos(pitch)
+        alpha += _STEP_S * (q + (g_n - lift) / speed)
+        beta += _STEP_S * (-r + (_GRAVITY_M_S2 * np.sin(roll) * np.cos(pitch) + side) / speed)
+        roll += _STEP_S * (p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)))
+        pitch += _STEP_S * (q * np.cos(roll) - r * np.sin(roll))
+        speed = max(speed + _STEP_S * (pull - drag - _GRAVITY_M_S2 * np.sin(pitch - alpha)), 6.0)
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = p, q, r, roll, pitch
         out[k, 5], out[k, 6], out[k, 7], out[k, 8] = speed, alpha, beta, throttle
         for i in range(s):

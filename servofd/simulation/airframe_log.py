@@ -8,6 +8,7 @@ import numpy as np
 
 from logparsers.dataflash.encode import Message, encode
 from logparsers.units import US_PER_S
+from servofd.servo.context import AIR_KG_M3
 from servofd.simulation.ardupilot import banner
 from servofd.simulation.pulses import THROTTLE
 
@@ -65,7 +66,7 @@ def airframe_log(flight: AirframeFlight) -> bytes:
         "TimeUS": stamps, "DesRoll": zeros, "Roll": flight.roll_deg, "DesPitch": zeros, "Pitch": flight.pitch_deg,
         "DesYaw": zeros, "Yaw": zeros, "AEKF": 3 * ones,
     }  # fmt: skip
-    pressure_pa = 0.5 * 1.225 * flight.airspeed_m_s**2
+    pressure_pa = 0.5 * AIR_KG_M3 * flight.airspeed_m_s**2
     arsp: Mapping[str, ArrayLike] = {
         "TimeUS": stamps, "I": zeros, "Airspeed": flight.airspeed_m_s, "DiffPress": pressure_pa, "Temp": 18.5 * ones,
         "RawPress": pressure_pa, "Offset": zeros, "U": ones, "H": ones, "Hp": ones, "TR": zeros, "Pri": zeros,

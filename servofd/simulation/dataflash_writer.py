@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from logparsers.dataflash.encode import Message, encode
+from servofd.servo.context import AIR_KG_M3
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters
 from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, servo_state, sparse, surroundings
@@ -144,7 +145,7 @@ def _air(flight: SimulatedFlight) -> list[Message]:
     at_s = flight.time_s[sparse(flight.time_s, _CONTEXT_HZ)]
     air = surroundings(at_s, flight.seed)
     stamps, ones, zeros = microseconds(at_s), np.ones(at_s.size), np.zeros(at_s.size)
-    pressure_pa = 0.5 * 1.225 * air.airspeed_m_s**2
+    pressure_pa = 0.5 * AIR_KG_M3 * air.airspeed_m_s**2
     arsp: Mapping[str, ArrayLike] = {
         "TimeUS": stamps, "I": zeros, "Airspeed": air.airspeed_m_s, "DiffPress": pressure_pa,
         "Temp": np.full(at_s.size, 18.5), "RawPress": pressure_pa + 2.0, "Offset": np.full(at_s.size, 2.0),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.core.statistics import MAD_TO_SIGMA, Estimate
+from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA, Estimate
 from servofd.wear.estimate import QUANTITIES
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Line:
         from scipy.stats import t
 
         deviation = float(np.sqrt(self.covariance[1, 1]))
-        return float(2.0 * t.sf(abs(self.slope) / max(deviation, 1e-300), self.freedom))
+        return float(2.0 * t.sf(abs(self.slope) / max(deviation, LEAST_DIVISOR), self.freedom))
 
     def _estimate(self, value: float, variance: float) -> Estimate:
         half = self.student * float(np.sqrt(variance))
