@@ -20,7 +20,7 @@ from servofd.outputs.sentence import clock, spoken
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.core.types import FloatArray
+    from servofd.core.types import FloatArray, IntArray
     from servofd.detection.verdict import Fault, SurfaceAudit
 
 WIDTH, HEIGHT = 2000, 500
@@ -228,8 +228,14 @@ def thinned(time_s: FloatArray, values: FloatArray, points: int) -> tuple[FloatA
     >>> thinned(time_s, np.array([0.0, 5.0, 1.0, 1.0, np.nan, np.nan, 2.0, -3.0]), 4)
     (array([0., 1., 6., 7.]), array([ 0.,  5.,  2., -3.]))
     """
+    kept = extremes(time_s, values, points)
+    return time_s[kept], values[kept]
+
+
+def extremes(time_s: FloatArray, values: FloatArray, points: int) -> IntArray:
+    """Places of the samples that `thinned` keeps, shape (n,)."""
     if time_s.size <= points:
-        return time_s, values
+        return np.arange(time_s.size)
     columns = points // 2
     into = np.minimum((time_s - time_s[0]) * (columns / (time_s[-1] - time_s[0])), columns - 1).astype(int)
     begins = np.flatnonzero(np.diff(into, prepend=-1))
@@ -239,8 +245,7 @@ def thinned(time_s: FloatArray, values: FloatArray, points: int) -> tuple[FloatA
     for extreme in (low, high):
         at = np.flatnonzero(values == extreme[of_sample])
         kept.append(at[np.diff(of_sample[at], prepend=-1) > 0])
-    chosen = np.unique(np.concatenate(kept))
-    return time_s[chosen], values[chosen]
+    return np.unique(np.concatenate(kept))
 
 
 def bridged(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from servofd.outputs.chart import Chart, Curve, Panel, thinned
+import numpy as np
+
+from servofd.outputs.chart import Chart, Curve, Panel, extremes
 from servofd.outputs.document import Cell, Document, Figures, Table
 from servofd.outputs.sentence import spoken
 
@@ -105,8 +107,9 @@ def track_of(surface: SurfaceAudit, points: int = 0) -> Track | None:
     track = Track(found.time_s, found.measured_deg, found.residual_deg)
     if not points:
         return track
-    time_s, measured_deg = thinned(track.time_s, track.measured_deg, points)
-    return Track(time_s, measured_deg, thinned(track.time_s, track.residual_deg, points)[1])
+    both = (extremes(track.time_s, values, points // 2) for values in track[1:])
+    kept = np.union1d(*both)
+    return Track(*(values[kept] for values in track))
 
 
 def overlaid(name: str, tracks: Sequence[Track], names: Sequence[str], at_s: Sequence[float]) -> Chart:

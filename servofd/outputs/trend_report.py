@@ -166,7 +166,9 @@ def trend_chart(name: str, surface: dict[str, Any]) -> Chart:
         "expected; level lines are limits, vertical lines changes at once."
     )
     panels = tuple(_panel(one, last) for one in quantities.values())
-    return Chart(spoken(name), text, min(ends) - 0.5, last + 0.5, panels, (), marks, axis="flight")
+    return Chart(
+        f"{spoken(name)} over its flights", text, min(ends) - 0.5, last + 0.5, panels, (), marks, axis="flight"
+    )
 
 
 def _panel(one: dict[str, Any], last: float) -> Panel:
