@@ -20,6 +20,7 @@ _PX4_STATES = {
 _PX4_MAIN = {1: "manual", 2: "altitude", 3: "position", 5: "acro", 6: "offboard", 7: "stabilized"}
 """``PX4_CUSTOM_MAIN_MODE_`` of PX4-Autopilot's ``px4_custom_mode.h``: the third byte of ``custom_mode``."""
 _PX4_AUTO_MAIN = 4
+"""Main mode in which the sub mode says what the autopilot does (``PX4_CUSTOM_MAIN_MODE_AUTO``)."""
 _PX4_AUTO = {2: "takeoff", 3: "hold", 4: "mission", 5: "return", 6: "land", 8: "follow target", 9: "precision land"}
 """``PX4_CUSTOM_SUB_MODE_AUTO_`` of the same file: the highest byte, where the main mode is `_PX4_AUTO_MAIN`."""
 _CHANNELS = ("MODE.ModeNum", "vehicle_status[0].nav_state", "HEARTBEAT.custom_mode")

@@ -202,7 +202,7 @@ def _log(audit: LogAudit) -> Document:
         (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
         for damage in log.damage_summary
     ]
-    told = diary(log)
+    entries = diary(log)
     return Document(
         title=log.source.name + (f", run {log.run}" if log.run else ""),
         status=worst((*audit.surfaces, *audit.axes)),
@@ -215,8 +215,8 @@ def _log(audit: LogAudit) -> Document:
             Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
             *(
-                [Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), told)], folded=True)]
-                if told
+                [Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), entries)], folded=True)]
+                if entries
                 else []
             ),
             Lanes(lambda: beside(log)),

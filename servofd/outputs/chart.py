@@ -131,7 +131,7 @@ class Chart:
     points: int = 700
     """Points drawn per curve, at most; the extremes of each column survive. A threshold gets half of them."""
     axis: str = ""
-    """Name and unit of the axis; empty where it is the time, told as on a clock."""
+    """Name and unit of the axis; empty where it is the time, shown as on a clock."""
     log: bool = False
     """Whether equal steps of the axis are equal ratios."""
 

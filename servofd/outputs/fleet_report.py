@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from servofd.outputs.document import Part
 
 _HIGHEST_SHARE = 3.0
+"""Top of the chart of flights, in thresholds; what is higher is drawn there."""
 _DOTS = (
     ("fault", "before", ("fault",)),
     ("suspect", "other2", ("suspect",)),
@@ -25,6 +26,7 @@ _DOTS = (
 )
 """Name in the legend, role, and statuses of the dots of a kind."""
 _FEWEST_DRAWN = 3
+"""Flights from which on they are drawn."""
 _MOST_ROWS = 200
 """Rows of a table on the page at most: logs that were not judged, and faults."""
 _MOST_FLIGHTS = 2000

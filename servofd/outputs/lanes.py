@@ -67,12 +67,13 @@ def lanes_of(log: FlightLog) -> list[dict[str, Any]]:
 MOST_SAID = 80
 """Messages of a page: the gravest of a log that has more."""
 _OF_ITS_PLACE = re.compile(r"\d\.\d{4,}|[0-9A-Fa-f]{8}")
-"""Coordinates, and the numbers of boards and builds: a page tells neither where nor with what somebody flew."""
+"""Coordinates, and the numbers of boards and builds: a page shows neither the place nor the hardware of a flight."""
 _LEAST_GRAVE = 8
+"""Severity of a message without one: below the least grave of MAVLink, 7."""
 
 
 def said(log: FlightLog) -> list[tuple[float, str]]:
-    """Time [s] and words of what the autopilot told during a log.
+    """Time [s] and text of the autopilot's messages in a log.
 
     Examples
     --------
@@ -82,8 +83,8 @@ def said(log: FlightLog) -> list[tuple[float, str]]:
     >>> said(FlightLog(Path("a.bin"), "dataflash", {}, texts=texts))
     [(3.0, 'Throttle armed')]
     """
-    told = [one for one in log.texts if np.isfinite(one.time_s) and one.text and not _OF_ITS_PLACE.search(one.text)]
-    gravest = sorted(told, key=lambda one: _LEAST_GRAVE if one.severity is None else one.severity)[:MOST_SAID]
+    messages = [one for one in log.texts if np.isfinite(one.time_s) and one.text and not _OF_ITS_PLACE.search(one.text)]
+    gravest = sorted(messages, key=lambda one: _LEAST_GRAVE if one.severity is None else one.severity)[:MOST_SAID]
     return sorted({(one.time_s, one.text) for one in gravest})
 
 
@@ -93,6 +94,6 @@ def beside(log: FlightLog) -> dict[str, Any]:
 
 
 def diary(log: FlightLog) -> list[tuple[str, str]]:
-    """Rows of a table: when an autopilot changed its mode or told something, and what."""
+    """Rows of a table: when an autopilot changed its mode or sent a message, and which."""
     changes = [(at_s, f"mode: {mode}") for at_s, mode in modes_of(log)]
     return [(clock(at_s), words) for at_s, words in sorted([*changes, *said(log)])]

@@ -26,6 +26,7 @@ _HEAD = re.compile(
     re.DOTALL,
 )
 _HEAD_BYTES = 2000
+"""Beginning of a page in which its head is [bytes]."""
 FLEET_PAGE = "fleet.html"
 """Name of the page of all logs of a folder, beside those of each."""
 OF_MANY = ("Many flights", "Trend of ")

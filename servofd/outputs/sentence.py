@@ -43,7 +43,7 @@ _GRAVITY = (
 )
 """Kinds of faults, the worst first by what they may do to an aircraft; what is not among them comes last."""
 _AT_ITS_CAUSE_S = 5.0
-"""A fault that begins within so much of a common cause is told with it [s]."""
+"""A fault that begins so soon before or after a common cause is reported with it [s]."""
 _STATES = ("OFF", "TOO", "BLOCKED", "WITHOUT", "NOT")
 """First words of what a fault is rather than does."""
 _CLAUSE = re.compile(r"[:;]| \(|, ")
