@@ -289,7 +289,7 @@ def _repeats(rows: Rows, why: Marks) -> int:
     time_s, size = rows.time_s, rows.time_s.size
     moved_deg = moved(rows.position_deg)
     same = (moved_deg == 0.0) & (rows.other <= 0)
-    if not same.any():
+    if not same[max(rows.decided - 1, 0) :].any():  # a run that is over tells of nothing that follows it
         return size
     firsts = np.flatnonzero(~same)
     run = np.cumsum(~same) - 1
@@ -389,8 +389,9 @@ def _spikes(rows: Rows, why: Marks) -> int:
     least_deg = np.maximum(_LEAST_SPIKE_DEG, np.where(np.isinf(step_deg[:-1]), 0.0, _STEPS * step_deg[:-1]))
     undecided, taken = time_s.size, _FEWEST_BEFORE
     if rows.decided:
-        taken = max(taken, int(np.searchsorted(time_s, time_s[rows.decided - 1] - _ASKED_BEFORE_S)))
-    for k in (1 + np.flatnonzero(jump_deg > least_deg)).tolist():
+        taken = max(taken, int(np.searchsorted(time_s, time_s[rows.decided - 1] - _SPIKE_S - TINY_DEG)))
+    first = max(taken - 1, 0)
+    for k in (first + 1 + np.flatnonzero(jump_deg[first:] > least_deg[first:])).tolist():
         if k < taken:
             continue
         away_deg = (position_deg[k:] - position_deg[k - 1]) * np.sign(position_deg[k] - position_deg[k - 1])
@@ -446,6 +447,8 @@ def _echoes(rows: Rows, why: Marks) -> int:
     """Mark positions that equal a moving command; the first row that is not decided yet."""
     asked_deg = rows.asked_deg
     equal = np.abs(rows.position_deg - asked_deg) <= TINY_DEG * np.maximum(1.0, np.abs(asked_deg))
+    if not equal[rows.decided :].any():
+        return equal.size
     new = equal & (np.abs(np.diff(asked_deg, prepend=asked_deg[0])) > TINY_DEG)
     if not new.any():
         return equal.size

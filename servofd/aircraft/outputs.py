@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -165,6 +165,10 @@ def outputs_of(parameters: Mapping[str, float]) -> dict[int, LoggedOutput]:
     return outputs
 
 
+_NUMBERED: Final = "servo"
+"""What an output turns that nobody has named."""
+
+
 def named_outputs(outputs: Mapping[int, LoggedOutput], numbers: list[int]) -> dict[int, str]:
     """Name a surface for each output; functions that several outputs share get the output's number.
 
@@ -176,9 +180,20 @@ def named_outputs(outputs: Mapping[int, LoggedOutput], numbers: list[int]) -> di
     plain = {}
     for number in numbers:
         function = outputs[number].function if number in outputs else None
-        plain[number] = SURFACE_FUNCTIONS.get(function or 0, "servo")
-    shared = {name for name in plain.values() if name == "servo" or list(plain.values()).count(name) > 1}
+        plain[number] = SURFACE_FUNCTIONS.get(function or 0, _NUMBERED)
+    shared = {name for name in plain.values() if name == _NUMBERED or list(plain.values()).count(name) > 1}
     return {number: f"{name}_{number}" if name in shared else name for number, name in plain.items()}
+
+
+def is_numbered(name: str) -> bool:
+    """Whether a surface is called by its output alone, because nothing told what that turns.
+
+    Examples
+    --------
+    >>> is_numbered("servo_2"), is_numbered("aileron_2")
+    (True, False)
+    """
+    return name.startswith(f"{_NUMBERED}_")
 
 
 _POSITION_PATTERNS = (

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.axes import motion_to_toml
+from servofd.aircraft.outputs import is_numbered
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
 from servofd.cli.terminal import check_targets, print_document, progress, say
@@ -46,6 +47,8 @@ def run(options: Options) -> int:
     write_whole(options.output, text.encode())
     print_document(calibrate_report(calibration, options.false_alarms_per_hour))
     say(f"wrote {options.output}")
+    if options.config is None and any(is_numbered(name) for name in aircraft.surfaces):
+        say("no log says what the outputs turn (SERVOn_FUNCTION); to have surfaces by name: -c FILE, or a log that does")
     return _run_axes(options, text) if options.motion else 0
 
 

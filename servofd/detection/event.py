@@ -127,3 +127,5 @@ class Alarm:
     quiet: Quiet = field(default_factory=Quiet)
     names: dict[float, Named] = field(default_factory=dict)
     """What the looks at it have fitted."""
+    in_vain: int = 0
+    """How many looks in a row have found no fault."""

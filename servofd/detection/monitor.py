@@ -53,6 +53,8 @@ _LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
+_AGAIN_S = 1.0
+"""When a look has found nothing of a fault that one before has named, the next one follows so much later [s]."""
 _LIKELY = 0.5
 """A name of this probability keeps until then."""
 _TOLD = 0.8
@@ -359,10 +361,8 @@ class SurfaceMonitor:
             if fault.alarm_s >= self._from_s and (fault.end_s is None or not fault.end_s < before_s < np.inf):
                 events += self._seen(look, fault)
                 is_seen = True
-        if alarm is not None and alarm is self._alarm and not is_seen and self._is_explained(alarm, look.at_s):
-            self._over()
-            kind, text = ("unknown", self.problem) if self.problem else ("healthy", EXPLAINED)
-            events.append(Event(look.at_s, self.name, "clear", kind, text=text))
+        if alarm is not None and alarm is self._alarm:
+            events += self._doubted(alarm, look) if not is_seen else []
         if self._stream is not None and self._stream.latched and self._alarm is None:
             self._stream.again()
         return events
@@ -377,7 +377,7 @@ class SurfaceMonitor:
             if not (fault.probability >= _TOLD or look.at_s - alarm.raised_s >= _LOOKS_S[1]):
                 return events  # a quarter of a second admits several: a moment later it is known which
             events.append(self._event(look, "named", fault))
-        alarm.kind, alarm.fault = fault.kind, fault
+        alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
         self._look_later(look, fault)
         if fault.end_s is not None:
             self._finished.append(fault)
@@ -385,6 +385,17 @@ class SurfaceMonitor:
             self._over()
             events.append(self._event(look, "clear", fault))
         return events
+
+    def _doubted(self, alarm: Alarm, look: Look) -> list[Event]:
+        """What a look changes that finds no fault: the alarm is over, or what it was named is looked at once more."""
+        alarm.in_vain += 1
+        if self._is_explained(alarm, look.at_s):
+            self._over()
+            kind, text = ("unknown", self.problem) if self.problem else ("healthy", EXPLAINED)
+            return [Event(look.at_s, self.name, "clear", kind, text=text)]
+        if alarm.fault is not None and alarm.in_vain == 1:
+            self._looks_s = sorted([*self._looks_s, look.at_s + _AGAIN_S])
+        return []
 
     def _over(self) -> None:
         """No alarm stands any more, and the tests begin anew."""
@@ -394,11 +405,15 @@ class SurfaceMonitor:
             self._stream.again()
 
     def _is_explained(self, alarm: Alarm, now_s: float) -> bool:
-        """Whether a working servo explains an alarm of which a look says nothing, or is quiet since."""
+        """Whether a working servo explains an alarm of which a look says nothing, or is quiet since.
+
+        One look that finds nothing does not take back what another one has named.
+        """
         before = [fault for fault in self.suspicions if fault.alarm_s <= alarm.raised_s]
         healthy = bool(before) and (before[-1].end_s is None or before[-1].end_s >= alarm.raised_s)
         is_quiet = now_s - alarm.quiet.since_s >= QUIET_S
-        return bool(self.problem) or is_quiet or (healthy and now_s - alarm.raised_s >= _NAMED_S)
+        healthy = is_quiet or (healthy and now_s - alarm.raised_s >= _NAMED_S)
+        return bool(self.problem) or (healthy and (alarm.fault is None or alarm.in_vain > 1))
 
     def _look_later(self, look: Look, fault: Fault) -> None:
         """Put off the next look at a fault with a name: past its first seconds if that is sure, then for a while."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -25,7 +26,7 @@ from servofd.servo.effects.linkage import Backlash
 from servofd.servo.effects.motor import DeadBand, MotorRate, Torque
 from servofd.servo.effects.sensor import Bias
 from servofd.servo.effects.shaft import AirLoad, AirTrim, Friction, ServoStop, StribeckFriction
-from servofd.servo.motion import State, machine_of
+from servofd.servo.motion import Machine, State, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.transfer import TransferFunction
 
@@ -95,6 +96,8 @@ class Progress:
     state: State
     received: int = 0
     """Commands, of those that are held, that have reached the servos."""
+    asked_deg: float = 0.0
+    """The furthest that any command asked for [deg]."""
 
     def forget(self, commands: int) -> None:
         """The oldest commands are no longer held."""
@@ -128,6 +131,13 @@ def _servo(row: FloatArray, furthest_deg: float) -> Physics:
     )  # fmt: skip
 
 
+@lru_cache(maxsize=64)
+def _machine(table: bytes, count: int, furthest_deg: float) -> Machine:
+    """The servos of a table, made once: a stream asks for the same ones at each sample."""
+    rows = np.frombuffer(table).reshape(count, -1)
+    return machine_of(_LOOP, [_servo(row, furthest_deg) for row in rows], _FINER, _EFFECTS)
+
+
 def simulated(
     table: FloatArray, progress: Progress, commands: tuple[FloatArray, FloatArray, FloatArray], time_s: FloatArray,
     load: FloatArray, power: FloatArray, start_deg: FloatArray,
@@ -141,11 +151,13 @@ def simulated(
     """
     if not time_s.size or not commands[0].size:
         return np.empty((time_s.size, table.shape[0])), np.empty((time_s.size, 2))
-    base, (command_s, command_deg, slope_deg_s) = table[0], commands
-    furthest_deg = _TURN_DEG + 2.0 ** math.ceil(math.log2(max(float(np.abs(command_deg).max()), _LEAST_ASKED_DEG)))
-    machine = machine_of(_LOOP, [_servo(row, furthest_deg) for row in table], _FINER, _EFFECTS)
+    base, since = table[0], max(progress.received - 1, 0)  # the command in force is the last that was received
+    command_s, command_deg, slope_deg_s = (each[since:] for each in commands)
+    progress.asked_deg = max(progress.asked_deg, float(np.abs(command_deg).max()))
+    furthest_deg = _TURN_DEG + 2.0 ** math.ceil(math.log2(max(progress.asked_deg, _LEAST_ASKED_DEG)))
+    machine = _machine(np.ascontiguousarray(table).tobytes(), table.shape[0], furthest_deg)
     effective_s = command_s + base[_DELAY]
-    new = slice(progress.received, None)
+    new = slice(progress.received - since, None)
     anew = np.isfinite(start_deg) | (np.diff(time_s, prepend=progress.state.clock[0]) > LONGEST_PAUSE_S)
     around = np.empty((time_s.size, 5))
     around[:] = 0.0, np.inf, 1.0, 0.0, 0.0

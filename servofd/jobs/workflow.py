@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from logparsers import EmptyLog, LogError, MissingChannel, UnknownFormat
+from servofd.aircraft.outputs import is_numbered
 from servofd.aircraft.series import bus_of, cut
 from servofd.batch.key import Job
 from servofd.core.errors import CalibrationError, NoMeasurement, ServofdError, UnknownName, suggest
@@ -252,14 +253,20 @@ def calibrate(
 
 
 def drafted_aircraft(paths: Log | Sequence[Log]) -> Aircraft:
-    """The aircraft as the first log that tells of servos describes it."""
-    reason = ""
+    """The aircraft as the first log describes it that tells of servos and of what they turn; else of servos alone."""
+    reason, first = "", None
     for log in logs_of(paths):
         try:
-            return flown_aircraft(log)
+            found = surfaces_of(log)
         except NoMeasurement as error:
             reason = str(error)
-    raise NoMeasurement(reason)
+            continue
+        if not all(is_numbered(name) for name in found.surfaces):
+            return flown_aircraft(log)
+        first = first or log
+    if first is None:
+        raise NoMeasurement(reason)
+    return flown_aircraft(first)
 
 
 def flights_of(

@@ -197,8 +197,15 @@ class Alarms:
         if alarm is None:
             return []
         alarm.end_s, alarm.dismissed = event.time_s, event.kind == "healthy"
-        alarm.fault = event.fault or alarm.fault
-        return [self._published(event, alarm.id, Severity.NOTICE)]
+        named: list[Published] = []
+        if not alarm.dismissed:  # a name that was told stays; one that comes as late as this is told before the end
+            named = self._named(alarm, event) if alarm.kind == "unknown" else []
+            ended = event.fault
+            if ended is not None:
+                known = ended if event.kind == alarm.kind else alarm.fault or ended
+                ended = alarm.fault = replace(known, kind=alarm.kind, end_s=ended.end_s)
+            event = replace(event, kind=alarm.kind, fault=ended)
+        return [*named, self._published(event, alarm.id, Severity.NOTICE)]
 
     def _learn(self, alarm: Alarm, event: Event) -> None:
         alarm.kind, alarm.fault = event.kind, event.fault

@@ -19,12 +19,16 @@ if TYPE_CHECKING:
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
 
-_STEP_S, _LONGEST_STEP_S = 0.02, 0.1
-"""Of a replay: data is evaluated in steps of this length; of a longer one where the difference cannot be seen."""
+_STEP_S, _LONGEST_STEP_S, _CALM_STEP_S = 0.02, 0.1, 0.5
+"""Of a replay: data is evaluated in steps of this length; of a longer one where the difference cannot be seen, and of
+the longest while no alarm stands and every surface sends: a piece of any length raises the same alarms."""
 _TOGETHER_S = 0.003
 """Of a live link: what arrives within so long is evaluated together, as an autopilot sends it together."""
 _AT_EASE_S = 0.04
 """The same while no residual is anywhere near its threshold: each waking costs more than ten messages do."""
+
+_ROUNDING_S = 0.02
+"""The last samples of two steps of a log are so much closer to each other than the steps are long."""
 
 
 class Watcher(Protocol):
@@ -48,6 +52,12 @@ class Pace:
     def step_s(self) -> float:
         """Of the log, evaluated at once [s]."""
         return min(_STEP_S * max(self.speed, 1.0), _LONGEST_STEP_S) if self.speed > 0.0 else _LONGEST_STEP_S
+
+    def is_due(self, since_s: float, session: Session) -> bool:
+        """Whether to evaluate what has come in so long [s]; looks at an alarm that stands have their times."""
+        if since_s < self.step_s:
+            return False
+        return self.speed > 0.0 or since_s >= _CALM_STEP_S or not session.may_wait
 
     def wait(self, at_s: float) -> None:
         """Wait until this instant of the log is due [s]."""
@@ -89,7 +99,7 @@ def replay_telemetry(session: Session, path: Path, watcher: Watcher, pace: Pace,
                 break
             first_s = stepped_s = now_s
         events = session.take(now_s, frame)
-        if abs(now_s - stepped_s) >= pace.step_s:
+        if pace.is_due(abs(now_s - stepped_s), session):
             pace.wait(now_s)
             stepped_s = now_s
             events += session.step(now_s)
@@ -103,15 +113,17 @@ def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, d
     (aircraft,) = session.aircraft.values()
     vehicle = Vehicle(0, aircraft, is_stream=False)
     session.vehicles[0] = vehicle
-    now_s = 0.0
+    now_s, stepped_s = 0.0, -np.inf
     for now_s, samples in _steps(log, vehicle, pace.step_s):
         if now_s - log_start_s(log) > duration_s:
             break
         pace.wait(now_s)
         vehicle.received_s = now_s
         vehicle.give(samples)
-        watcher.events(session.step(now_s))
-        watcher.tick(now_s)
+        if pace.is_due(now_s - stepped_s + _ROUNDING_S, session):
+            stepped_s = now_s
+            watcher.events(session.step(now_s))
+            watcher.tick(now_s)
     return now_s
 
 

@@ -167,6 +167,11 @@ class Session:
         """Whether no surface of any vehicle is anywhere near an alarm."""
         return all(monitor.at_ease for vehicle in self.vehicles.values() for monitor in vehicle.monitors.values())
 
+    @property
+    def may_wait(self) -> bool:
+        """Whether no alarm stands, and of every surface something has come that is not evaluated."""
+        return all(vehicle.is_calm for vehicle in self.vehicles.values())
+
     def finish(self, arrival_now_s: float) -> list[Published]:
         """End of the stream."""
         if self._pool is not None:

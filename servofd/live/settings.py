@@ -81,5 +81,6 @@ class Settings:
         return Change(surfaces, 1.0, False, f"{text}: servo gets pulses as before")
 
     def missing(self) -> tuple[str, ...]:
-        """What has to be known before it changes, and is not."""
-        return () if _RANGE in self._known else (_RANGE,)
+        """What has to be known before it changes, and is not; a log that holds it also tells what each output turns."""
+        functions = (f"SERVO{output}_FUNCTION" for output in self.outputs.values() if output is not None)
+        return tuple(name for name in (_RANGE, *functions) if name not in self._known)

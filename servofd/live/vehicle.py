@@ -338,6 +338,12 @@ class Vehicle:
             if self.axes is not None:
                 self.axes.add(channel, stamp_s, value)
 
+    @property
+    def is_calm(self) -> bool:
+        """Whether no alarm stands, and commands and positions of every surface wait to be evaluated."""
+        waiting = [self._samples.get(name) for name in self.monitors]
+        return self.alarms.gravest is None and all(each and each[0][0] and each[1][0] for each in waiting)
+
     def evaluate(self, *, final: bool = True) -> list[Event]:
         """Evaluate what was received since; all of it, or what cannot wait for the next position."""
         samples, self._samples = self._samples, {}

@@ -37,8 +37,8 @@ def events(draw: st.DrawFn) -> list[Event]:
 @given(events(), st.integers(0, 30))
 @settings(max_examples=200, deadline=None)
 def test_each_alarm_begins_and_ends_once(seen: list[Event], boots_after: int) -> None:
-    """Names and clears carry the id of an alarm that stands; a boot leaves none standing."""
-    alarms, open_, ids = Alarms(1), {}, set()
+    """Names and clears carry the id of an alarm that stands, and a clear its name; a boot leaves none standing."""
+    alarms, open_, ids, names = Alarms(1), {}, set(), {}
     told = alarms.publish(seen[:boots_after])
     told += alarms.begin_anew(Event(0.0, "", "no_data", text="vehicle 1 has restarted"))
     told += alarms.publish(seen[boots_after:])
@@ -46,11 +46,13 @@ def test_each_alarm_begins_and_ends_once(seen: list[Event], boots_after: int) ->
         if event.event == "alarm":
             assert event.id not in ids
             ids.add(event.id)
-            open_[event.id] = event.surface
+            open_[event.id], names[event.id] = event.surface, event.kind
         elif event.event in ("named", "clear"):
             assert open_[event.id] == event.surface
             if event.event == "clear":
+                assert event.kind == names[event.id]
                 del open_[event.id]
+            names[event.id] = event.kind
         else:
             assert open_ == {}, "what stood has ended with the boot"
     assert {alarm.id for alarm in alarms.all if alarm.end_s is None} == set(open_)
