@@ -48,7 +48,7 @@ def run(options: Options) -> int:
     print_document(calibrate_report(calibration, options.false_alarms_per_hour))
     say(f"wrote {options.output}")
     if options.config is None and any(is_numbered(name) for name in aircraft.surfaces):
-        say("no log says what the outputs turn (SERVOn_FUNCTION); to have surfaces by name: -c FILE, or a log that does")
+        say("no log says what the outputs turn (SERVOn_FUNCTION); -c FILE, or a log that does, names the surfaces")
     return _run_axes(options, text) if options.motion else 0
 
 
