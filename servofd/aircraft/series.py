@@ -310,8 +310,10 @@ def link_period_s(time_s: FloatArray) -> float | None:
     steps_s = steps_s[steps_s <= OUTAGE_S]
     if steps_s.size < _FEWEST_STEPS:
         return None
-    period_s = sent_period_s(time_s) or float(np.median(steps_s))
-    return period_s if period_s <= _BRIDGED_S and _is_steady(steps_s, period_s) else None
+    single = steps_s <= _WHOLE * float(np.percentile(steps_s, _SHORTEST))  # nothing was lost in between
+    period_s = float(np.median(steps_s[single]))
+    lasts = all(np.mean(half) >= _SINGLE for half in np.array_split(single, 2))
+    return period_s if lasts and period_s <= _BRIDGED_S and _is_steady(steps_s, period_s) else None
 
 
 def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
@@ -323,8 +325,11 @@ def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
     return bool(np.mean(whole) >= _STEADY)
 
 
-_BRIDGED_S: Final = 0.1
-"""Longest period of a stream of which what was lost is put back: the quarter of a second that is bridged holds two."""
+_BRIDGED_S: Final = 0.105
+"""Longest period of a stream of which what was lost is put back: the quarter of a second that is bridged holds two
+periods of 10 Hz, whose stamps are not exact."""
+_SINGLE: Final = 0.05
+"""Least share of intervals without a loss in each half of the first ones; a stream whose rate has changed has none."""
 _WHOLE_PERIODS, _STEADY = 0.25, 0.8
 """Commands are steady if this share of their intervals is a whole number of periods, to within a quarter of one."""
 

@@ -142,7 +142,7 @@ class Memory:
         self.before = np.zeros((2, _WIDTH + 1))
         self.runs = np.zeros(8)
         self.runs[0], self.runs[3] = -np.inf, -1.0
-        self.sums = np.zeros(_MATRIX + _WIDTH + 4 + 4 * tests.spectrum.size + 1)
+        self.sums = np.zeros(_MATRIX + _WIDTH + 4 + 4 * tests.spectrum.size + 2)
         self.ring = np.zeros((_BLOCKS, self.sums.size))
 
 
@@ -239,6 +239,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
             sums[after_b + 1] += 1.0
             sums[-1] += (missed_deg / (colour[2] * sigma)) ** 2
         u = min(colour[3], max(-colour[3], u))
+        sums[-2] += 1.0  # these sums are of every judged sample, those above of samples that follow two others
         sums[after_b + 2] += u * u
         sums[after_b + 3] += 1.0 / total
         turn = np.exp(-2j * np.pi * 0.1 * t)
@@ -269,7 +270,7 @@ def _evaluate(
     for place in range(2):
         seconds = _ENERGY_S[place]
         begin = ring[(last - int(4.0 * seconds)) % ring.shape[0]]
-        n = max(_count(end, begin, after_b), 0.5 * seconds / period_s, 3.0)
+        n = max(end[-2] - begin[-2], 0.5 * seconds / period_s, 3.0)
         out[1 + place] = (end[after_b + 2] - begin[after_b + 2]) / n
     for place in range(3):
         begin = ring[(last - int(4.0 * WINDOWS_S[place])) % ring.shape[0]]
@@ -331,7 +332,7 @@ def _test(
 @partial(compiled, error_model="numpy")
 def _line(end: FloatArray, begin: FloatArray, after_b: int, spectrum: FloatArray, period_s: float) -> float:
     """The strongest line of a window."""
-    n = _count(end, begin, after_b)
+    n = end[-2] - begin[-2]
     if n < 0.5 * _BAND_S / period_s:
         return 0.0
     energy, weight = end[after_b + 2] - begin[after_b + 2], end[after_b + 3] - begin[after_b + 3]

@@ -31,7 +31,7 @@ from servofd.core.series import latest
 from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
 from servofd.detection.faults import AGAIN_S
 from servofd.detection.residual import rhythm, thinned_rhythm
-from servofd.detection.stream import Remembered, stream_of
+from servofd.detection.stream import BY_WINDOWS, Remembered, stream_of
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -117,6 +117,8 @@ class SurfaceMonitor:
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _alarm: Alarm | None = None
     """The one that stands."""
+    _doubtful: Alarm | None = None
+    """One that windows alone have raised and no look has confirmed: it is not reported yet."""
     _finished: list[Fault] = field(default_factory=list)
     _from_s: float = -np.inf
     """Since when the last fault is over [s]: what was before is not judged again."""
@@ -244,6 +246,11 @@ class SurfaceMonitor:
         return self._alarm.kind if self._alarm is not None else ""
 
     @property
+    def is_calm(self) -> bool:
+        """Whether no alarm stands, and none is looked into."""
+        return self._alarm is None and self._doubtful is None
+
+    @property
     def was_judged(self) -> bool:
         """Whether any sample was ever judged."""
         return self.reading is not None and self._stream is not None
@@ -363,15 +370,16 @@ class SurfaceMonitor:
                 is_seen = True
         if alarm is not None and alarm is self._alarm:
             events += self._doubted(alarm, look) if not is_seen else []
-        if self._stream is not None and self._stream.latched and self._alarm is None:
-            self._stream.again()
+        if self._stream is not None and self._stream.latched and self._alarm is None and not self._looks_s:
+            self._over()
         return events
 
     def _seen(self, look: Look, fault: Fault) -> list[Event]:
         """What a fault changes: an alarm is raised, has a name, or is over."""
         events, alarm = [], self._alarm
         if alarm is None:
-            alarm = self._alarm = Alarm(fault.alarm_s, fault.kind)
+            alarm = self._alarm = self._doubtful or Alarm(fault.alarm_s)
+            alarm.kind, self._doubtful = fault.kind, None
             events.append(self._event(look, "alarm", fault))
         elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
             if not (fault.probability >= _TOLD or look.at_s - alarm.raised_s >= _LOOKS_S[1]):
@@ -399,7 +407,7 @@ class SurfaceMonitor:
 
     def _over(self) -> None:
         """No alarm stands any more, and the tests begin anew."""
-        self._alarm = None
+        self._alarm = self._doubtful = None
         self._looks_s.clear()
         if self._stream is not None:
             self._stream.again()
@@ -437,7 +445,7 @@ class SurfaceMonitor:
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
-        look = self._look() if self._alarm is not None or not self.surface.is_calibrated else None
+        look = self._look() if not self.is_calm or not self.surface.is_calibrated else None
         return events + (self.told(look, look.judge()) if look is not None else [])
 
     def restart(self) -> list[Event]:
@@ -468,9 +476,9 @@ class SurfaceMonitor:
         self._off_pace = 0
         thin, latest_s = self._thin, self._recent[-1]
         if thin:
-            events = self.restart()
+            events, told = self.restart(), self._told_slow
             self.problem, self._told_slow = thin, True
-            return [*events, Event(latest_s, self.name, "no_data", text=thin)]
+            return events if told else [*events, Event(latest_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._paces_s[0]
         most = SAME_PACE if self._least_hz == SLOWEST_RATE_HZ else _SAME_LEFT
@@ -487,7 +495,10 @@ class SurfaceMonitor:
         steps_s = steps_s[steps_s <= OUTAGE_S]
         if steps_s.size < 2 or 1.0 / float(np.mean(steps_s)) >= _LEAST_SHARE * self._least_hz:
             return ""
-        return f"{1.0 / float(np.mean(steps_s)):.2g} positions a second arrive; a servo cannot be judged by so few"
+        came_hz, least_hz = 1.0 / float(np.mean(steps_s)), _LEAST_SHARE * self._least_hz
+        return (
+            f"{came_hz:.2g} positions a second arrive: the link is too poor to judge a servo, which takes {least_hz:g}"
+        )
 
     def _warm_up(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> list[Event]:
         """Wait for the pace, and for a position that is not always the same."""
@@ -577,7 +588,13 @@ class SurfaceMonitor:
             if self._alarm is not None:
                 break
             time_s = float(residuals.time_s[k])
-            self._alarm = Alarm(time_s)
+            if piece.alarm[k] == BY_WINDOWS:
+                self._doubtful, self._looks_s = (
+                    Alarm(time_s),
+                    [time_s, *(time_s + after_s for after_s in _LOOKS_S[:-1])],
+                )
+                continue
+            self._alarm, self._doubtful = Alarm(time_s), None
             numbers = float(residuals.residual_deg[k]), float(level_deg[k])
             events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
             self._looks_s = [time_s + after_s for after_s in _LOOKS_S]
@@ -613,7 +630,7 @@ class SurfaceMonitor:
         return events
 
     def _look(self) -> Look | None:
-        stream, alarm, from_s = self._stream, self._alarm, self._from_s
+        stream, alarm, from_s = self._stream, self._alarm or self._doubtful, self._from_s
         if stream is None or stream.history.size == 0:
             return None
         if alarm is not None:

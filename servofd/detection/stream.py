@@ -63,7 +63,7 @@ from servofd.servo.motion import Motion
 if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Surface
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray, Marks
     from servofd.detection.faults import Found, Named
     from servofd.detection.residual import Rhythm
     from servofd.detection.threshold import ThresholdKind
@@ -167,13 +167,17 @@ FASTEST_COMMANDS_S = 0.005
 """Shortest period of commands for which room is kept [s]."""
 
 
+BY_WINDOWS, BY_LEVEL = 1, 2
+"""What raises an alarm: windows alone, of which the bank tells more, or residuals over their threshold."""
+
+
 class Piece(NamedTuple):
     """What has been decided; all of shape (n,), one entry per position."""
 
     residuals: Residuals
     threshold: Threshold
-    alarm: BoolArray
-    """True where an alarm is raised."""
+    alarm: Marks
+    """`BY_LEVEL` or `BY_WINDOWS` where an alarm is raised, else 0."""
 
 
 class Remembered(NamedTuple):
@@ -202,7 +206,7 @@ class _Waiting:
         self._context = NO_CONTEXT
         self._begin_tests()
         self._before = np.zeros(len(STATISTICS))
-        self.latched = False
+        self.latched = 0
         self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
         self.latest_s = -np.inf
         self._newest: tuple[float, float] = (-np.inf, 0.0)
@@ -219,7 +223,7 @@ class _Waiting:
 
     def again(self) -> None:
         """Begin the tests anew, because the alarm that stood is over."""
-        self._memory, self.latched = Memory(self._tests), False
+        self._memory, self.latched = Memory(self._tests), 0
         self._before = np.zeros(len(STATISTICS))
 
     @property
@@ -259,16 +263,15 @@ class _Waiting:
     def _new_tests(self) -> Tests:
         raise NotImplementedError
 
-    def _alarms(self, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray) -> BoolArray:
+    def _alarms(self, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray) -> Marks:
         """Where an alarm is raised, shape (n,), by the fast test over its threshold (n,) and the windows (g, k)."""
         ratios = exceeded(self._limits, self._before, statistics)
         if len(statistics):
             self._before = statistics[-1]
-        over_s = np.concatenate([time_s[passed >= 1.0], grid_s[ratios >= 1.0]])
-        raised = np.zeros(time_s.size, dtype=bool)
-        if over_s.size and not self.latched:
-            raised[int(np.searchsorted(time_s, over_s.min()))] = True
-            self.latched = True
+        raised = np.zeros(time_s.size, dtype=np.int8)
+        for what, over_s in ((BY_LEVEL, time_s[passed >= 1.0]), (BY_WINDOWS, grid_s[ratios >= 1.0])):
+            if over_s.size and self.latched < what:
+                raised[int(np.searchsorted(time_s, over_s[0]))] = self.latched = what
         return raised
 
     def _known(self) -> tuple[float, float]:

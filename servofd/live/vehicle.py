@@ -342,7 +342,9 @@ class Vehicle:
     def is_calm(self) -> bool:
         """Whether no alarm stands, and commands and positions of every surface wait to be evaluated."""
         waiting = [self._samples.get(name) for name in self.monitors]
-        return self.alarms.gravest is None and all(each and each[0][0] and each[1][0] for each in waiting)
+        return all(m.is_calm for m in self.monitors.values()) and all(
+            each and each[0][0] and each[1][0] for each in waiting
+        )
 
     def evaluate(self, *, final: bool = True) -> list[Event]:
         """Evaluate what was received since; all of it, or what cannot wait for the next position."""

@@ -10,7 +10,7 @@ import pytest
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.priors import PRIORS
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.series import Series, sent_period_s
+from servofd.aircraft.series import Series, link_period_s, sent_period_s
 from servofd.detection.changes import watched
 from servofd.detection.faults import judged
 from servofd.detection.stream import CalibratedStream
@@ -65,6 +65,17 @@ def flown(seed: int, *, jam_s: float = np.inf, duration_s: float = 120.0) -> Ser
     came, seen = (rng.random(sent_s.size) < 0.25 for _ in range(2))
     period_s = sent_period_s(sent_s[came][:101])
     return Series("x", sent_s[came], asked_deg[came], sent_s[seen], measured_deg[seen], sent_period_s=period_s)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0, 25.0, 40.0, 50.0])
+@pytest.mark.parametrize("loss", [0.0, 0.2, 0.3, 0.4, 0.5, 0.6])
+def test_the_period_of_what_was_sent_is_known_whatever_is_lost(rate_hz: float, loss: float) -> None:
+    """From the first hundred commands that arrive, whose stamps are a twentieth of a period off."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        stamp_s = (np.arange(500) + rng.normal(0.0, 0.05, 500)) / rate_hz
+        period_s = link_period_s(stamp_s[rng.random(500) >= loss][:101])
+        assert period_s == pytest.approx(1.0 / rate_hz, rel=0.05)
 
 
 @pytest.mark.parametrize("asked", [walk, steps])

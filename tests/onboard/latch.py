@@ -11,33 +11,34 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Residuals
     from servofd.detection.threshold import Threshold
 
-_QUIET_SHARE, _TRAVEL_TO_CLEAR = 0.5, 20.0
+_QUIET_SHARE, _QUIET_S, _TRAVEL, _FOLLOWED = 0.5, 0.8, 1.5, 0.45
 
 
 def alarms_s(residuals: Residuals, threshold: Threshold, persistence: int) -> list[float]:
     """When alarms are raised [s].
 
-    One clears when |residual| stayed below half the threshold during manoeuvres in which that of an immobile surface
-    would have made large moves: beyond a zone of twice the threshold, 20 thresholds of travel in all.
+    One clears where |residual| stayed below half the threshold for 0.8 s in which the model moved by 1.5 thresholds,
+    and what it leaves of the position by less than 0.45 of that.
     """
     judged = np.flatnonzero(residuals.settled)
-    held, travel, loud, row, stands, raised, levels = np.nan, 0.0, np.nan, 0.0, False, [], []
+    row, stands, raised, levels = 0.0, False, [], []
+    begun_s, asked, left = -np.inf, [0.0], [0.0]
     for k in judged.tolist():
-        level, residual, immobile = threshold.level_deg[k], residuals.residual_deg[k], residuals.immobile_deg[k]
+        level, residual, time_s = threshold.level_deg[k], residuals.residual_deg[k], float(residuals.time_s[k])
+        simulated, off = residuals.simulated_deg[k], residuals.measured_deg[k] - residuals.simulated_deg[k]
         levels.append(level)
         typical = threshold.typical_deg if threshold.kind == "constant" else median_low(levels)
-        typical = max(typical, level)
-        moved = held if np.isfinite(held) else immobile
-        moved = min(max(moved, immobile - typical), immobile + typical)
-        travel += abs(moved - held) / typical if np.isfinite(held) else 0.0
-        held = moved
-        if travel - loud >= _TRAVEL_TO_CLEAR:
-            stands = False
-        if abs(residual) >= _QUIET_SHARE * level:
-            loud = travel
+        asked.append(simulated)
+        left.append(off)
+        is_loud = abs(residual) >= _QUIET_SHARE * level
+        if is_loud or time_s - begun_s >= _QUIET_S:
+            enough = np.ptp(asked) >= _TRAVEL * max(typical, level)
+            if not is_loud and enough and np.ptp(left) <= _FOLLOWED * np.ptp(asked):
+                stands = False
+            begun_s, asked, left = time_s, [simulated], [off]
         side = 0.0 if abs(residual) < level else float(np.sign(residual))
         row = row + side if row * side > 0.0 else side
         if abs(row) >= persistence and not stands:
-            raised.append(float(residuals.time_s[k]))
+            raised.append(time_s)
             stands = True
     return raised

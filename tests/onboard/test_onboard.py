@@ -68,6 +68,27 @@ def test_a_hardover_is_told_from_a_jam_by_the_ends_of_the_output(tmp_path: Path)
     assert flown.said("RUDDER")[-1] == "RUDDER hardover 44.0 deg"
 
 
+def test_each_fault_of_a_surface_is_reported_and_its_end_within_two_seconds(tmp_path: Path) -> None:
+    """A jam, another one after it, and a hard-over that follows a third without a pause."""
+    flight = wiggled(SIMULATED, armed=True, duration_s=30.0)
+    time_s = 1e-6 * flight.time_us
+    moved = flight.position_deg[2]
+    jams = np.select([(time_s > 9.0) & (time_s < 13.0), (time_s > 18.0) & (time_s < 21.0)], [4.0, -11.0], moved)
+    hard = np.clip(-11.0 - 150.0 * (time_s - 28.0), -44.0, -11.0)
+    position = np.where(time_s > 25.0, np.where(time_s > 28.0, hard, -11.0), jams)
+    flown = fly(
+        watch_script(plan_onboard(SIMULATED)),
+        Flight(flight.time_us, flight.pulse_us, {**flight.position_deg, 2: position}, armed=True),
+        tmp_path,
+    )
+    told = [(1e-6 * at_us, text.removeprefix("ELEVATOR ")) for at_us, text in flown.texts if "ELEVATOR" in text]
+    assert [text for _, text in told if "off" not in text] == [
+        *("stuck 4.0 deg", "follows again", "stuck -11.0 deg", "follows again", "stuck -11.0 deg", "hardover -44.0 deg")
+    ]
+    ends_s = [at_s for at_s, text in told if text == "follows again"]
+    assert all(0.0 < at_s - end_s <= 2.0 for at_s, end_s in zip(ends_s, (13.0, 21.0), strict=True))
+
+
 @pytest.mark.parametrize(
     ("check", "jammed", "last"),
     [(0, 2, None), (1, 2, "ELEVATOR did not follow"), (1, 0, ""), (2, 0, ""), (2, 2, "ELEVATOR did not follow")],

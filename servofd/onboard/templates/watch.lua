@@ -32,7 +32,8 @@ local NAN = 0.0 / 0.0
 local PIECE_S, MOST_PIECES = 0.004, 6.0 -- while a rate limit acts, its instants are looked for piece by piece
 local PEAK_HOLD_S = 0.15      -- how long the activity of the command counts
 local BLANKING = 8.0          -- time constants of the filter until it has forgotten how it was started
-local TRAVEL_TO_CLEAR = 20.0  -- thresholds of travel, followed quietly, that disprove an alarm
+local QUIET_US = 800000       -- an alarm is disproved within so long by a model that moves by 1.5 thresholds or more
+local FOLLOWED = 0.45         -- while the residual is quiet and what it leaves moves by less than this share of that
 local SILENCE_US, FROZEN_US, THAW_US = 1000000, 30000, 100000
 
 -- What a mode is worth while it is worked on; nothing is allocated in flight.
@@ -329,23 +330,27 @@ local function name_it(s, now_us, measured, simulated, residual, level)
       return
    end
    suspect = nil
-   local middle, together, text = 0.5 * (low + high), products - sum * sum_asked / count, nil
+   local middle, together, kind, size = 0.5 * (low + high), products - sum * sum_asked / count, nil, 0.0
    local apart = (squares - sum * sum / count) * (squares_asked - sum_asked * sum_asked / count)
    if high - low <= 1.5 * noise then
       if middle >= 0.9 * s.reach_high or middle <= 0.9 * s.reach_low then
-         text = string.format("%s hardover %.1f deg", s.name, middle)
+         kind, size = "%s hardover %.1f deg", middle
       elseif asked >= max(level, 2.0 * noise) then
-         text = string.format("%s stuck %.1f deg", s.name, middle)
+         kind, size = "%s stuck %.1f deg", middle
       end
    elseif high_off - low_off <= max(1.5 * noise, 0.25 * asked) and abs(residual) >= 0.5 * level then
-      text = string.format("%s offset %+.1f deg", s.name, 0.5 * (low_off + high_off))
+      kind, size = "%s offset %+.1f deg", 0.5 * (low_off + high_off)
    elseif path > 0.0 and towards >= 0.85 * path and path_asked > 1.3 * path then
-      text = s.name .. " slow"
+      kind = "%s slow"
    elseif asked >= 2.0 * level and together * together < 0.25 * apart then
-      text = s.name .. " floating"
+      kind = "%s floating"
    end
-   if text then
-      gcs:send_text(CRITICAL, text)
+   -- A fault that lasts is named again only where the surface does not move at all any more.
+   if kind and (s.alarm == true or (high - low <= 1.5 * noise and kind ~= s.alarm)) then
+      gcs:send_text(CRITICAL, string.format(kind, s.name, size))
+      s.alarm = kind
+   elseif s.alarm == true then
+      s.alarm = ""
    end
 end
 
@@ -375,25 +380,28 @@ local function frozen(suspected, now_us)
    return still_us < SILENCE_US or off > 1
 end
 
--- Raise an alarm, or take it back once the surface has followed large commands quietly.
-local function decide(s, now_us, residual, still, level, measured, simulated)
+-- Raise an alarm, or take it back once the surface has followed its command quietly.
+local function decide(s, now_us, residual, level, measured, simulated)
    s.typical = s.typical + (level - s.typical) / (1.0 + min(s.count, 1000.0))
-   local usual, size = max(s.threshold or s.typical, level), abs(residual)
-   local moved = min(max(s.travelled or still, still - usual), still + usual)
-   s.travel = s.travel + abs(moved - (s.travelled or still)) / usual
-   s.travelled = moved
-   if s.alarm and s.travel >= TRAVEL_TO_CLEAR then
-      s.alarm = false
-      gcs:send_text(WARNING, s.name .. " follows again")
-   end
-   if size >= 0.5 * level then
-      s.travel = 0.0
+   local size, off, quiet = abs(residual), measured - simulated, s.quiet
+   quiet[2], quiet[3] = min(quiet[2], simulated), max(quiet[3], simulated)
+   quiet[4], quiet[5] = min(quiet[4], off), max(quiet[5], off)
+   if size >= 0.5 * level or now_us - quiet[1] >= QUIET_US then
+      local asked = quiet[3] - quiet[2]
+      if s.alarm and size < 0.5 * level and asked >= 1.5 * max(s.threshold or s.typical, level)
+         and quiet[5] - quiet[4] <= FOLLOWED * asked then
+         s.alarm = false
+         gcs:send_text(WARNING, s.name .. " follows again")
+      end
+      quiet[1], quiet[2], quiet[3], quiet[4], quiet[5] = now_us, simulated, simulated, off, off
    end
    local side = size < level and 0 or residual > 0.0 and 1 or -1
    s.row = s.row * side > 0 and s.row + side or side
    if abs(s.row) >= s.persistence and not s.alarm and not frozen(s, now_us) then
       s.alarm, suspect, since_us = true, s, now_us
-      gcs:send_text(CRITICAL, string.format("%s off by %+.1f deg", s.name, measured - simulated))
+      gcs:send_text(CRITICAL, string.format("%s off by %+.1f deg", s.name, off))
+   elseif s.alarm and not suspect and abs(s.row) >= s.persistence then -- has something worse followed?
+      suspect, since_us = s, now_us
    end
    if suspect == s then
       name_it(s, now_us, measured, simulated, residual, level)
@@ -425,7 +433,7 @@ local function judge(s, now_us, measured, simulated, weak)
       s.start_us = nil
    end
    if not s.start_us then
-      decide(s, now_us, residual, still, level, measured, simulated)
+      decide(s, now_us, residual, level, measured, simulated)
    else
       residual = NAN
    end
@@ -711,9 +719,10 @@ local function prepare(s, now_us)
    end
    for _, key in ipairs({ "position", "direction", "weak_position", "weak_direction", "fastest", "count", "glitches",
                           "waiting", "first", "last", "resolution", "activity", "speed", "quickness", "peak",
-                          "peak_speed", "peak_quick", "peak_weak", "travel", "typical", "row" }) do
+                          "peak_speed", "peak_quick", "peak_weak", "typical", "row" }) do
       s[key] = 0
    end
+   s.quiet = { now_us, 0.0, 0.0, 0.0, 0.0 }
    s.alarm, s.silent, s.draining = false, false, false -- a table that grows in flight would have to be copied
    s.seen_us, s.last_measured, s.seen_noise, s.lowest, s.highest = now_us, NAN, s.noise, 1e9, -1e9
    s.stream = "SRVP" .. s.output
