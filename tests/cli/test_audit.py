@@ -93,6 +93,19 @@ def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
+def test_the_servo_that_is_named_judges_an_autopilots_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(tmp_path / "flight.bin")
+    main(["simulate", "-o", path, "--servo", "s9254", "--command", "steps"])
+    capsys.readouterr()
+    right, document = audited([path, "--servo", "s9254"], capsys)
+    wrong, _ = audited([path, "--servo", "hs225bb-eq31"], capsys)
+    surfaces = document["logs"][0]["surfaces"].values()
+    assert {(one["model"]["origin"], one["servo"]) for one in surfaces} == {("named", "s9254")}
+    assert {one["threshold"]["deg"] for one in surfaces} == {1.5}  # not the level of the servo that the log shows
+    assert (right, wrong) == (0, 2)  # of all surfaces at once: it is the model, not the servos
+
+
+@pytest.mark.slow
 def test_the_threshold_can_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(SAMPLES / "faser_healthy_flight.mat")
     code, document = audited([path, "--threshold-deg", "3"], capsys)
