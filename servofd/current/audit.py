@@ -15,7 +15,8 @@ from servofd.current.judge import judge_current, limits_of, tells_motion
 from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.wear import features_of, wear_of
-from servofd.detection.verdict import STANDS_STILL, CurrentAudit, SurfaceAudit
+from servofd.detection.kinds import STANDS_STILL
+from servofd.detection.verdict import CurrentAudit, SurfaceAudit
 from servofd.servo.context import Context
 from servofd.servo.library import ORDINARY
 from servofd.servo.servo_model import ServoModel

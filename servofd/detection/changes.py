@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.noise import Noise
     from servofd.core.types import BoolArray, FloatArray
+    from servofd.detection.outages import Outage
     from servofd.estimate.record import Record
 
 GRID_S: Final = 0.25
@@ -380,7 +381,15 @@ _PLAY_DEG: Final = 2.4
 class OwnMotion(Protocol):
     """Motion of a named servo, with parameters changed."""
 
-    def __call__(self, theta: FloatArray, rows: slice, start_deg: float, *, behind: bool = False) -> FloatArray:
+    def __call__(
+        self,
+        theta: FloatArray,
+        rows: slice,
+        start_deg: float,
+        *,
+        behind: bool = False,
+        outages: tuple[Outage, ...] = (),
+    ) -> FloatArray:
         """Position at some samples [deg], from a given one on; travel is lost in front of its play, or behind."""
         ...
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.statistics import Estimate
+from servofd.detection.outages import Outage, held, outages_in
 from servofd.detection.verdict import WORTH_TELLING
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
@@ -72,6 +73,8 @@ _MOVING, _MOVING_DEG = 3.0, 0.3
 """A surface that moves by so many sigma of the reading, and so much, is not stuck."""
 _AT_REST: Final = 6
 """So many readings in a row that stay where they are come to rest, after motion."""
+_FEWEST_OUTAGES: Final = 2
+"""Of a contact that comes and goes."""
 _LOOSE: Final = 0.3
 """Share of its play by which a loose surface moves although it rests."""
 _LEAST_STILL_DEG: Final = 0.05
@@ -100,6 +103,8 @@ class Guess:
     """Of the parameter that was changed, where its size is an estimate around the value tried."""
     behind: bool = False
     """Whether a named servo lost its travel behind its play, and not before it."""
+    outages: tuple[Outage, ...] = ()
+    """Moments in which no command arrives."""
 
 
 class Window:
@@ -129,18 +134,21 @@ class Window:
         """How many samples are used."""
         return int(np.count_nonzero(self.used))
 
-    def reading(self, theta: FloatArray, power: float = 0.0, *, behind: bool = False) -> tuple[FloatArray, FloatArray]:
+    def reading(
+        self, theta: FloatArray, power: float = 0.0, *, behind: bool = False, outages: tuple[Outage, ...] = ()
+    ) -> tuple[FloatArray, FloatArray]:
         """Reading and sensitivities of a servo, shapes (m,) and (m, 13)."""
         table = variants(theta, patterns=False)
         table[:, FITTED] = power
         record = self.record
         position_deg, speed_deg_s = simulated(
-            table, new_state(table.shape[0]), record.commands, self.time_s, record.load[self.rows],
+            table, new_state(table.shape[0]), held(record.commands, outages), self.time_s, record.load[self.rows],
             record.power[self.rows], self.start_deg,
         )  # fmt: skip
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
         if self.own is not None and self.time_s.size:
-            reading_deg = self.own(theta, self.rows, float(np.nan_to_num(self.start_deg[0])), behind=behind)
+            start_deg = float(np.nan_to_num(self.start_deg[0]))
+            reading_deg = self.own(theta, self.rows, start_deg, behind=behind, outages=outages)
         return reading_deg, slopes
 
     def slope(
@@ -247,6 +255,7 @@ def _guesses(window: Window) -> Iterator[Guess]:
             sticking = _with(theta, friction_deg=theta[NAMES.index("friction_deg")] + 0.5 * width)
             yield _sized(window, "deadband", sticking, None, {"width_deg": (width, 0.25 * width)})
     yield from _oscillating(window, error_deg, slopes)
+    yield from _intermittent(window, error_deg)
     yield from _immobile(window)
 
 
@@ -331,6 +340,27 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
             best = Guess("oscillation", cost, 3, parameters, window.theta)
     if best is not None:
         yield best
+
+
+def _intermittent(window: Window, error_deg: FloatArray) -> Iterator[Guess]:
+    """A servo that gets no command for some moments."""
+    used = np.flatnonzero(window.used | (window.time_s < window.time_s[0] + _LEAD_S))
+    used = used[np.isfinite(window.measured_deg[used])]
+    command_s, command_deg, _ = window.record.commands
+    theta = window.theta
+    found = outages_in(
+        window.time_s[used], window.measured_deg[used], error_deg[used], window.total_deg[used],
+        _MOVING * float(np.hypot(window.known.noise.still_deg, _LEAST_STILL_DEG)),
+        (command_s, theta[0] * command_deg + theta[1]), theta[NAMES.index("delay_s")],
+    )  # fmt: skip
+    if len(found) < _FEWEST_OUTAGES:
+        return
+    reading_deg, slopes = window.reading(theta, outages=found)
+    left_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
+    cost, _, _ = window.reduced(left_deg, slopes)
+    lengths_s = np.array([to_s - from_s for from_s, to_s in found])
+    size = {"outage_s": Estimate.of(float(np.median(lengths_s)), float(np.std(lengths_s)))}
+    yield Guess("intermittent", cost, 2 * len(found), size, theta, outages=found)
 
 
 def _immobile(window: Window) -> Iterator[Guess]:
@@ -446,5 +476,8 @@ def unexplained_deg(stretch: Window, guess: Guess) -> FloatArray:
         away: FloatArray = stretch.measured_deg - guess.added[1][0]
         return away
     if guess.theta is not None and guess.kind != "oscillation":
-        return stretch.measured_deg - stretch.reading(guess.theta, guess.power, behind=guess.behind)[0]
+        return (
+            stretch.measured_deg
+            - stretch.reading(guess.theta, guess.power, behind=guess.behind, outages=guess.outages)[0]
+        )
     return np.full(stretch.time_s.size, SWINGS) * stretch.total_deg

@@ -19,6 +19,7 @@ from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.series import Series
 from servofd.detection.changes import Memory, Tests, Watched, follow
 from servofd.detection.faults import SAME_S, Found, judged
+from servofd.detection.outages import Outage, held
 from servofd.detection.residual import RESTART_ALL, Commands, commands_at_servo, followed
 from servofd.detection.threshold import constant_threshold, interval_threshold
 from servofd.estimate.family import new_state, sensitivities, simulated, variants
@@ -176,7 +177,7 @@ def watched_named(
     tested = follow(tests, Memory(tests), time_s, error_deg, slopes, noise_deg)
     return Watched(
         known, known.noise.noise, record, healthy_deg, slopes, record.usable, noise_deg, tests, tested,
-        own=_Own(model.servo(context), commands, time_s, known.theta),
+        own=_Own(model.servo(context), commands, time_s, known.theta, model.delay_s),
         passed=over(residuals, threshold, surface.persistence),
         alone=surface.threshold == "constant",
     )  # fmt: skip
@@ -190,8 +191,18 @@ class _Own(NamedTuple):
     time_s: FloatArray
     theta: FloatArray
     """Parameters of the family that is most like it."""
+    delay_s: float
+    """By how much the commands are late."""
 
-    def __call__(self, theta: FloatArray, rows: slice, start_deg: float, *, behind: bool = False) -> FloatArray:
+    def __call__(
+        self,
+        theta: FloatArray,
+        rows: slice,
+        start_deg: float,
+        *,
+        behind: bool = False,
+        outages: tuple[Outage, ...] = (),
+    ) -> FloatArray:
         """Where it is at some samples [deg] if its parameters differ by as much as these do, from a position on."""
         apart = dict(zip(NAMES, (theta - self.theta).tolist(), strict=True))
         physics = self.servo.physics
@@ -208,9 +219,9 @@ class _Own(NamedTuple):
         servo = replace(self.servo, physics=physics).slower(float(np.exp(apart["ln_bandwidth"])))
         time_s = self.time_s[rows]
         span = slice(*np.searchsorted(self.commands.effective_s, (time_s[0] - _LEAD_S, time_s[-1] + _STEP_S)).tolist())
-        effective_s, command_deg, slope_deg_s = (
-            values[span] for values in (self.commands.effective_s, self.commands.command_deg, self.commands.slope_deg_s)
-        )
+        each = self.commands.effective_s[span], self.commands.command_deg[span], self.commands.slope_deg_s[span]
+        late = tuple(Outage(from_s + self.delay_s, to_s + self.delay_s) for from_s, to_s in outages)
+        effective_s, command_deg, slope_deg_s = held(each, late)
         if apart["deadband_deg"] > 0.0 and command_deg.size:  # before the servo, whatever its order is
             rest_deg = (start_deg - physics.bias_deg) / (physics.gain * physics.command_gain)
             command_deg, slope_deg_s = play(command_deg, apart["deadband_deg"], rest_deg), 0.0 * slope_deg_s

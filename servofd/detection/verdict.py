@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from servofd.core.evidence import NAMED, NOTHING_DETECTABLE, Detectable, ModelOrigin
+from servofd.detection.kinds import KINDS, filled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -224,42 +225,8 @@ class LogAudit:
 
 _SAMPLES_PER_PERIOD = 4.0
 """Of the servo's bandwidth; twice what the sampling theorem asks for."""
-STANDS_STILL = ("stuck", "hardover", "floating")
-"""Kinds of which no servo with other numbers is an account."""
-_NAMES = {
-    "stuck": "stuck at {position_deg:.1f} deg",
-    "bias": "off by {bias_deg:+.1f} deg",
-    "hardover": "ran to {position_deg:.1f} deg and stays there",
-    "floating": "floating: moves by itself within about ±{amplitude_deg:.1f} deg",
-    "oscillation": "oscillates by ±{amplitude_deg:.1f} deg at {frequency_hz:.2f} Hz",
-    "deadband": "dead band, stiction or play of {width_deg:.1f} deg",
-    "loss_of_effectiveness": "moves by only {gain:.0%} of its command",
-    "blocked": "blocked: draws {current_a:.2g} A wherever it is asked to be elsewhere",
-    "unpowered": "without power: draws {current_a:.2g} A whatever it is asked",
-    "binding": "binding: draws {times:.1f} times as much for the same motion",
-    "worn": "worn: its current is {distance:.1f} times as far from that of good flights as good ones may be",
-    "unknown": "left the model in a way that no known fault explains",
-    "healthy": "away from its model for longer than chance allows, yet within the tolerances of a working servo,",
-}
-_SLOW = {
-    "bandwidth_scale": "slow: {bandwidth_scale:.0%} of its bandwidth is left",
-    "rate_limit_deg_s": "slow: no faster than {rate_limit_deg_s:.0f} deg/s",
-}
 SURE, WORTH_TELLING = 0.95, 0.02
 """Probabilities from which a name counts as certain, and an alternative is worth mentioning."""
-_PERHAPS = {
-    "blocked": "blocked",
-    "unpowered": "without power",
-    "binding": "binding",
-    "bias": "an offset",
-    "hardover": "run to its stop",
-    "oscillation": "oscillating",
-    "deadband": "a dead band",
-    "loss_of_effectiveness": "a loss of travel",
-    "unknown": "something else",
-    "healthy": "within tolerance",
-}
-
 EXPLAINED = "the tolerances of a working servo explain it"
 """Why an alarm is taken back."""
 
@@ -275,7 +242,7 @@ def describe(fault: Fault) -> str:
     'stuck at 3.1 deg since 10.00 s, perhaps a dead band (alarm at 10.40 s)'
     """
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
-    text = next((form for name, form in _SLOW.items() if name in values), None) or _NAMES[fault.kind]
+    text = filled(KINDS[fault.kind].clause, values)
     since = (
         f"from {fault.start_s:.2f} to {fault.end_s:.2f} s"
         if fault.end_s is not None
@@ -288,12 +255,12 @@ def describe(fault: Fault) -> str:
         doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":
         text = "crossed the threshold, but the tolerances of a working servo explain it"
-    return f"{text.format(**values)} {since}{doubt} (alarm at {fault.alarm_s:.2f} s)"
+    return f"{text} {since}{doubt} (alarm at {fault.alarm_s:.2f} s)"
 
 
 def _perhaps(fault: Fault) -> str:
     """What else it may be."""
-    return f", perhaps {' or '.join(_PERHAPS.get(kind, kind) for kind in fault.alternatives)}"
+    return f", perhaps {' or '.join(KINDS[kind].perhaps for kind in fault.alternatives)}"
 
 
 def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s: float) -> str:
@@ -307,56 +274,9 @@ def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s:
     return f"{' and '.join(slow)}: slow for a servo of {bandwidth_hz:.2g} Hz, which needs {enough_hz:.2g} Hz"
 
 
-_MEANING = {
-    "stuck": "The surface stayed where it was, whatever was asked: a jammed linkage, a stripped gear, a servo without "
-    "power or signal, or a position sensor that froze.",
-    "bias": "The surface follows, but beside its command: a slipped horn or linkage, a shifted sensor, or a trim that "
-    "the aircraft file does not know.",
-    "hardover": "The surface ran to one end and stays there: failed electronics or feedback inside the servo, or a "
-    "broken signal wire.",
-    "floating": "The surface moves without being asked: the linkage is open or the servo has no power, and the air "
-    "moves it.",
-    "oscillation": "The surface swings on top of what was asked: a worn feedback potentiometer, play that the air "
-    "excites, or a loop inside the servo that is about to become unstable.",
-    "deadband": "Small commands have no effect: worn gears, play in the linkage, or friction.",
-    "slow": "The surface arrives late: low supply voltage, a binding hinge, too much load, or a worn motor.",
-    "loss_of_effectiveness": "The surface moves less than asked: a slipping gear or horn, or a position channel of the "
-    "wrong scale.",
-    "blocked": "The servo pushes with all it has and the surface does not move: something blocks the linkage or the "
-    "gear, and it will overheat.",
-    "unpowered": "The servo draws no current for what it is asked: a broken wire or plug, a blown fuse, or dead "
-    "electronics.",
-    "binding": "The servo needs more current for the same motion: a hinge or gear that binds, ice, or a linkage that "
-    "rubs.",
-    "worn": "The current is further from that of good days than these are from each other: bearings, gears or "
-    "lubrication wear.",
-    "unknown": "The surface left its model, and no single fault explains how, or there was too little motion to tell "
-    "which one it is.",
-    "healthy": "The surface is further from its model than chance allows, yet within what a working servo may be: the "
-    "model is not quite that of this servo.",
-}
-_CHECK = {
-    "stuck": "move it from stop to stop and feel for binding",
-    "bias": "compare its neutral position with a ruler",
-    "hardover": "watch where it goes when it is powered up",
-    "floating": "pull at the surface with the servo powered: it must hold",
-    "oscillation": "hold it at several deflections and listen for buzzing",
-    "deadband": "move it in steps of 0.5 deg and look for steps it does not follow",
-    "slow": "measure the supply at the servo while it moves, and the time from stop to stop",
-    "loss_of_effectiveness": "compare its travel with the commanded one, in degrees",
-}
-_CHECK |= {
-    "blocked": "take the linkage off and move surface and servo apart from each other",
-    "unpowered": "measure the supply at its plug, and move it",
-    "binding": "take the linkage off and compare its current with and without it",
-    "worn": "compare its current with and without its linkage, and look at gears and bearings",
-}
-_ANYHOW = "move it from stop to stop, slowly and fast, and compare with its command"
-
-
 def meaning(fault: Fault) -> str:
     """What may have happened to the aircraft, in a sentence."""
-    return _MEANING[fault.kind]
+    return KINDS[fault.kind].meaning
 
 
 def gravest(faults: Sequence[Fault]) -> Fault:
@@ -367,10 +287,10 @@ def gravest(faults: Sequence[Fault]) -> Fault:
 def next_step(surface: SurfaceAudit) -> str:
     """What to do about a verdict, in a sentence; empty if there is nothing to do."""
     if surface.status == "fault":
-        check = _CHECK.get(gravest(surface.faults).kind, _ANYHOW)
+        check = KINDS[gravest(surface.faults).kind].check
         return f"do not fly; on the ground, {check}; if it moves as asked, its position sensor is at fault"
     if surface.status == "suspect":
-        check = _CHECK.get(gravest(surface.suspicions).kind, _ANYHOW) if surface.suspicions else _ANYHOW
+        check = KINDS[gravest(surface.suspicions).kind if surface.suspicions else "unknown"].check
         return (
             f"look at another flight; if it happens again, on the ground, {check}; 'servofd explain' says what the "
             "model lacks"

@@ -14,7 +14,7 @@ from servofd.batch.key import Job
 from servofd.core.errors import CalibrationError, NoMeasurement, ServofdError, UnknownName, suggest
 from servofd.current.audit import healthy_currents, with_currents
 from servofd.detection.audit import audit_log
-from servofd.detection.verdict import STANDS_STILL
+from servofd.detection.kinds import STANDS_STILL
 from servofd.feedback.flown import each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from logparsers.protocol import Severity
 from servofd.detection.event import Event, EventKind
+from servofd.detection.kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -100,10 +101,9 @@ def severity_of(kind: str, fault: Fault | None, residual_deg: float, travel_deg:
     'CRITICAL'
     """
     sizes = {} if fault is None else {name: abs(estimate.value) for name, estimate in fault.parameters.items()}
-    if kind in ("stuck", "hardover", "floating"):
-        return Severity.CRITICAL
-    if kind == "slow":
-        return Severity.WARNING
+    known = KINDS.get(kind, KINDS["unknown"]).severity
+    if known != "by size":
+        return Severity.CRITICAL if known == "critical" else Severity.WARNING
     if kind == "loss_of_effectiveness":
         share = abs(1.0 - sizes["gain"]) if "gain" in sizes else 1.0
     else:

@@ -9,6 +9,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, NamedTuple
 
 from logparsers.protocol import Severity
+from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import describe
 
 if TYPE_CHECKING:
@@ -44,18 +45,6 @@ _STYLES = {
     "settling": "cyan",
     "not judged": "dim",
 }
-_DO = {
-    "stuck": "land soon: it no longer moves",
-    "hardover": "land now: hold against it",
-    "floating": "slow down, land soon: it may flutter",
-    "oscillation": "slow down, land soon",
-    "loss_of_effectiveness": "fly gently, land soon",
-    "slow": "fly gently, land soon",
-    "bias": "trim against it, land soon",
-    "deadband": "fly on, check it on the ground",
-    "unknown": "watch it, be ready to land",
-}
-"""What to do about an alarm in flight."""
 _LATER = "fly on, check it on the ground"
 """About one that is but a notice."""
 
@@ -323,7 +312,8 @@ def _since(alarm: Alarm | None) -> str:
 def _to_do(alarm: Alarm | None) -> str:
     if alarm is None:
         return ""
-    return f"{said_of(alarm)}: {_LATER if alarm.severity == Severity.NOTICE else _DO.get(alarm.kind, _DO['unknown'])}"
+    kind = KINDS.get(alarm.kind, KINDS["unknown"])
+    return f"{said_of(alarm)}: {_LATER if alarm.severity == Severity.NOTICE else kind.in_flight}"
 
 
 def _bar(share: float) -> Text:

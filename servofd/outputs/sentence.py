@@ -6,6 +6,7 @@ import math
 import re
 from typing import TYPE_CHECKING
 
+from servofd.detection.kinds import KINDS, filled
 from servofd.detection.verdict import gravest, next_step
 
 if TYPE_CHECKING:
@@ -16,20 +17,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import CommonCause, Fault, LogAudit, Status, SurfaceAudit
 
 _WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
-_WHAT = {
-    "stuck": "JAMMED at {since} ({position_deg:+z.1f} deg)",
-    "bias": "OFF BY {bias_deg:+z.1f} deg since {since}",
-    "hardover": "RAN TO {position_deg:+z.0f} deg at {since} and stays there",
-    "floating": "FLOATS FREE since {since}",
-    "oscillation": "OSCILLATES since {since} (±{amplitude_deg:.1f} deg at {frequency_hz:.1f} Hz)",
-    "deadband": "IGNORES SMALL COMMANDS since {since} (play or dead band of {width_deg:.1f} deg)",
-    "slow": "TOO SLOW since {since}",
-    "loss_of_effectiveness": "MOVES ONLY {gain:.0%} of its command since {since}",
-    "blocked": "BLOCKED since {since}, by its current ({current_a:.1f} A)",
-    "unpowered": "WITHOUT POWER since {since}, by its current",
-    "binding": "BINDS since {since}, by its current ({times:.1f} times as much)",
-    "unknown": "NOT WHERE IT SHOULD BE since {since}",
-}
 _CAUSES = {
     "supply": "SUPPLY GAVE WAY",
     "bus": "SERVO BUS STOOD STILL",
@@ -37,11 +24,6 @@ _CAUSES = {
     "servo_type": "WRONG SERVO TYPE",
     "unknown": "ONE CAUSE",
 }
-_GRAVITY = (
-    *("hardover", "stuck", "blocked", "floating", "unpowered", "loss_of_effectiveness", "slow", "binding"),
-    *("bias", "oscillation", "deadband", "worn"),
-)
-"""Kinds of faults, the worst first by what they may do to an aircraft; what is not among them comes last."""
 _AT_ITS_CAUSE_S = 5.0
 """A fault that begins so soon before or after a common cause is reported with it [s]."""
 _STATES = ("OFF", "TOO", "BLOCKED", "WITHOUT", "NOT")
@@ -118,7 +100,8 @@ def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> s
 def gravity(surface: SurfaceAudit) -> int:
     """Place of a surface among others, by what its faults or suspicions may do to the aircraft; the worst is first."""
     kinds = {fault.kind for fault in surface.faults or surface.suspicions}
-    return min((_GRAVITY.index(kind) for kind in kinds if kind in _GRAVITY), default=len(_GRAVITY))
+    gravest_first = tuple(KINDS)
+    return min((gravest_first.index(kind) for kind in kinds if kind in KINDS), default=len(KINDS))
 
 
 def whole_sentence(audit: LogAudit) -> str:
@@ -205,13 +188,7 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
 
 def _what(fault: Fault) -> str:
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
-    if fault.kind == "slow" and "bandwidth_scale" in values:
-        return f"TOO SLOW since {clock(fault.start_s)} ({values['bandwidth_scale']:.0%} of its speed is left)"
-    form = _WHAT.get(fault.kind, _WHAT["unknown"])
-    try:
-        return form.format(since=clock(fault.start_s), **values)
-    except KeyError:  # a fault that was found without all of its parameters
-        return _WHAT["unknown"].format(since=clock(fault.start_s))
+    return filled(KINDS[fault.kind].headline, {"since": clock(fault.start_s), **values})
 
 
 def _surfaces(surfaces: Sequence[SurfaceAudit]) -> str:

@@ -21,7 +21,7 @@ from servofd.batch.local import run_local, run_on_cluster
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.core.statistics import Estimate
 from servofd.detection.audit import audit_segment
-from servofd.detection.verdict import STANDS_STILL
+from servofd.detection.kinds import STANDS_STILL
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of
 from servofd.wear.estimate import QUANTITIES, FlightEstimate, estimate_flight
 from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
