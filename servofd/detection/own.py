@@ -19,7 +19,7 @@ from scipy.special import ndtr, stdtrit
 from servofd.aircraft.calibrated import CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES
 from servofd.core.evidence import ModelOrigin
-from servofd.detection.changes import FLOORS, STATISTICS, statistics_of, watched
+from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
 from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
@@ -48,14 +48,12 @@ _LARGE_PARTS: Final = 3
 """So many or fewer are large, and all of them are tried."""
 _SHORTEST_S: Final = 5.0
 """Of a part: what a servo does in less is no measure of the rest (a gripper that sticks at the end of 13 s)."""
-_OWN_LIMITS: Final = 3.2
+_OWN_LIMITS: Final = 2.8
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
-_WHOLE_LIMITS: Final = 1.3
+_WHOLE_LIMITS: Final = 1.15
 """The same of the whole log."""
 _OWN_MARGIN: Final = 1.6
 """Times what the part itself reaches where it was left out of the fit."""
-_WIDER: Final = 1.1
-"""Times the floors of the statistics."""
 _ALIKE_S, _LEAST_FREEDOM, _RARE_SIGMAS = 0.6, 2.0, 4.0
 """Time within which samples are alike, least degrees of freedom, and how rare a good servo passes a limit."""
 _PUSHED: Final = 0.5
@@ -251,7 +249,7 @@ def _judged(
 ) -> _Part | None:
     """The part, if its servo stays below the usual limits there; a part may reach some times as much."""
     known = known_servo(fitted, records, *usual, pushed=_PUSHED, apart=_APART)
-    usually = _WIDER * np.array([FLOORS[name] for name in STATISTICS])
+    usually = MARGIN * np.array([FLOORS[name] for name in STATISTICS])
     seconds = whole.period_s * sum(float(np.count_nonzero(record.usable)) for record in records)
     usually *= _wider(seconds)
     largest = np.zeros(len(STATISTICS))
