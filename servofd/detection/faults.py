@@ -8,11 +8,13 @@ good servos; the tests begin anew where it ended.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from servofd.aircraft.series import Series
+from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
     STATISTICS,
     Memory,
@@ -33,6 +35,7 @@ from servofd.detection.hypotheses import (
     ranked,
     unexplained_deg,
 )
+from servofd.detection.outages import LONGEST_S
 from servofd.detection.residual import Residuals
 from servofd.detection.verdict import Fault
 from servofd.estimate.record import Record
@@ -87,6 +90,8 @@ _NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
 _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_deg", 0.2)}
 """What the narrow-band test counts as an oscillation, and less play than any servo has."""
 _SHORTEST_WEAR_S: Final = 2.0
+_OF_ONE_CONTACT: Final = 3
+"""So many brief faults, each soon after the one before, have one cause."""
 SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 
@@ -129,7 +134,7 @@ def named(
         window, guesses = _explained(watched, window, alarm_s)
         names[alarm_s] = Named(count, window, guesses)
     end_s = _end_s(watched, guesses[0], alarm_s)
-    if end_s is not None and alarm_s + 1.5 < end_s < alarm_s + WINDOW_S - 2.0:
+    if end_s is not None and not guesses[0].outages and alarm_s + 1.5 < end_s < alarm_s + WINDOW_S - 2.0:
         settling_s = min(_SETTLING_S, 0.2 * (end_s - alarm_s))
         shorter = Window(watched, alarm_s + settling_s, end_s - settling_s)
         if shorter.count >= _FEWEST:
@@ -181,6 +186,9 @@ def _misfits(watched: Watched, guess: Guess, from_s: float, to_s: float) -> tupl
 def _end_s(watched: Watched, guess: Guess, alarm_s: float) -> float | None:
     """When the healthy servo became the better explanation again; None if it never did."""
     last_s = float(watched.record.time_s[-1])
+    if guess.outages:
+        ended_s = guess.outages[-1].to_s
+        return ended_s if last_s - ended_s > WINDOW_S else None
     time_s, healthy, other = _misfits(watched, guess, alarm_s, last_s + 1.0)
     if time_s.size < _FEWEST:
         return None
@@ -226,9 +234,15 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
             there = Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
             explained = 1.0 / SWINGS if guess.kind == "oscillation" else 1.0
             left_deg[there.rows][there.used] = explained * unexplained_deg(there, guess)[there.used]
-        if faults and fault.kind != "healthy" and raised_s - (faults[-1].end_s or raised_s) < SAME_S:
+        since_s = raised_s - (faults[-1].end_s or raised_s) if faults and fault.kind != "healthy" else np.inf
+        if since_s < WINDOW_S and _are_one_contact(faults[-1], fault):
+            first = faults.pop()
+            longer = first if first.kind == "intermittent" else fault
+            fault = replace(longer, start_s=first.start_s, alarm_s=first.alarm_s, end_s=fault.end_s)
+        elif since_s < SAME_S:
             fault = _joined(faults.pop(), fault)
         (suspicions if fault.kind == "healthy" else faults).append(fault)
+        faults = _gathered(faults)
         if fault.end_s is None:
             if fault.kind != "healthy":
                 break
@@ -269,6 +283,28 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
         own = () if fault.kind == "unknown" else (fault.kind,)
         return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
     return fault
+
+
+def _comes_and_goes(fault: Fault) -> bool:
+    """Whether a fault may be one more moment of a contact that does."""
+    return fault.kind == "intermittent" or (fault.end_s is not None and fault.end_s - fault.start_s < LONGEST_S)
+
+
+def _are_one_contact(first: Fault, then: Fault) -> bool:
+    """Whether one of two faults is a contact that comes and goes, and the other one more moment of it."""
+    return "intermittent" in (first.kind, then.kind) and _comes_and_goes(first) and _comes_and_goes(then)
+
+
+def _gathered(faults: list[Fault]) -> list[Fault]:
+    """The same faults; the last three are one contact that comes and goes, if they are brief and soon after another."""
+    last = faults[-_OF_ONE_CONTACT:]
+    lengths_s = [fault.end_s - fault.start_s for fault in last if fault.end_s is not None and _comes_and_goes(fault)]
+    apart_s = [two.start_s - (one.end_s or two.start_s) for one, two in pairwise(last)]
+    if len(lengths_s) < _OF_ONE_CONTACT or max(apart_s) > WINDOW_S:
+        return faults
+    size = {"outage_s": Estimate.of(float(np.median(lengths_s)), float(np.std(lengths_s)))}
+    one = replace(last[0], kind="intermittent", parameters=size, end_s=last[-1].end_s, alternatives=(last[0].kind,))
+    return [*faults[:-_OF_ONE_CONTACT], one]
 
 
 def _joined(first: Fault, then: Fault) -> Fault:

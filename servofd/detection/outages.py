@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _AT_REST: Final = 3
 """Least readings of an outage: fewer rest by chance."""
-_LONGEST_S: Final = 4.0
+LONGEST_S: Final = 4.0
 """Of an outage: what rests for longer is a jam that came loose."""
 _AWAY: Final = 3.0
 """Standard deviations by which a good servo would be elsewhere at its end."""
@@ -60,7 +60,7 @@ def outages_in(
     found: list[Outage] = []
     for first, last in _rests(measured_deg, still_deg):
         away = np.abs(error_deg[first : last + 1]) > _AWAY * sigma_deg[first : last + 1]
-        if not away.any() or time_s[last] - time_s[first] > _LONGEST_S:
+        if not away.any() or time_s[last] - time_s[first] > LONGEST_S:
             continue
         command_s, command_deg = commands
         level_deg = float(np.median(measured_deg[first : last + 1]))

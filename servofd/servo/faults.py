@@ -54,8 +54,8 @@ class Fault:
                 f"{self.kind}: end_s must be later than its start at {self.start_s:g} s, not {self.end_s}"
             )
 
-    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002 - other faults use it
-        """What the servo makes of the commands given during the fault [deg], shape (k,), after `before_deg`."""
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+        """What the servo makes of the commands given `elapsed_s` [s] into the fault [deg], (k,), after `before_deg`."""
         return command_deg
 
     def become(self, servo: AnyServo) -> AnyServo:
@@ -164,7 +164,8 @@ def _received(fault: Fault, command_s: FloatArray, command_deg: FloatArray) -> t
             command_deg = np.insert(command_deg, k, command_deg[k - 1])
     first, last = np.searchsorted(command_s, (fault.start_s, fault.end_s))
     received_deg = command_deg.copy()
-    received_deg[first:last] = fault.received(command_deg[first:last], float(command_deg[max(first - 1, 0)]))
+    elapsed_s, before_deg = command_s[first:last] - fault.start_s, float(command_deg[max(first - 1, 0)])
+    received_deg[first:last] = fault.received(elapsed_s, command_deg[first:last], before_deg)
     return command_s, received_deg
 
 
@@ -193,7 +194,7 @@ class Stuck(Fault):
     kind: ClassVar[str] = "stuck"
     position_deg: float | None = None
 
-    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
         """The position it goes to, if one is given."""
         return command_deg if self.position_deg is None else np.full(command_deg.size, self.position_deg)
 
@@ -208,14 +209,14 @@ class Bias(Fault):
 
     Examples
     --------
-    >>> Bias(1.0, bias_deg=-2.0).received(np.array([0.0, 5.0]), 0.0)
+    >>> Bias(1.0, bias_deg=-2.0).received(np.array([0.0, 0.1]), np.array([0.0, 5.0]), 0.0)
     array([-2.,  3.])
     """
 
     kind: ClassVar[str] = "bias"
     bias_deg: float = 2.0
 
-    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
         """The command and the offset."""
         return command_deg + self.bias_deg
 
@@ -305,7 +306,7 @@ class DeadBand(Fault):
     positive: ClassVar[tuple[str, ...]] = ("width_deg",)
     width_deg: float = 3.0
 
-    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
         """The command through a dead zone."""
         return play(command_deg, self.width_deg, before_deg)
 
@@ -349,12 +350,42 @@ class LossOfEffectiveness(Fault):
         if not 0.0 <= self.gain < 1.0:
             raise ConfigError(f"loss_of_effectiveness: gain must be at least 0 and below 1, not {self.gain}")
 
-    def received(self, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
         """A part of the command."""
         return self.gain * command_deg
 
 
-FAULTS: dict[str, Callable[..., Fault]] = {
-    fault.kind: fault for fault in (Stuck, Bias, HardOver, Floating, Oscillation, DeadBand, Slow, LossOfEffectiveness)
-}
+@dataclass(frozen=True, slots=True)
+class Intermittent(Fault):
+    """A contact that comes and goes: for about `outage_s` no command arrives, and then they do for `apart_s`.
+
+    The servo holds the last command that arrived. Lengths are drawn at random, outages within 40 % of `outage_s`.
+    """
+
+    kind: ClassVar[str] = "intermittent"
+    positive: ClassVar[tuple[str, ...]] = ("outage_s", "apart_s")
+    outage_s: float = 0.8
+    apart_s: float = 4.0
+    seed: float = 0
+
+    def __post_init__(self) -> None:
+        Fault.__post_init__(self)
+        if self.seed < 0 or self.seed != int(self.seed):
+            raise ConfigError(f"intermittent: seed must be a whole number of zero or more, not {self.seed}")
+
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
+        """The command, held in outages."""
+        rng = np.random.default_rng(int(self.seed))
+        edges_s, last_s = [0.0], float(elapsed_s[-1]) if elapsed_s.size else 0.0
+        while edges_s[-1] < last_s:
+            edges_s += [edges_s[-1] + self.outage_s * rng.uniform(0.6, 1.4)]
+            edges_s += [edges_s[-1] + self.apart_s * rng.uniform(0.4, 1.6)]
+        arrives = np.searchsorted(edges_s, elapsed_s, side="right") % 2 == 0
+        held = np.maximum.accumulate(np.where(arrives, np.arange(elapsed_s.size), -1))
+        received_deg: FloatArray = np.where(held >= 0, command_deg[held], before_deg)
+        return received_deg
+
+
+_KINDS = (Stuck, Bias, HardOver, Floating, Oscillation, DeadBand, Slow, LossOfEffectiveness, Intermittent)
+FAULTS: dict[str, Callable[..., Fault]] = {fault.kind: fault for fault in _KINDS}
 """Faults that a user can ask for by name."""

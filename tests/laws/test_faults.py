@@ -269,7 +269,7 @@ def test_a_hardover_without_limits_runs_as_the_hs_225bb_does() -> None:
 
 
 def test_the_smallest_and_largest_sizes_are_faults_too() -> None:
-    assert LossOfEffectiveness(0.0, gain=0.0).received(np.array([4.0]), 0.0) == 0.0
+    assert LossOfEffectiveness(0.0, gain=0.0).received(np.zeros(1), np.array([4.0]), 0.0) == 0.0
     assert (Slow(0.0, 1.0, 1.0).bandwidth_scale, Floating(0.0, seed=0).seed) == (1.0, 0)
     with pytest.raises(ConfigError, match="whole number of zero or more"):
         Floating(0.0, seed=-1)
