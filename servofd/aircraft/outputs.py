@@ -166,7 +166,7 @@ def outputs_of(parameters: Mapping[str, float]) -> dict[int, LoggedOutput]:
 
 
 _NUMBERED: Final = "servo"
-"""What an output turns that nobody has named."""
+"""What an output turns that has no name."""
 
 
 def named_outputs(outputs: Mapping[int, LoggedOutput], numbers: list[int]) -> dict[int, str]:
@@ -186,7 +186,7 @@ def named_outputs(outputs: Mapping[int, LoggedOutput], numbers: list[int]) -> di
 
 
 def is_numbered(name: str) -> bool:
-    """Whether a surface is called by its output alone, because nothing told what that turns.
+    """Whether a surface is called by its output alone, because nothing says what that turns.
 
     Examples
     --------

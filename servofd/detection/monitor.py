@@ -395,7 +395,7 @@ class SurfaceMonitor:
         return events
 
     def _doubted(self, alarm: Alarm, look: Look) -> list[Event]:
-        """What a look changes that finds no fault: the alarm is over, or what it was named is looked at once more."""
+        """What a look changes that finds no fault: the alarm is over, or its name is checked once more."""
         alarm.in_vain += 1
         if self._is_explained(alarm, look.at_s):
             self._over()
@@ -476,9 +476,9 @@ class SurfaceMonitor:
         self._off_pace = 0
         thin, latest_s = self._thin, self._recent[-1]
         if thin:
-            events, told = self.restart(), self._told_slow
+            events, was_known = self.restart(), self._told_slow
             self.problem, self._told_slow = thin, True
-            return events if told else [*events, Event(latest_s, self.name, "no_data", text=thin)]
+            return events if was_known else [*events, Event(latest_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._paces_s[0]
         most = SAME_PACE if self._least_hz == SLOWEST_RATE_HZ else _SAME_LEFT

@@ -1,6 +1,6 @@
 """The servo that a log shows by itself: fitted to the part of it that explains the whole best.
 
-Nobody has said which servo it is, and nobody knows which part of the log is good. The whole log and its thirds are
+Neither the servo nor the part of the log that is good is known. The whole log and its thirds are
 fitted, each by itself, then its first and last sixths and twelfths if none of them is like a sound servo. A part counts
 if its servo explains what the surface does there and stays below its own limits; of those that count, the one is taken
 that explains the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that
@@ -57,7 +57,7 @@ _OWN_MARGIN: Final = 1.6
 _ALIKE_S, _LEAST_FREEDOM, _RARE_SIGMAS = 0.6, 2.0, 4.0
 """Time within which samples are alike, least degrees of freedom, and how rare a good servo passes a limit."""
 _PUSHED: Final = 0.5
-"""Share of what the usual air does to a servo by which its parts may differ, where nobody logged the airspeed."""
+"""Share of what the usual air does to a servo by which its parts may differ, where no airspeed was logged."""
 _APART: Final = 0.5
 """Parts of one flight differ by so much of what flights differ by: one supply, one day, one zero of the sensor."""
 _SOUND_ENOUGH: Final = 2.5
@@ -65,7 +65,7 @@ _SOUND_ENOUGH: Final = 2.5
 _EACH_FAULT: Final = 2.0
 """Nats: one surface in some has a fault."""
 _MENDED: Final = 12.0
-"""Nats: servos break and stay so; nobody takes off with one that is at fault from the first second and mends itself."""
+"""Nats: servos break and stay so; none is at fault from the first second and mends itself in flight."""
 _TOGETHER: Final = 2.2
 """Times what a servo for each third leaves that one servo for all of them may: at most 2.11 on 321 sound surfaces of
 simulated aircraft of even seed."""
@@ -315,12 +315,12 @@ def _contradicted(part: _Part, others: list[_Part]) -> str:
     for other in () if part.is_whole else others:  # of which the whole is an account
         spread = np.sqrt(np.diag(part.known.covariance + other.known.covariance))
         change = other.fitted.theta - part.fitted.theta
-        told = {
+        changes = {
             f"moves by {other.fitted.theta[0] / part.fitted.theta[0]:.2f} times as much": abs(change[0]) / spread[0],
             f"stands off by {change[1]:+.2g} deg": abs(change[1]) / spread[1],
         }
-        worst = max(told, key=lambda text: told[text])
-        if told[worst] > _CONTRADICT:
+        worst = max(changes, key=lambda text: changes[text])
+        if changes[worst] > _CONTRADICT:
             (own_from_s, own_to_s), (from_s, to_s) = part.between_s, other.between_s
             return f"from {from_s:.0f} to {to_s:.0f} s it {worst}, beside {own_from_s:.0f} to {own_to_s:.0f} s"
     return ""

@@ -198,7 +198,7 @@ class Alarms:
             return []
         alarm.end_s, alarm.dismissed = event.time_s, event.kind == "healthy"
         named: list[Published] = []
-        if not alarm.dismissed:  # a name that was told stays; one that comes as late as this is told before the end
+        if not alarm.dismissed:  # a name that was reported stays; one that comes so late is reported before the end
             named = self._named(alarm, event) if alarm.kind == "unknown" else []
             ended = event.fault
             if ended is not None:
