@@ -40,8 +40,6 @@ below that is lost in it.
 @ explain first.csv -s elevator --servo hs225bb-eq31 --save better.toml --rrd gap.rrd
 
 Backlash, about a degree of it, and nothing else: on samples to which nothing was fitted, the error falls to the noise floor.
-The last lines say what that is worth. With the old model a quiet threshold lies above what the play leaves; with the new
-one, above noise alone.
 
 `gap.rrd` shows both simulations beside the measurement in Rerun (`rerun gap.rrd`). `better.toml` is an aircraft file:
 

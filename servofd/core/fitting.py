@@ -6,8 +6,9 @@ The misfit of numbers :math:`x` is
 
 with the mean square :math:`s_g^2` of what is left in each group of samples (a run), its samples :math:`n_g` over
 their correlation factor :math:`\kappa_g`, and a prior about :math:`c` with precisions :math:`p`. Near the noise it
-is chi-squared; far from it a group counts by how many times better it is predicted, whatever its size. An error that
-is out of the ordinary counts by its size (Huber). As correlated samples count as few, a prior keeps its weight.
+is chi-squared; far from it a group counts by how many times better it is predicted, whatever its size. Where the noise
+is known it is chi-squared throughout. An error that is out of the ordinary counts by its size (Huber). As correlated
+samples count as few, a prior keeps its weight.
 
 The descent is that of Levenberg and Marquardt, by numpy alone (scipy's optimisers take half a second to load). Between
 steps Broyden's update carries the slopes on, so that a step costs one simulation; they are taken anew where that leads
@@ -52,7 +53,9 @@ class Noise:
     huber: float = np.inf
     """Standard deviations beyond which an error counts by its size."""
     sigma: FloatArray | float = 1.0
-    """Standard deviation of each sample, shape (n,), up to a common factor."""
+    """Standard deviation of each sample, shape (n,), up to a common factor of each group."""
+    is_known: bool = False
+    """Whether that factor is 1, and the first sum of the misfit is chi-squared."""
 
     def squares(self, error: FloatArray) -> FloatArray:
         """Mean square of each group, shape (g,), with errors (n,) out of the ordinary held back.
@@ -81,12 +84,13 @@ class Noise:
     def misfit(self, error: FloatArray) -> float:
         """First sum of the misfit."""
         with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away is none, and its misfit says so
-            value = float(self.count(error.size) / self.kappa @ np.log(self.squares(error) + self.least))
+            squares = self.squares(error) + self.least
+            value = float(self.count(error.size) / self.kappa @ (squares if self.is_known else np.log(squares)))
         return value if np.isfinite(value) else np.inf
 
     def weights(self, error: FloatArray) -> FloatArray:
         """How much the square of each error counts where the misfit is close to a sum of squares, shape (n,)."""
-        per_group = 1.0 / (self.kappa * (self.squares(error) + self.least))
+        per_group = 1.0 / (self.kappa * (1.0 if self.is_known else self.squares(error) + self.least))
         weight = (per_group[0] if self.group is None else per_group[self.group]) / np.square(self.sigma)
         if np.isfinite(self.huber):
             weight = weight * np.minimum(1.0, self.huber / np.maximum(np.abs(error) / self.sigma, 1e-12))
@@ -109,6 +113,8 @@ class Problem:
     noise: Noise
     step: FloatArray | float = 1e-6
     """Step of the differences that give slopes, in the units of the numbers."""
+    derivatives: Callable[[FloatArray], FloatArray] | None = None
+    """Derivatives (n, k) of the errors at numbers (k,), if they are cheap: then they are taken anew at every step."""
 
     @classmethod
     def free(
@@ -127,7 +133,9 @@ class Problem:
         return self.noise.misfit(error) + float(np.sum((self.prior * (x - self.centre)) ** 2))
 
     def slopes(self, x: FloatArray, error: FloatArray) -> FloatArray:
-        """Derivatives (n, k) at numbers that leave some errors (n,); by differences to the side that has room."""
+        """Derivatives (n, k) at numbers that leave some errors (n,); differences are to the side that has room."""
+        if self.derivatives is not None:
+            return self.derivatives(x)
         columns = []
         for k, step in enumerate(np.broadcast_to(self.step, x.shape).tolist()):
             there = x.copy()
@@ -202,7 +210,8 @@ def fit(
 ) -> Solution:
     """Numbers at the foot of the slope on which a descent begins.
 
-    It ends after so many `steps`, where one with fresh slopes improves the misfit by less than `close`.
+    It ends after so many `steps`, or where one with fresh slopes improves the misfit, or promises to, by no more than
+    `close`.
     `slopes` (n, k) are those at the beginning, if they are known.
 
     Examples
@@ -220,24 +229,30 @@ def fit(
     best, damping, is_fresh = problem.misfit(x, error), _DAMPING, True
     for _ in range(steps):
         weighted = slopes * problem.noise.weights(error)[:, None]
-        curvature = weighted.T @ slopes + np.diag(problem.prior**2)
-        curvature += np.diag(damping * np.diag(curvature) + _NO_CURVATURE)
+        whole = weighted.T @ slopes + np.diag(problem.prior**2)
+        curvature = whole + np.diag(damping * np.diag(whole) + _NO_CURVATURE)
         down = -(weighted.T @ error + problem.prior**2 * (x - problem.centre))
-        there = np.clip(x + bounded_step(curvature, down, problem.low - x, problem.high - x), problem.low, problem.high)
+        step = bounded_step(curvature, down, problem.low - x, problem.high - x)
+        if is_fresh and float(step @ (2.0 * down - whole @ step)) <= close:
+            break
+        there = np.clip(x + step, problem.low, problem.high)
         moved = there - x
         size = float(moved @ moved)
         left = problem.residual(there) if size else error
         misfit = problem.misfit(there, left)
         gained = best - misfit
         if gained > 0.0:
-            slopes = slopes + np.outer((left - error - slopes @ moved) / size, moved)
+            if problem.derivatives is None:
+                slopes = slopes + np.outer((left - error - slopes @ moved) / size, moved)
+            else:
+                slopes = problem.derivatives(there)
             x, error, best, damping = there, left, misfit, max(damping / _BOLDER, _DAMPING)
         if gained > close:
-            is_fresh = False
+            is_fresh = problem.derivatives is not None
         elif not is_fresh:
             slopes = problem.slopes(x, error)
             is_fresh = True
-        elif gained > 0.0 or damping >= _MOST_DAMPED or not size:
+        elif gained > 0.0 or damping >= _MOST_DAMPED:
             break
         else:
             damping *= _TIMIDER

@@ -9,7 +9,6 @@ import numpy as np
 
 from servofd.aircraft.series import Series
 from servofd.core.series import rms
-from servofd.discrepancy.audit_gain import AuditGain, audit_gain
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.locate import Block, blocks, sentences
 from servofd.discrepancy.noise import at_rest, noise_floor_deg
@@ -174,8 +173,6 @@ class Explanation:
     """When a fault sets in, which is none of the model's business [s]."""
     separating: tuple[Separation, ...] = ()
     """What would tell effects apart that these data do not."""
-    gain: AuditGain | None = None
-    """What an audit gains by the better model; None if it cannot simulate it, or gains nothing."""
     also: tuple[Elsewhere, ...] = ()
     """How the model does on other flights, to which nothing was fitted."""
     runs: tuple[RunErrors, ...] = ()
@@ -304,7 +301,6 @@ class Explanation:
                     for k, effect in enumerate(final.effects)
                 },
             },
-            "audit": self.gain.document() if self.gain else None,
             "also": [each.document() for each in self.also],
             "notes": list(self.notes),
             "fault_s": self.fault_s,
@@ -411,12 +407,8 @@ def explain_gap(
         undriven=tuple(undriven),
     )
     found = replace(found, notes=(*found.notes, *_unconfirmed(found)))
-    gain = None
-    if selection.steps and found.is_simulated_by_audit and record.side is None:
-        before = model.with_physics(selection.nominal.physics) if free_poles else model
-        gain = audit_gain(segments, before, found.better_model, fault_s or float("inf"))
     # Manoeuvres are simulated, and how the servo moves must be known for that.
-    return replace(found, separating=() if record.side is not None else separations(selection), gain=gain)
+    return replace(found, separating=() if record.side is not None else separations(selection))
 
 
 def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven]]:

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.core.series import rms
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -47,17 +45,6 @@ class Bins(NamedTuple):
     median_deg: FloatArray
     high_deg: FloatArray
     """95 % quantile."""
-
-
-class RegimeError(NamedTuple):
-    """Error under one condition."""
-
-    name: str
-    share: float
-    """Of the samples that count."""
-    before_deg: float
-    """Root mean square of the model's error as it was."""
-    after_deg: float
 
 
 def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...]:
@@ -123,50 +110,6 @@ def binned(quantity: Quantity, error_deg: FloatArray, counts: BoolArray) -> Bins
         if np.count_nonzero(index == k) >= _FEWEST_PER_BIN
     ]
     return Bins(*np.array(rows).reshape(-1, 4).T)
-
-
-def errors_by_regime(
-    record: Record, before_deg: FloatArray, after_deg: FloatArray, simulated_deg: FloatArray
-) -> tuple[RegimeError, ...]:
-    """Error before and after under conditions that have a name.
-
-    Parameters
-    ----------
-    before_deg, after_deg : ndarray, shape (n,)
-        Error of the model as it was, and of the better one [deg].
-    simulated_deg : ndarray, shape (n,)
-        Position of the better model [deg].
-    """
-    speed = np.gradient(simulated_deg, record.time_s)
-    size = np.abs(speed)
-    rest, fast = np.quantile(size[record.counts], [REST, FAST])
-    turned = np.flatnonzero(np.diff(np.sign(np.where(size > rest, speed, 0.0)), prepend=0.0) != 0.0)
-    last = np.searchsorted(turned, np.arange(speed.size), side="right") - 1
-    since_s = np.full(speed.size, np.inf)
-    if turned.size:
-        since_s[last >= 0] = (record.time_s - record.time_s[turned[np.maximum(last, 0)]])[last >= 0]
-    outer = np.quantile(np.abs(simulated_deg[record.counts]), FAST)
-    half_s = float(np.median(record.time_s[record.counts]))
-    moving = {
-        f"at rest (below {rest:.3g} deg/s)": size <= rest,
-        f"fast (above {fast:.3g} deg/s)": size > fast,
-        "moving up": (speed > 0.0) & (size > rest),
-        "moving down": (speed < 0.0) & (size > rest),
-        f"within {AFTER_REVERSAL_S:g} s after it starts, stops or turns": since_s < AFTER_REVERSAL_S,
-    }
-    regimes = {
-        "all": np.ones(speed.size, dtype=bool),
-        **(moving if fast > _STANDS_STILL else {}),
-        f"far out (beyond ±{outer:.3g} deg)": np.abs(simulated_deg) > outer,
-        f"first half (to {half_s:.1f} s)": record.time_s <= half_s,
-        f"second half (from {half_s:.1f} s)": record.time_s > half_s,
-    }
-    total = max(int(record.counts.sum()), 1)
-    return tuple(
-        RegimeError(name, int(chosen.sum()) / total, rms(before_deg[chosen]), rms(after_deg[chosen]))
-        for name, chosen in ((name, inside & record.counts) for name, inside in regimes.items())
-        if chosen.any()
-    )
 
 
 def smooth(values: FloatArray) -> FloatArray:

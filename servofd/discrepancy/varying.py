@@ -1,7 +1,7 @@
-"""A value of an effect that differs from run to run, and what it goes with: a rate limit that falls with the load.
+"""A value of an effect that goes with a condition of the runs: a rate limit that falls with the load.
 
-Each run has its own best value, the others being common to all. A line through those of the fitted runs over something
-that was logged beside them is then held against the runs that were held out: it is reported only if it predicts them.
+The search fits it as a line over what was logged beside the runs. Here it is reported, with the value that suits each
+run best by itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from servofd.core.fitting import Noise, Problem, fit
 from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
-from servofd.servo.catalogue import ALIKE, FEWEST_RUNS, is_law, law_of
+from servofd.servo.catalogue import ALIKE, is_law, law_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,10 +29,6 @@ _LEAST_SHARE, _SIGMAS = 0.5, 3.0
 own if it is so many standard deviations from both."""
 _STEP_SHARE, _STEPS = 0.02, 15
 """Step of the derivatives as a share of the common value, and steps of the fit at most."""
-_LEAST_DETERMINED, _LEAST_GAIN = 0.7, 0.8
-"""Share of the spread of the values that the line tells, and of the error of held-out runs that it may leave."""
-_LEAST_CHANGE = 0.05
-"""Of the value, from one end of the runs to the other: less is what servos of one kind differ by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +83,7 @@ class Varying:
 
 
 def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple[Varying, ...]:
-    """Find values of the final effects that go with a condition of the runs.
+    """Values of the final effects that were found to go with a condition of the runs.
 
     Parameters
     ----------
@@ -95,57 +91,20 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
         What was found in several runs; in a single one there is nothing to compare.
     conditions : mapping of str to ndarray, shape (r,)
         What was logged beside the servo, one number for each run, by the name of its channel.
-
-    Returns
-    -------
-    tuple of Varying
-        The laws that were found as such, and for each other value at most the condition that tells most of it; the
-        one that predicts the held-out runs best first.
     """
-    record, final = selection.fitter.record, selection.final
-    known = {name: of for name, of in conditions.items() if np.all(np.isfinite(of)) and np.ptp(of) > 0.0}
-    if not known or not record.runs:
-        return ()
-    held_out = _held_out(record)
+    final, first = selection.final, 0
     found = []
-    names = [(effect, parameter) for effect in final.effects for parameter in effect.parameters]
-    for k, (effect, parameter) in enumerate(names):
-        if parameter.kinked or parameter.aside:
-            continue
-        values = np.array([_own_value(selection, run, k, parameter) for run in record.runs])
-        shown = np.isfinite(values)
-        if is_law(effect) and parameter is effect.parameters[0]:
-            found += _law(selection, k, effect, known, values)
-            continue
-        fitted = shown & ~held_out
-        if np.count_nonzero(fitted) < FEWEST_RUNS or not np.any(shown & held_out):
-            continue
-        determined = {name: _determined(of[fitted], values[fitted]) for name, of in known.items()}
-        best = max(determined, key=lambda name: determined[name])
-        if determined[best] < _LEAST_DETERMINED:
-            continue
-        slope, at_zero = np.polyfit(known[best][fitted], values[fitted], 1).tolist()
-        line = at_zero + slope * known[best]
-        common_deg, line_deg = (
-            _rms_deg(selection, k, np.where(shown, each, final.values[k]), held_out)
-            for each in (np.full(values.size, final.values[k]), line)
-        )
-        if np.ptp(line) < _LEAST_CHANGE * abs(final.values[k]) or line_deg > _LEAST_GAIN * common_deg:
-            continue
-        alike = [n for n in known if n != best and abs(np.corrcoef(known[n], known[best])[0, 1]) > ALIKE]
-        lines = at_zero, slope, common_deg, line_deg
-        found.append(Varying(effect.name, parameter.name, (best, *alike), known[best], values, *lines))
-    return tuple(sorted(found, key=lambda each: each.line_rms_deg))
+    for effect in final.effects:
+        if is_law(effect):
+            found.append(_law(selection, first, effect, conditions))
+        first += len(effect.parameters)
+    return tuple(found)
 
 
-def _law(
-    selection: Selection, index: int, effect: type[Effect], known: Mapping[str, FloatArray], values: FloatArray
-) -> list[Varying]:
-    """What an effect goes with that was found with its law: no line has to be drawn any more."""
+def _law(selection: Selection, index: int, effect: type[Effect], known: Mapping[str, FloatArray]) -> Varying:
+    """What an effect goes with whose first value is so manieth of all."""
     record, physics = selection.fitter.record, selection.final.physics
-    name = record.condition_names[int(physics.run_condition)]
-    if name not in known:
-        return []
+    name, parameter = record.condition_names[int(physics.run_condition)], effect.parameters[0]
     of, value = known[name], float(selection.final.values[index])
     slope = 2.0 * physics.run_slope / float(np.ptp(of))
     at_zero = value - physics.run_slope - slope * float(of.min())
@@ -153,9 +112,13 @@ def _law(
     common_deg, line_deg = (
         _rms_deg(selection, index, each, held_out) for each in (np.full(of.size, value), at_zero + slope * of)
     )
-    alike = [n for n in known if n != name and abs(np.corrcoef(known[n], of)[0, 1]) > ALIKE]
-    parameter = effect.parameters[0].name
-    return [Varying(effect.name, parameter, (name, *alike), of, values, at_zero, slope, common_deg, line_deg)]
+    alike = [
+        other for other, its in known.items()
+        if other != name and np.ptp(its) > 0.0 and abs(np.corrcoef(its, of)[0, 1]) > ALIKE
+    ]  # fmt: skip
+    values = np.array([_own_value(selection, run, index, parameter) for run in record.runs])
+    lines = at_zero, slope, common_deg, line_deg
+    return Varying(effect.name, parameter.name, (name, *alike), of, values, *lines)
 
 
 def _held_out(record: Record) -> BoolArray:
@@ -192,13 +155,6 @@ def _own_value(selection: Selection, run: Record, index: int, parameter: Paramet
     value = float(found.x[0])
     surely = _SIGMAS * float(np.sqrt(found.covariance(long_run_factor(found.error))[0, 0]))
     return value if value - low > surely and high - value > surely else float("nan")
-
-
-def _determined(condition: FloatArray, values: FloatArray) -> float:
-    """Share of the spread of values that a line over a condition tells."""
-    if np.ptp(condition) == 0.0 or np.ptp(values) == 0.0:
-        return 0.0
-    return float(np.corrcoef(condition, values)[0, 1] ** 2)
 
 
 def _rms_deg(selection: Selection, index: int, values: FloatArray, held_out: BoolArray) -> float:

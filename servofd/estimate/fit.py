@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from servofd.aircraft.noise import Noise
-from servofd.aircraft.priors import FITTED, NAMES, PRIORS
+from servofd.aircraft.priors import NAMES, PRIORS
+from servofd.core.fitting import Noise as Scatter
+from servofd.core.fitting import Problem, Solution
+from servofd.core.fitting import fit as minimum
 from servofd.core.statistics import MAD_TO_SIGMA, Estimate
-from servofd.estimate.family import new_state, sensitivities, simulated, variants
+from servofd.estimate.family import bent, new_state, sensitivities, simulated, variants
+from servofd.estimate.record import joined
 from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
@@ -22,16 +26,16 @@ if TYPE_CHECKING:
 _HUBER: Final = 2.5
 """Standard deviations beyond which an error counts by its size, and not its square (Huber)."""
 _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
-"""Delays at which descents begin [s]: between them the cost may have another valley."""
-_FIRST_STEPS, _STEPS = 4, 12
+"""Delays at which descents begin [s]: between them the misfit may have another valley."""
+_FIRST_STEPS, _STEPS = 2, 30
 """Steps of the descents that are compared, and of the one that is continued."""
-_CLOSE: Final = 1e-3
-"""Share of the cost that a step must gain for the descent to go on."""
+_CLOSE: Final = 0.5
+"""Misfit, of which one standard deviation of a number makes 1 or more, by which a step must improve."""
 _LOOSER_DEG: Final = 0.6
 """Play from which another descent begins, beyond what was found [deg]."""
-_NEAR: Final = 2.0
-"""A descent whose cost is larger by no more, in terms of samples that are not alike, may be the right one as well;
-and no cost is known better than to the share at which a descent ends."""
+_NEAR, _SHARE = 4.0, 5e-4
+"""A descent whose misfit is larger by no more, in terms of samples that are not alike, may be the right one as well;
+and the share of a misfit that counts like one of these, for no servo of two poles is right to it."""
 _MOST_PRIOR: Final = 0.9
 """Largest ratio of a fitted variance to that of the prior that is taken out of a value."""
 _FOLD_S: Final = 20.0
@@ -57,11 +61,10 @@ _SIGMAS = np.array([prior.sigma for prior in PRIORS])
 WIDTHS: Final = {"deadband_deg": 1.0, "friction_deg": 2.0, "play_deg": 1.0}
 """How much of a change of direction each takes, in times its size."""
 _WIDTHS = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
-_LN_BANDWIDTH, _LN_DAMPING = NAMES.index("ln_bandwidth"), NAMES.index("ln_damping")
+_LN_BANDWIDTH, _LN_DAMPING, _DELAY = (NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "delay_s"))
 _OTHER_POLES: Final = 0.03
 """Standard deviation of the logarithm of a bandwidth for poles that are not two: fitted to the three of an HS-225BB
 they have one that is lower by 1 to 10 % (32 simulated flights, poles scaled by 0.8 to 1.2)."""
-_NONE_HELD: Final = np.zeros(FITTED, dtype=bool)
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 
 
@@ -144,21 +147,17 @@ def fit(
     It begins at `start` (13,); else some delays are tried. `reach_deg` are the deflections that it can take, those of
     the records if left out.
     """
-    reach_deg = reach_of(records) if reach_deg is None else reach_deg
-    if start is not None:
-        begun = np.clip(start, _LOWS, _HIGHS)
-    else:
-        is_delay = np.array([name == "delay_s" for name in NAMES])
-        begins = [np.where(is_delay, delay_s, _VALUES) for delay_s in _DELAYS_S]
-        tried = [_descended(records, begin, _NONE_HELD, reach_deg, _FIRST_STEPS) for begin in begins]
-        begun = min(tried, key=lambda each: each[1])[0]
-    theta, _ = _descended(records, begun, _NONE_HELD, reach_deg, _STEPS)
-    errors, _, speeds = _evaluated(records, theta, reach_deg)
-    sigma = _noise(errors, speeds, records).sigma_deg(np.concatenate(speeds))
-    again = [theta, begun] if start is not None else [theta, *_alike(theta)]
-    return _finished(
-        records, [_descended(records, each, _NONE_HELD, reach_deg, _STEPS, sigma) for each in again], reach_deg
-    )
+    flights = _Flights.of(records, reach_of(records) if reach_deg is None else reach_deg)
+    begins = [_VALUES.copy() for _ in _DELAYS_S] if start is None else [np.clip(start, _LOWS, _HIGHS)]
+    if start is None:
+        for begin, delay_s in zip(begins, _DELAYS_S, strict=True):
+            begin[_DELAY] = delay_s
+    first = _best(flights.problem(_rough_sigma(flights, begins[0])), begins, _FIRST_STEPS)
+    theta = _best(flights.problem(_rough_sigma(flights, first.x)), [first.x]).x
+    error, speed = flights.left(theta)
+    problem = flights.problem(_noise(error, speed, records).sigma_deg(speed))
+    again = [theta, *_alike(theta)] if start is None else [theta, begins[0]]
+    return _finished(flights, [_best(problem, [each]) for each in again])
 
 
 def reach_of(records: Sequence[Record]) -> tuple[float, float]:
@@ -178,13 +177,12 @@ def worse_without(fitted: Fit, records: Sequence[Record], effects: Sequence[str]
     for place in np.flatnonzero((_WIDTHS > 0.0) & ~held) if width_deg > 0.0 else ():
         begins.append(begins[0].copy())
         begins[-1][place] += width_deg / _WIDTHS[place]
-    tried = [_descended(records, each, held, fitted.reach_deg, _FIRST_STEPS, fitted.sigma_deg) for each in begins]
-    theta = min(tried, key=lambda each: each[1])[0]
-    errors, slopes, speeds = _evaluated(records, theta, fitted.reach_deg)
-    noise = _noise(errors, speeds, records)
-    sigma = noise.sigma_deg(np.concatenate(speeds))
-    left = _left_out(records, np.concatenate(errors), np.concatenate(slopes), sigma, noise, ~held)
-    return left.rms_deg / fitted.held_out_rms_deg
+    flights = _Flights.of(records, fitted.reach_deg)
+    without = _best(flights.problem(fitted.sigma_deg, np.where(held, 0.0, np.nan)), begins, _FIRST_STEPS)
+    error, speed = flights.left(without.x)
+    noise = _noise(error, speed, records)
+    again = _reweighed(without, noise.sigma_deg(speed), _colour_length(noise))
+    return _left_out(records, again).rms_deg / fitted.held_out_rms_deg
 
 
 def residual(
@@ -206,120 +204,125 @@ def residual(
 
 
 def _alike(theta: FloatArray) -> list[FloatArray]:
-    """Servos that move much like this one: dead band, friction and play in place of each other."""
-    dead, friction, play = (NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg"))
-    out = []
-    for width, rub, loose in (
-        (0.0, theta[friction] + 0.5 * theta[dead], theta[play]),
-        (theta[dead] + 2.0 * theta[friction], 0.0, theta[play]),
-        (theta[dead], theta[friction], theta[play] + _LOOSER_DEG),
-        (0.0, 0.0, theta[play] + theta[dead] + 2.0 * theta[friction]),
-    ):
-        other = theta.copy()
-        other[[dead, friction, play]] = width, rub, loose
-        out.append(other)
-    return out
+    """Servos that move much like this one: dead band, friction and play in place of each other, air that turned."""
+    places = [NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "hinge_deg")]
+    dead, friction, play, pushed = theta[places]
+    found = {
+        (0.0, friction + 0.5 * dead, play, pushed),
+        (dead + 2.0 * friction, 0.0, play, pushed),
+        (dead, friction, play + _LOOSER_DEG, pushed),
+        (dead, max(friction - 0.5 * _LOOSER_DEG, 0.0), play + _LOOSER_DEG, -pushed),
+        (0.0, 0.0, play + dead + 2.0 * friction, pushed),
+    } - {(dead, friction, play, pushed)}
+    others = []
+    for sizes in sorted(found):
+        others.append(theta.copy())
+        others[-1][places] = sizes
+    return others
 
 
-def _evaluated(
-    records: Sequence[Record], theta: FloatArray, reach_deg: tuple[float, float]
-) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
-    """Errors, sensitivities and largest speeds of each record, in usable rows."""
-    errors, slopes, speeds = [], [], []
-    for record in records:
-        with np.errstate(over="ignore", invalid="ignore"):  # a servo that runs away is none, and its cost says so
-            reading_deg, slope, speed = predicted(theta, record, reach_deg)
-            error, inside = residual(record.measured_deg, reading_deg, reach_deg)
-            slopes.append((slope * inside[:, None])[record.usable])
-        errors.append(error[record.usable])
-        speeds.append(speed[record.usable])
-    return errors, slopes, speeds
+class _Flights(NamedTuple):
+    """Records that are fitted together, simulated as one."""
+
+    records: Sequence[Record]
+    whole: Record
+    reach_deg: tuple[float, float]
+
+    @classmethod
+    def of(cls, records: Sequence[Record], reach_deg: tuple[float, float]) -> _Flights:
+        return cls(records, joined(records), reach_deg)
+
+    def left(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Errors [deg] and largest speeds [deg/s] in the usable rows of all records, shape (n,)."""
+        with np.errstate(over="ignore", invalid="ignore"):  # a servo that runs away is none, and its misfit says so
+            reading_deg, speed_deg_s = _reading(theta, self.whole, self.reach_deg)
+        error_deg = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[0]
+        speed_deg_s = peaks(speed_deg_s, self.whole.time_s)
+        return error_deg[self.whole.usable], speed_deg_s[self.whole.usable]
+
+    def slopes(self, theta: FloatArray) -> FloatArray:
+        """Derivatives of the errors, shape (n, 13)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            reading_deg, slopes, _ = predicted(theta, self.whole, self.reach_deg)
+        inside = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[1]
+        found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
+        return found
+
+    def problem(self, sigma: FloatArray, held: FloatArray | None = None) -> Problem:
+        """The servo of these flights; numbers `held` (13,) that are not NaN stay what they are."""
+        low, high = _LOWS, _HIGHS
+        if held is not None:
+            low, high = (np.where(np.isnan(held), ends, held) for ends in (low, high))
+        noise = Scatter(huber=_HUBER, sigma=sigma, is_known=True)
+        return Problem(
+            low, high, 1.0 / _SIGMAS, _VALUES, lambda theta: self.left(theta)[0], noise, derivatives=self.slopes
+        )
 
 
-def _descended(
-    records: Sequence[Record], theta: FloatArray, held: BoolArray, reach_deg: tuple[float, float], steps: int,
-    sigma: FloatArray | None = None,
-) -> tuple[FloatArray, float]:  # fmt: skip
-    """Levenberg-Marquardt on Huber's loss with a ridge to the prior; parameters and their cost.
-
-    Without `sigma` (of each usable sample) the errors of the first parameters tell it.
-    """
-    damping, best, known = 1e-2, np.inf, theta
-    normal: tuple[FloatArray, FloatArray] | None = None
-    for _ in range(steps + 1):
-        errors, slopes, speeds = _evaluated(records, theta, reach_deg)
-        error, slope, speed = np.concatenate(errors), np.concatenate(slopes), np.concatenate(speeds)
-        if sigma is None:
-            spread = max(MAD_TO_SIGMA * float(np.median(np.abs(error - np.median(error)))), 0.03)
-            sigma = np.sqrt(spread**2 + (0.01 * speed) ** 2)
-        ratio = np.abs(error) / sigma
-        apart = (theta - _VALUES) / _SIGMAS
-        cost = float(_huber(ratio).sum()) + 0.5 * float((apart[~held] ** 2).sum())
-        if cost < best:
-            gained = best - cost
-            best, known = cost, theta
-            weight = _weight(error, sigma)
-            curvature = (slope * weight[:, None]).T @ slope + np.diag(_SIGMAS**-2.0)
-            pull = slope.T @ (weight * error) - apart / _SIGMAS
-            normal = curvature, pull
-            damping = max(damping / 5.0, 1e-6)
-            if gained < _CLOSE * max(best, 1.0):
-                break
-        else:
-            damping *= 8.0
-        curvature, pull = normal if normal is not None else (np.eye(FITTED), np.zeros(FITTED))
-        theta = _stepped(known, curvature, pull, held, damping)
-    return known, best
+def _best(problem: Problem, begins: Sequence[FloatArray], steps: int = _STEPS) -> Solution:
+    """The best of the descents from some places."""
+    return _best_of([minimum(problem, each, steps=steps, close=_CLOSE) for each in begins])
 
 
-def _stepped(theta: FloatArray, curvature: FloatArray, pull: FloatArray, held: BoolArray, damping: float) -> FloatArray:
-    """One damped step that stays within the bounds; parameters at a bound that would pass it are held there."""
-    still = held.copy()
-    for _ in range(4):
-        free = ~still
-        block = curvature[np.ix_(free, free)]
-        block = block + damping * np.diag(np.diag(block))
-        step = np.zeros(FITTED)
-        step[free] = np.linalg.solve(block, pull[free])
-        step = np.clip(step, -2.0 * _SIGMAS, 2.0 * _SIGMAS)
-        outside = (~still) & (((theta <= _LOWS) & (step < 0.0)) | ((theta >= _HIGHS) & (step > 0.0)))
-        if not outside.any():
-            break
-        still |= outside
-    return np.where(held, theta, np.clip(theta + step, _LOWS, _HIGHS))
+def _reading(theta: FloatArray, record: Record, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Reading of one servo (m,) [deg], and its speeds (m, 2) [deg/s]."""
+    table = variants(theta, patterns=False)[:1]
+    position_deg, speed_deg_s = simulated(
+        table, new_state(1), record.commands, record.time_s, record.load, record.power, record.start_deg
+    )
+    return position_deg[:, 0] + bent(position_deg[:, 0], theta, reach_deg)[0], speed_deg_s
 
 
-def _finished(
-    records: Sequence[Record], tried: Sequence[tuple[FloatArray, float]], reach_deg: tuple[float, float]
-) -> Fit:
-    """Noise and covariance of the best of some descents, and what the folds left out say."""
-    theta, cost = min(tried, key=lambda each: each[1])
-    errors, slopes, speeds = _evaluated(records, theta, reach_deg)
-    error, slope = np.concatenate(errors), np.concatenate(slopes)
-    noise = _noise(errors, speeds, records)
-    sigma = noise.sigma_deg(np.concatenate(speeds))
-    left = _left_out(records, error, slope, sigma, noise, ~_NONE_HELD)
-    lengthened = _colour_length(noise)
-    curvature = (slope * (_weight(error, sigma) / lengthened)[:, None]).T @ slope + np.diag(_SIGMAS**-2.0)
-    covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
-    unseen = lengthened * _unseen_speed(records, theta, reach_deg, error, sigma)
+def _rough_sigma(flights: _Flights, theta: FloatArray) -> FloatArray:
+    """Standard deviation of each usable sample, as the errors of a servo that is only near tell it [deg]."""
+    error, speed = flights.left(theta)
+    spread = max(MAD_TO_SIGMA * float(np.median(np.abs(error - np.median(error)))), 0.03)
+    sigma: FloatArray = np.sqrt(spread**2 + (0.01 * speed) ** 2)
+    return sigma
+
+
+def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
+    """Noise and covariance of the servo that some descents lead to, and what the folds left out say."""
+    records = flights.records
+    least = min(each.misfit for each in tried)
+    alike = _colour_length(_noise(*flights.left(_best_of(tried).x), records)) + _SHARE * least
+    near = [each for each in tried if each.misfit - least < _NEAR * alike]
+    best = _best_of(near)
+    theta = best.x
+    others = np.array([each.x for each in near]) - theta
+    error, speed = flights.left(theta)
+    noise = _noise(error, speed, records)
+    kappa, sigma = _colour_length(noise), noise.sigma_deg(speed)
+    best = _reweighed(best, sigma, kappa)
+    left = _left_out(records, best)
+    covariance = best.covariance()
+    unseen = _unseen_speed(best)
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
-    near = np.array([each for each, its in tried if its - cost < _NEAR * lengthened + _CLOSE * cost])
-    other = np.abs(near - theta).max(axis=0) / np.sqrt(2.0)  # two servos that are equally likely, about one of them
-    apart: FloatArray = np.hypot(other, 0.5 * (left.changes[0] - left.changes[1]))
-    cuts = np.cumsum([e.size for e in errors])[:-1]
-    power = float(np.var(np.concatenate([r.measured_deg[r.usable] for r in records])))
+    halves = left.changes[0] - left.changes[1]
+    apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
+    estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
+    power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
+    cuts = np.cumsum([np.count_nonzero(record.usable) for record in records])[:-1]
     whole = []
     for part, record in zip(np.split(left.error_deg, cuts), records, strict=True):
         full = np.full(record.time_s.size, np.nan)
         full[record.usable] = part
         whole.append(full)
     return Fit(
-        theta, covariance, noise, reach_deg, tuple(whole), tuple(errors), left.rms_deg, share,
-        tuple(r.usable for r in records), sigma, _unshrunk(theta, np.diag(covariance), apart),
-        left.changes[0] - left.changes[1],
+        theta, covariance, noise, flights.reach_deg, tuple(whole),
+        tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, halves,
     )  # fmt: skip
+
+
+def _best_of(tried: Sequence[Solution]) -> Solution:
+    return min(tried, key=lambda each: each.misfit)
+
+
+def _reweighed(solution: Solution, sigma: FloatArray, kappa: float) -> Solution:
+    """A solution with the noise that it left, and a prior that is content with it."""
+    noise = replace(solution.problem.noise, sigma=sigma, kappa=np.array([kappa]))
+    return replace(solution, problem=replace(solution.problem, noise=noise, centre=solution.x))
 
 
 class _LeftOut(NamedTuple):
@@ -331,50 +334,38 @@ class _LeftOut(NamedTuple):
     rms_deg: float
 
 
-def _left_out(
-    records: Sequence[Record], error: FloatArray, slope: FloatArray, sigma: FloatArray, noise: Noise, free: BoolArray
-) -> _LeftOut:
-    weight = _weight(error, sigma) / _colour_length(noise)
+def _left_out(records: Sequence[Record], fitted: Solution) -> _LeftOut:
     fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
-    ridge = np.diag(_SIGMAS[free] ** -2.0)
-    left, changes = np.zeros(error.size), np.zeros((2, FITTED))
-    folds = [np.flatnonzero(fold == k) for k in (0, 1)]
-    for place, (mine, other) in enumerate((folds, folds[::-1])):
-        weighted = slope[np.ix_(other, free)] * weight[other, None]
-        change = np.linalg.solve(weighted.T @ slope[np.ix_(other, free)] + ridge, weighted.T @ error[other])
-        left[mine] = error[mine] - slope[np.ix_(mine, free)] @ change
-        changes[place, free] = change
-    return _LeftOut(left, changes, float(np.sqrt(np.mean(np.clip(left, -6.0 * sigma, 6.0 * sigma) ** 2))))
+    parts = [np.flatnonzero(fold == k) for k in (0, 1)]
+    changes = fitted.changes(parts)
+    left = fitted.error.copy()
+    for part, change in zip(parts, changes, strict=True):
+        left[part] += fitted.slopes[part] @ change
+    most = 6.0 * fitted.problem.noise.sigma
+    return _LeftOut(left, changes, float(np.sqrt(np.mean(np.clip(left, -most, most) ** 2))))
 
 
-def _unshrunk(theta: FloatArray, variance: FloatArray, apart: FloatArray) -> FloatArray:
-    """Values and standard deviations without what was known before; `apart` is what like fits and halves differ by."""
+def _unshrunk(theta: FloatArray, variance: FloatArray, wider: float, apart: FloatArray) -> FloatArray:
+    """Values and standard deviations without what was known before.
+
+    Variances of noise alone are so many times as wide for the model's own error; `apart` is what like fits and halves
+    differ by.
+    """
     share = np.minimum(variance / _SIGMAS**2, _MOST_PRIOR)
     value = np.clip(theta + (theta - _VALUES) * share / (1.0 - share), _LOWS, _HIGHS)
-    return np.stack([value, np.hypot(np.sqrt(variance / (1.0 - share)), apart)], axis=1)
+    return np.stack([value, np.hypot(np.sqrt(wider * variance / (1.0 - share)), apart)], axis=1)
 
 
-def _weight(error: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Weight of each error, less for those that are out of the ordinary."""
-    return np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(error), 1e-12)) / sigma**2
-
-
-def _unseen_speed(
-    records: Sequence[Record], theta: FloatArray, reach_deg: tuple[float, float], error: FloatArray, sigma: FloatArray
-) -> float:
+def _unseen_speed(fitted: Solution) -> float:
     """Variance of the logarithm of the largest speed, by how much worse a faster servo explains the flights.
 
     Where they hardly reach that speed, its slope tells of a few moments only, and nothing of a servo that never does.
     """
-    faster = theta.copy()
+    faster = fitted.x.copy()
     faster[_RATE] += _FASTER
-    errors, _, _ = _evaluated(records, faster, reach_deg)
-    worse = float((_huber(np.abs(np.concatenate(errors)) / sigma) - _huber(np.abs(error) / sigma)).sum())
-    return 0.5 * _FASTER**2 / max(worse, 1e-9)
-
-
-def _huber(ratio: FloatArray) -> FloatArray:
-    return np.where(ratio < _HUBER, 0.5 * ratio**2, _HUBER * (ratio - 0.5 * _HUBER))
+    noise = fitted.problem.noise
+    worse = noise.misfit(fitted.problem.residual(faster)) - noise.misfit(fitted.error)
+    return _FASTER**2 / max(worse, 1e-9)
 
 
 def _colour_length(noise: Noise) -> float:
@@ -383,8 +374,8 @@ def _colour_length(noise: Noise) -> float:
     return float(np.clip(noise.innovation**2 / (1.0 - first - second) ** 2, 1.0, 50.0))
 
 
-def _noise(errors: Sequence[FloatArray], speeds: Sequence[FloatArray], records: Sequence[Record]) -> Noise:
-    error, speed = np.concatenate(errors), np.concatenate(speeds)
+def _noise(error: FloatArray, speed: FloatArray, records: Sequence[Record]) -> Noise:
+    """Noise that some errors (n,) [deg] of all records are, at some speeds (n,) [deg/s]."""
     slow = speed <= max(float(np.quantile(speed, 0.3)), _QUIET_DEG_S)
     still = max(MAD_TO_SIGMA * float(np.median(np.abs(error[slow]))), _LEAST_DEG, _step_deg(records) / np.sqrt(12.0))
     fast = speed > _FAST_DEG_S
@@ -395,13 +386,8 @@ def _noise(errors: Sequence[FloatArray], speeds: Sequence[FloatArray], records: 
     ratio = error / np.sqrt(still**2 + (lag * speed) ** 2)
     inflation = float(np.sqrt(np.mean(np.minimum(ratio**2, 9.0))))
     inflation = max(inflation, 0.7)
-    scaled = [
-        np.clip(e / (inflation * np.sqrt(still**2 + (lag * v) ** 2)), -3.0, 3.0)
-        for e, v in zip(errors, speeds, strict=True)
-    ]
-    r0 = sum(float(s @ s) for s in scaled)
-    r1 = sum(float(s[1:] @ s[:-1]) for s in scaled)
-    r2 = sum(float(s[2:] @ s[:-2]) for s in scaled)
+    scaled = np.clip(ratio / inflation, -3.0, 3.0)
+    r0, r1, r2 = (float(scaled[late:] @ scaled[: scaled.size - late]) for late in range(3))
     first, second = _ar2(r1 / max(r0, 1e-12), r2 / max(r0, 1e-12))
     rho1, rho2 = first / (1.0 - second), first**2 / (1.0 - second) + second
     new = float(np.sqrt(max(1.0 - first * rho1 - second * rho2, 0.02)))

@@ -11,8 +11,8 @@ the same lag, driven by the standard deviation, bounds that of the position.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -129,6 +129,8 @@ _RHYTHM = 101
 """Commands that tell their rhythm: those that a monitor waits for."""
 _RARELY = 0.98
 """Intervals between commands of which fewer than one in fifty is longer are the rhythm, and no gap."""
+_APART_S = 2.0 * LONGEST_PAUSE_S
+"""Between records that are simulated as one [s]: after such a pause each begins anew."""
 _LEAST_SUPPLY_V = 2.0
 _POWERS = (0.6, 1.4)
 """Supply over its usual value, at which it is cut off."""
@@ -203,6 +205,26 @@ class Record:
         """Times, values, and how fast each runs on."""
         slope_deg_s = np.zeros(self.command_s.size) if self.slope_deg_s is None else self.slope_deg_s
         return self.command_s, self.command_deg, slope_deg_s
+
+
+def joined(records: Sequence[Record]) -> Record:
+    """Records of one servo one after the other, far enough apart that each begins anew.
+
+    Examples
+    --------
+    >>> one = Record(*(np.zeros(1) for _ in range(7)), np.ones(1, dtype=bool), 0.02)
+    >>> joined([one, one]).time_s
+    array([ 0., 10.])
+    """
+    later_s, moved = 0.0, []
+    for each in records:
+        edges_s = np.concatenate([each.command_s[[0, -1]], each.time_s[[0, -1]]])
+        shift_s = later_s - float(edges_s.min())
+        moved.append(replace(each, command_s=each.command_s + shift_s, time_s=each.time_s + shift_s))
+        later_s += float(np.ptp(edges_s)) + _APART_S
+    names = ("command_s", "command_deg", "time_s", "measured_deg", "load", "power", "start_deg", "usable")
+    whole: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in moved]) for name in names}
+    return replace(records[0], **whole, slope_deg_s=np.concatenate([each.commands[2] for each in moved]))
 
 
 def straightened(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.statistics import Z_95
-from servofd.discrepancy.locate import binned, errors_by_regime, maps, quantities, spectrum
+from servofd.discrepancy.locate import binned, maps, quantities, spectrum
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
@@ -148,7 +148,7 @@ def _varying(each: Varying) -> Chart:
     (first, begin), (last, end) = each.ends
     curves = (
         Curve("each run by itself", "before", condition, np.asarray(each.values, dtype=float), "dots"),
-        Curve("line through the fitted runs", "after", np.array([first, last]), np.array([begin, end])),
+        Curve("what was found", "after", np.array([first, last]), np.array([begin, end])),
     )
     text = (
         f"The value of {each.parameter} that suits each run best, where the run shows it, over {each.conditions[0]} as "
@@ -169,12 +169,6 @@ _METHOD = (
     "if it shrinks the error on those by more than chance. The noise floor is what third differences of the error "
     "say no servo could follow."
 )
-_GAINS = {
-    "residual_std_deg": "residual, standard deviation",
-    "residual_max_abs_deg": "residual, largest",
-    "threshold_deg": "threshold for one false alarm in 1000 h",
-    "smallest_step_deg": "smallest step surely seen within 1 s",
-}
 
 
 def explain_report(found: Sequence[Explanation], source: str, failures: Sequence[str] = ()) -> Document:
@@ -200,7 +194,7 @@ def explain_report(found: Sequence[Explanation], source: str, failures: Sequence
 
 
 def _surface(found: Explanation, anchor: str) -> Section:
-    document, floor = found.document(), _number(found.selection.sigma_deg)
+    document = found.document()
     steps = [(_name(step), step) for step in document["steps"]]
     errors = [("as it was", document["nominal"]), *((f"+ {name}", step) for name, step in steps)]
     ladder = [(name, *(_number(one[key]) for key in ("train_rms_deg", "held_out_rms_deg"))) for name, one in errors]
@@ -221,25 +215,12 @@ def _surface(found: Explanation, anchor: str) -> Section:
         (Path(one.path).name, *map(_number, (one.nominal_rms_deg, one.extended_rms_deg, one.noise_floor_rms_deg)))
         for one in found.also
     ]
-    gain = found.gain.document() if found.gain else {"before": {}, "after": {}}
-    gains = [
-        (words, *(f"{gain[when][key]:.3f}" for when in ("before", "after")))
-        for key, words in _GAINS.items()
-        if found.gain
-    ]
-    simulated_deg = found.record.measured_deg - found.selection.final.error_deg
-    errors_deg = (found.selection.nominal.error_deg, found.selection.final.error_deg)
-    regimes = [
-        (r.name, f"{r.share:.0%}", _number(r.before_deg), _number(r.after_deg), floor)
-        for r in errors_by_regime(found.record, *errors_deg, simulated_deg)
-    ]
     ties = [
         f"these data cannot tell {spoken(tie[0])} from {' or '.join(map(spoken, tie[1:]))}"
         for tie in document["indistinguishable"]
     ]
     said = [*document["where"], *ties, *(one.sentence for one in found.separating), *document["notes"]]
     on_others = "On other flights and runs, to which nothing was fitted [deg rms]"
-    regime_head = ("regime", "share of samples", "before", "after", "noise floor")
     return Section(
         found.surface,
         [
@@ -253,10 +234,8 @@ def _surface(found: Explanation, anchor: str) -> Section:
                 "Rivals, tried in the place of what was found", ("instead of", "rival", "held out [deg rms]"), rivals
             ),
             Table(on_others, ("flight", "before", "after", "noise floor"), elsewhere),
-            Table("What the audit of this log gains [deg]", ("quantity", "before", "after"), gains),
             Table("What predicts the gap, in blocks from which it was not learnt", _SHARES, _shares(found)),
             Figures(lambda: [*explain_charts(found).values()][2:]),
-            Section("Error by regime", [Table("Error by regime [deg rms]", regime_head, regimes)], folded=True),
         ],
         "fault" if found.has_fault else _STATUS[found.conclusion],
         spoken(found.conclusion),

@@ -58,7 +58,10 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
         elif one.selection.final.effects or not _is_own_fit(one):
             continue
         changed = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
-        entry |= good_levels(type(aircraft).model_validate(changed), one.surface, logs)
+        levels = good_levels(type(aircraft).model_validate(changed), one.surface, logs)
+        if levels:  # what was shown: an audit also counts what follows a start, or a lost command
+            levels["model"]["held_out_rms_deg"] = round(one.held_out_deg[1], 4)
+        entry |= levels
         document = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
         is_better = True
         if one.surface not in kept:

@@ -51,7 +51,7 @@ def _varied(effects: tuple[type[Effect], ...]) -> tuple[type[Effect], ...]:
     return tuple(effect for effect in effects if effect.varies)
 
 
-FEWEST_RUNS = 5
+_FEWEST_RUNS = 5
 """Fewer runs show no line over a condition."""
 ALIKE = 0.98
 """Correlation above which two conditions cannot be separated."""
@@ -63,7 +63,7 @@ def told_apart(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Conditions from -1 to 1, one of those that vary together; none of too few runs."""
     found: dict[str, FloatArray] = {}
     for name, of in conditions.items():
-        if of.size < FEWEST_RUNS or not np.all(np.isfinite(of)) or np.ptp(of) == 0.0:
+        if of.size < _FEWEST_RUNS or not np.all(np.isfinite(of)) or np.ptp(of) == 0.0:
             continue
         if all(abs(float(np.corrcoef(of, other)[0, 1])) <= ALIKE for other in found.values()):
             found[name] = 2.0 * (of - of.min()) / np.ptp(of) - 1.0

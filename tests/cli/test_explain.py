@@ -87,16 +87,6 @@ def test_the_better_model_makes_the_audit_quieter(told: Told, capsys: pytest.Cap
 
 
 @pytest.mark.slow
-def test_what_an_audit_gains_is_told_of_a_servo_that_nobody_knows_too(tmp_path: Path) -> None:
-    path = hide(FineServo(backlash_deg=1.0), duration_s=30.0).write(tmp_path / "log.csv")
-    assert main(["explain", str(path), "-s", "elevator", "--json", str(tmp_path / "gap.json")]) == 0
-    audit = json.loads((tmp_path / "gap.json").read_text())["audit"]
-    # Noise of 0.1 deg, less than half of which passes the filter.
-    assert audit["after"]["residual_std_deg"] < 0.06 < 2.0 * audit["after"]["residual_std_deg"]
-    assert audit["after"]["threshold_deg"] < 0.75 * audit["before"]["threshold_deg"]
-
-
-@pytest.mark.slow
 def test_what_is_found_in_the_linkage_is_saved_and_simulated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,10 +161,6 @@ def test_the_model_is_judged_on_other_flights(told: Told) -> None:
     assert also["path"].endswith("other.csv")
     assert also["nominal_rms_deg"] > 2.0 * also["extended_rms_deg"]
     assert also["extended_rms_deg"] == pytest.approx(0.1, abs=0.01)
-    gain = document["audit"]
-    assert gain["after"]["residual_std_deg"] < 0.045 < gain["before"]["residual_std_deg"]
-    assert gain["after"]["threshold_deg"] < 0.4 * gain["before"]["threshold_deg"]
-    assert gain["times_smaller_fault"] > 2.0
     assert document["separating"][0]["sentence"] == (
         "no manoeuvre tells delay from clock_offset by command and position alone"
     )
@@ -249,7 +235,6 @@ def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.Cap
     # The hidden error is 0.5 deg and repeats every 4 deg.
     assert step["parameters"]["amplitude_deg"]["value"] == pytest.approx(0.5, abs=0.02)
     assert step["parameters"]["pitch_deg"]["value"] == pytest.approx(4.0, abs=0.03)
-    assert document["audit"] is None
     assert main(["explain", *KNOWN, str(path), "--effect", str(example), "--save", str(tmp_path / "better.toml")]) == 0
     assert "worn_gear comes from a file of your own" in capsys.readouterr().err
 

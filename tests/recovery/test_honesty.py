@@ -10,7 +10,6 @@ import pytest
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.adequacy import adequacy
-from servofd.discrepancy.audit_gain import audit_gain
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import Record, comb_step_deg, record_of, simulate
@@ -25,7 +24,6 @@ from servofd.servo.library import servo_named
 from servofd.servo.loop import AFTER, BEFORE
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
-from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import COMMANDS
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
@@ -149,9 +147,3 @@ def test_the_place_of_the_slow_pole_decides_which_effect_it_is(place: float) -> 
     assert found.final.values[0] == pytest.approx(1.5, abs=0.1)
     assert found.final.place == place
     assert found.adequacy.reasons == ()
-
-
-def test_a_servo_for_which_no_filter_is_to_be_had_gains_nothing_and_loses_no_explanation() -> None:
-    time_s = np.arange(2000) / 100.0
-    slow = ServoModel(TransferFunction((1e-6,), (1.0, 3e-2, 3e-4, 1e-6)))
-    assert audit_gain([Series("x", time_s, np.sin(time_s), time_s, np.sin(time_s))], slow, slow) is None

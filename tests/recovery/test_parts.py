@@ -15,7 +15,6 @@ from servofd.aircraft.series import Series
 from servofd.core.errors import ConfigError
 from servofd.discrepancy.explanation import explain_gap, fault_start_s
 from servofd.discrepancy.fit import Fitter
-from servofd.discrepancy.locate import errors_by_regime
 from servofd.discrepancy.own import load_own_effect
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import best_frame, frames_like
@@ -66,34 +65,6 @@ def test_a_jam_in_a_short_flight_is_no_missing_effect() -> None:
     assert found.selection.final.names == ()
     assert found.answer.startswith("FAULT from")
     assert "the position does not follow its command" in found.notes[0]
-
-
-def test_each_condition_has_the_error_that_was_made_under_it() -> None:
-    record = flown((), [], 2)
-    simulated_deg = simulate(record, record.plant.neutral)
-    up = np.gradient(simulated_deg, record.time_s) > 0.0
-    late = record.time_s > np.median(record.time_s[record.counts])
-    found = {
-        one.name.split(" (")[0]: one
-        for one in errors_by_regime(record, np.where(up, 2.0, -1.0), np.where(late, 0.5, 0.0), simulated_deg)
-    }
-    assert found["moving up"].before_deg == pytest.approx(2.0)
-    assert found["moving down"].before_deg == pytest.approx(1.0)
-    assert found["first half"].after_deg == 0.0
-    assert found["second half"].after_deg == pytest.approx(0.5)
-    assert found["all"].share == 1.0
-    for pair in (("first half", "second half"), ("at rest", "moving up", "moving down")):
-        assert sum(found[name].share for name in pair) == pytest.approx(1.0)
-        energy = sum(found[name].share * found[name].before_deg ** 2 for name in pair)
-        assert energy == pytest.approx(found["all"].before_deg ** 2)
-
-
-def test_a_surface_that_never_moves_has_no_speed() -> None:
-    record = flown((), [], 2)
-    still = np.zeros(record.time_s.size)
-    names = [one.name for one in errors_by_regime(record, still + 1.0, still, still)]
-    assert not [name for name in names if name.startswith(("at rest", "moving", "fast", "far out", "within"))]
-    assert names[0] == "all"
 
 
 @pytest.mark.slow
