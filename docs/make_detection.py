@@ -166,6 +166,7 @@ between good ones (J is the misfit that remains, Q how far they had to go: theta
 | slow | bandwidth and largest speed, or the torque, times {speeds} |
 | deadband | a dead band or play wider by {widths} deg and free around it, or friction (usually {friction.value:g} deg) |
 | oscillation | a sine at the strongest frequency, on the servo or on one that it keeps from sticking |
+| intermittent | two or more moments in which the last command that arrived is held, and then obeyed again |
 | stuck, hardover | no servo: a constant, within the travel or at an end of it |
 | floating | no servo: a cubic in time, and the dynamic pressure |
 
