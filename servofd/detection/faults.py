@@ -234,15 +234,10 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
             there = Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
             explained = 1.0 / SWINGS if guess.kind == "oscillation" else 1.0
             left_deg[there.rows][there.used] = explained * unexplained_deg(there, guess)[there.used]
-        since_s = raised_s - (faults[-1].end_s or raised_s) if faults and fault.kind != "healthy" else np.inf
-        if since_s < WINDOW_S and _are_one_contact(faults[-1], fault):
-            first = faults.pop()
-            longer = first if first.kind == "intermittent" else fault
-            fault = replace(longer, start_s=first.start_s, alarm_s=first.alarm_s, end_s=fault.end_s)
-        elif since_s < SAME_S:
-            fault = _joined(faults.pop(), fault)
-        (suspicions if fault.kind == "healthy" else faults).append(fault)
-        faults = _gathered(faults)
+        if fault.kind == "healthy":
+            suspicions.append(fault)
+        else:
+            faults, fault = _added(faults, fault, raised_s)
         if fault.end_s is None:
             if fault.kind != "healthy":
                 break
@@ -288,6 +283,21 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
 def _comes_and_goes(fault: Fault) -> bool:
     """Whether a fault may be one more moment of a contact that does."""
     return fault.kind == "intermittent" or (fault.end_s is not None and fault.end_s - fault.start_s < LONGEST_S)
+
+
+def _added(faults: list[Fault], fault: Fault, raised_s: float) -> tuple[list[Fault], Fault]:
+    """The faults of a flight with one more, which may belong to the last of them; and that one as it is now."""
+    since_s = raised_s - (faults[-1].end_s or raised_s) if faults else np.inf
+    before = faults
+    if since_s < WINDOW_S and _are_one_contact(faults[-1], fault):
+        *before, first = faults
+        longer = first if first.kind == "intermittent" else fault
+        fault = replace(longer, start_s=first.start_s, alarm_s=first.alarm_s, end_s=fault.end_s)
+    elif since_s < SAME_S:
+        *before, first = faults
+        fault = _joined(first, fault)
+    gathered = _gathered([*before, fault])
+    return gathered, gathered[-1]
 
 
 def _are_one_contact(first: Fault, then: Fault) -> bool:
