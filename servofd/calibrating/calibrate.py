@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.calibrated import CalibratedServo
+from servofd.aircraft.calibration import DegreeCalibration
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import CalibratedSurface, Calibration
@@ -108,7 +109,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
         tuple(flight.label for flight in flights),
         sizes,
         _sharper(known, fitted, records, sizes),
-        _notes(gain, known),
+        _notes(gain, known, surface),
     )
 
 
@@ -190,8 +191,12 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
     )
 
 
-def _notes(gain: float, known: CalibratedServo) -> tuple[str, ...]:
+def _notes(gain: float, known: CalibratedServo, surface: Surface) -> tuple[str, ...]:
     notes = []
+    if isinstance(surface.command, DegreeCalibration) and surface.command.correction[0] < 0.0:
+        notes.append(
+            "its position moves against its command, and this file takes that to be right: check the sign of both"
+        )
     if not USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
         notes.append(f"the position moves by {gain:.2f} times the command: check the scale in the aircraft file")
     if 0.0 < known.fastest_m_s < _SLOWER_THAN_FLIGHT_M_S:

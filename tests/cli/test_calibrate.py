@@ -47,6 +47,16 @@ def config(tmp_path: Path) -> str:
 
 
 @pytest.mark.slow
+def test_a_position_that_moves_against_its_command_is_said_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = flown()
+    good = written(tmp_path, "good.csv", flight.time_s, flight.command_deg[:, 0], -flight.measured_deg[:, 0])
+    assert main(["calibrate", good, "-o", str(tmp_path / "calibrated.toml")]) == 0
+    assert "rudder: note: its position moves against its command" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_a_good_flight_gives_an_aircraft_file(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     flight = flown()
     good = written(tmp_path, "good.csv", flight.time_s, flight.command_deg[:, 0], 0.9 * flight.measured_deg[:, 0] + 2.0)
