@@ -125,7 +125,7 @@ class Alarms:
     >>> seen = [Event(3.0, "rudder", "alarm", "unknown", 9.0, 1.5), Event(3.1, "rudder", "alarm", "unknown", 9.0, 1.5)]
     >>> seen += [Event(9.0, "rudder", "clear", "stuck"), Event(9.1, "rudder", "clear", "stuck")]
     >>> [(event.event, event.id) for event in alarms.publish(seen)]
-    [('alarm', '1/rudder/1'), ('clear', '1/rudder/1')]
+    [('alarm', '1/rudder/1'), ('named', '1/rudder/1'), ('clear', '1/rudder/1')]
     """
 
     vehicle: int
