@@ -166,6 +166,13 @@ def _judged(
         return CurrentAudit("unknown", str(error))
     found = judge_current(series, known, before)
     before.append(features_of(see(series, known)))
+    if (
+        surface.status == "healthy"
+        and aircraft.surfaces[name].healthy_current is None
+        and found.suspicions + found.faults
+    ):
+        # Nobody knows what this servo draws, and a servo that is blocked or has no power does not follow.
+        return replace(found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=())
     still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]
     if still and not found.faults:
         to_s = np.inf if still[0].end_s is None else still[0].end_s
@@ -174,6 +181,7 @@ def _judged(
     return found
 
 
+_FOLLOWED: Final = "but its position followed: calibrate what it draws on a good flight"
 _SENSOR: Final = "the position stands still, the current says that it moves: its sensor is at fault"
 
 
