@@ -59,9 +59,9 @@ def test_a_killed_monitor_leaves_all_but_the_last_flush(folder: Path, capsys: py
     until(lambda: bool(alarms(folder)), "the alarm")
     (alarm,) = alarms(folder)
     # What the alarm was raised on is on the disk after the flush that may be under way, and one more.
-    for _ in range(2):
-        before = (folder / "own.rrd").stat().st_size
-        until(lambda size=before: (folder / "own.rrd").stat().st_size > size, "a flush")  # type: ignore[misc]
+    for name in ("own.rrd", "own.tlog") * 2:
+        before = (folder / name).stat().st_size
+        until(lambda file=folder / name, size=before: file.stat().st_size > size, "a flush")  # type: ignore[misc]
     running.kill()
     running.communicate()
     (result,) = servofd.audit(folder / "own.tlog", load_aircraft(folder / "plane.toml"))
