@@ -91,6 +91,20 @@ def same(data: memoryview, a: int, b: int, n: int) -> bool:
     return True
 
 
+def next_header(data: memoryview, at: int, size: int, length: Ints) -> int:
+    """Find where a known message type begins behind `at`; the end of the log if nowhere."""
+    at += 1
+    while at + 3 <= size and not is_header(data, at, size, length):
+        at += 1
+    return at if at + 3 <= size else size
+
+
+def is_new(data: memoryview, at: int, defined: Ints) -> bool:
+    """Tell whether the definition at `at` differs from the one in force."""
+    before = defined[data[at + 3]]
+    return before < 0 or not same(data, before, at, 89)
+
+
 def read_time(data: memoryview, at: int, kind: int) -> int:
     """Read the first column of the record at `at` [us]: stored in us (kind 1) or ms (kind 2)."""
     low = data[at + 3] + (data[at + 4] << 8) + (data[at + 5] << 16) + (data[at + 6] << 24)
@@ -178,12 +192,7 @@ def walk(
     doubt = False  # right behind damage, no sound record before it confirms a record
     while at + 3 <= size and n < len(offsets) and max(bad[0], odd[0] + 16, steps[0] + 16) < room:
         if not is_header(data, at, size, length):
-            start = at
-            at += 1
-            while at + 3 <= size and not is_header(data, at, size, length):
-                at += 1
-            if at + 3 > size:
-                at = size
+            start, at = at, next_header(data, at, size, length)
             put(bad, start, at, BAD_HEADER, state[CLOCK])
             doubt = True
             continue
@@ -197,11 +206,9 @@ def walk(
                 at = stop
                 continue
         doubt = False
-        if kind == 128 and at != state[DONE_FMT] and not state[SETTLED]:
-            before = defined[data[at + 3]]
-            if before < 0 or not same(data, before, at, 89):
-                state[AT] = at
-                return NEW_FORMAT, n
+        if kind == 128 and at != state[DONE_FMT] and not state[SETTLED] and is_new(data, at, defined):
+            state[AT] = at
+            return NEW_FORMAT, n
         offsets[n] = at
         types[n] = kind
         n += 1
@@ -266,7 +273,7 @@ def compiled_walk() -> Callable[..., tuple[int, int]]:
     from logparsers.compiled import compiled  # takes half a second, and small logs do without
 
     scope: dict[str, Any] = dict(globals())
-    for part in (is_header, is_chained, hidden, same, read_time, put, settle, reject, watch, walk):
+    for part in (is_header, is_chained, hidden, same, next_header, is_new, read_time, put, settle, reject, watch, walk):
         scope[part.__name__] = compiled(FunctionType(part.__code__, scope, part.__name__))
     return scope["walk"]  # type: ignore[no-any-return]
 

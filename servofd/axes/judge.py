@@ -177,8 +177,7 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
         alarm = begin + int(above[0])
         past = _own_past(axis, rest, alarm, begin, rate_hz)
         start = _onset(axis, rest, alarm, begin, rate_hz, past)
-        others = ((one, _beyond(axis, one, start, alarm + 1, rate_hz)) for one in states if one is not now)
-        again = next((one for one, away in others if away.max() <= axis.suspect), None)
+        again = _known_state(axis, states, now, (start, alarm + 1), rate_hz)
         if again is not None:
             begin, now = start, again
             continue
@@ -210,6 +209,14 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
             states.append(now)
             standing.append(change)
     return score, news, changes
+
+
+def _known_state(
+    axis: AxisModel, states: list[Inputs], now: Inputs, part: tuple[int, int], rate_hz: float
+) -> Inputs | None:
+    """The state that an axis was in before, if a part of the flight is as usual in it; None if in none."""
+    others = ((one, _beyond(axis, one, *part, rate_hz)) for one in states if one is not now)
+    return next((one for one, away in others if away.max() <= axis.suspect), None)
 
 
 def _beyond(axis: AxisModel, state: Inputs, first: int, last: int, rate_hz: float) -> FloatArray:
@@ -476,6 +483,20 @@ def _overlap(one: AxisEvent, other: AxisEvent) -> bool:
     return one.alarm_s <= (other.end_s or math.inf) and other.alarm_s <= (one.end_s or math.inf)
 
 
+def _accused(name: str, axis: AxisModel, worst: AxisEvent, differing: list[str]) -> AxisStatus:
+    """How sure it is that an axis was another one than on its good flights."""
+    certain = axis.fault is not None and worst.score > max(axis.fault, axis.suspect) and name in SURFACE_AXES
+    # Levels are those of the calibrated aircraft: this may be another.
+    return "fault" if certain and not any(other in SURFACE_AXES for other in differing) else "suspect"
+
+
+def _cleared(draft: _Draft) -> AxisStatus:
+    """Healthy, if the flight as a whole says what the axis has lost, and that it may be nothing."""
+    if not _is_known(draft.whole):
+        return "unknown"
+    return "unknown" if draft.whole is not None and excludes_none(draft.whole[0]) else "healthy"
+
+
 def _verdict(
     name: str,
     model: MotionModel,
@@ -495,14 +516,11 @@ def _verdict(
     seconds = max(int(flown.sum()), 1)
     identifiable = float((draft.known & flown).sum()) / seconds
     judged = float((draft.inputs.usable & flown).sum()) / seconds
-    status: AxisStatus = "unknown"
     if worst is not None:
-        certain = axis.fault is not None and worst.score > max(axis.fault, axis.suspect) and name in SURFACE_AXES
-        # Levels are those of the calibrated aircraft: this may be another.
-        certain = certain and not any(other in SURFACE_AXES for other in differing)
-        status = "fault" if certain else "suspect"
-    elif not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT and _is_known(draft.whole):
-        status = "unknown" if draft.whole is not None and excludes_none(draft.whole[0]) else "healthy"
+        status = _accused(name, axis, worst, differing)
+    else:
+        is_seen = not events and min(identifiable, judged) >= MOST_OF_THE_FLIGHT
+        status = _cleared(draft) if is_seen else "unknown"
     lost, offset = (worst.lost_share, worst.offset_us) if worst is not None else draft.whole or (None, None)
     if not axis.own_command:  # which tells nothing of the effect of a microsecond
         lost, offset = None, None

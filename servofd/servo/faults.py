@@ -73,6 +73,11 @@ class Fault:
         return failing_deflection(model, [self], command_s, command_deg, at_s)
 
 
+def _check_seed(kind: str, seed: float) -> None:
+    if seed < 0 or seed != int(seed):
+        raise ConfigError(f"{kind}: seed must be a whole number of zero or more, not {seed}")
+
+
 def in_order(faults: Iterable[Fault]) -> tuple[Fault, ...]:
     """Faults of one surface by their start."""
     ordered = tuple(sorted(faults, key=lambda fault: fault.start_s))
@@ -260,8 +265,7 @@ class Floating(Fault):
 
     def __post_init__(self) -> None:
         Fault.__post_init__(self)
-        if self.seed < 0 or self.seed != int(self.seed):
-            raise ConfigError(f"floating: seed must be a whole number of zero or more, not {self.seed}")
+        _check_seed(self.kind, self.seed)
 
     def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """As the wind wants it."""
@@ -370,8 +374,7 @@ class Intermittent(Fault):
 
     def __post_init__(self) -> None:
         Fault.__post_init__(self)
-        if self.seed < 0 or self.seed != int(self.seed):
-            raise ConfigError(f"intermittent: seed must be a whole number of zero or more, not {self.seed}")
+        _check_seed(self.kind, self.seed)
 
     def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
         """The command, held in outages."""

@@ -86,6 +86,16 @@ def test_two_witnesses_agree(tmp_path: Path) -> None:
     assert "position and current agree" in found["aileron"].reason
 
 
+def test_a_position_that_follows_takes_back_what_an_unknown_current_looks_like(tmp_path: Path) -> None:
+    flight = flown(9, 25.0, "blocked")
+    flight.position_deg[:] = flown(9, 25.0).position_deg
+    found = servofd.audit(written(tmp_path / "flight.csv", flight, position=True))["aileron"]
+    assert (found.status, found.faults, found.suspicions) == ("healthy", (), ())
+    assert found.current is not None
+    assert found.current.status == "unknown"
+    assert "its position followed" in found.current.reason
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
