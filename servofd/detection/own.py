@@ -66,9 +66,6 @@ _EACH_FAULT: Final = 2.0
 """Nats: one surface in some has a fault."""
 _MENDED: Final = 12.0
 """Nats: servos break and stay so; none is at fault from the first second and mends itself in flight."""
-_TOGETHER: Final = 2.2
-"""Times what a servo for each third leaves that one servo for all of them may: at most 2.11 on 321 sound surfaces of
-simulated aircraft of even seed."""
 _MOST_MISFIT: Final = 25.0
 """Squared standard deviations that one reading counts for, as where a fault is timed."""
 _WINDOW_S: Final = 5.0
@@ -150,8 +147,6 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
         return ModelOrigin(origin="none")
     reach_deg = reach_of([whole])
     found: list[_Part] = []
-    fits: dict[int, list[Fit]] = {count: [] for count in _PARTS}
-    changed = ""
     share: float | None = None
     start: FloatArray | None = None
     for count in _PARTS:
@@ -161,39 +156,20 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             if not records:
                 continue
             fitted = fit(records, start=start, reach_deg=reach_deg)
-            fits[count].append(fitted)
             if count == 1:
                 share = fitted.explained_share
                 start = fitted.theta if share >= _least_share(count, fitted) else None
             if fitted.explained_share >= _least_share(count, fitted):
                 one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []
-        if count == _LARGE_PARTS and (changed := _changed(fits)):
-            found = [part for part in found if not part.is_whole]
-        if count > 1 and found and not changed and _is_settled(_best(found), whole):
+        if count > 1 and found and _is_settled(_best(found), whole):
             break
-    return _own(_best(found), found, source, changed) if found else ModelOrigin(origin="none", explained_share=share)
+    return _own(_best(found), found, source) if found else ModelOrigin(origin="none", explained_share=share)
 
 
 def _is_settled(best: _Part, whole: Record) -> bool:
     """Whether no shorter part need be tried: it is like a sound servo, from the log's beginning on."""
     return best.apart < _SOUND_ENOUGH and best.between_s[0] - whole.time_s[0] < _SHORTEST_S
-
-
-def _changed(fits: dict[int, list[Fit]]) -> str:
-    """Why one servo is no account of the whole log, in words; nothing if it is."""
-    whole, parts = fits[1], fits[_LARGE_PARTS]
-    if not whole or len(parts) < _LARGE_PARTS:
-        return ""
-    counts = [sum(each.size for each in part.held_out_deg) for part in parts]
-    apart_deg = float(np.sqrt(np.average([part.held_out_rms_deg**2 for part in parts], weights=counts)))
-    together_deg = whole[0].held_out_rms_deg
-    if together_deg < _TOGETHER * apart_deg:
-        return ""
-    return (
-        f"no one servo moves like this from beginning to end (one for each third leaves {apart_deg:.2g} deg of it, one "
-        f"for all {together_deg:.2g} deg)"
-    )
 
 
 def _best(found: list[_Part]) -> _Part:
@@ -292,9 +268,9 @@ def _deviations(theta: FloatArray) -> dict[str, float]:
     }
 
 
-def _own(part: _Part, others: list[_Part], source: str, changed: str) -> OwnServo:
+def _own(part: _Part, others: list[_Part], source: str) -> OwnServo:
     fitted, (from_s, to_s) = part.fitted, part.between_s
-    doubt = unusual(fitted.theta) or _contradicted(part, others) or changed
+    doubt = unusual(fitted.theta) or _contradicted(part, others)
     known = part.known.model_copy(update={"doubt": doubt})
     return OwnServo(
         known,
