@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 META_FILE = "fleet.json"
 """Marks a folder of results, in which no logs are looked for."""
 
+_OWN_PAGE = b'<meta name="generator" content="servofd">'
+"""In the head of every page of results."""
 _MAGIC = frozenset("*?[")
 _TABLE_HEAD_BYTES = 65_536
 """Room for a header line and some rows of any table."""
@@ -207,11 +209,18 @@ def _sorted_out(
     logs, skipped = [], []
     for name, size_bytes, heads_of in files:
         reason = _why_no_log(name, heads_of, layout)
+        if reason and _is_own_page(name, heads_of):
+            continue
         if reason:
             skipped.append(Skipped(name, reason))
         else:
             logs.append(LogSource(name, size_bytes))
     return logs, skipped
+
+
+def _is_own_page(name: str, heads: Any) -> bool:  # noqa: ANN401 - reader of bytes
+    """Whether a file is a page of results that was written beside the logs last time."""
+    return name.endswith(".html") and any(_OWN_PAGE in head for head in heads(name))
 
 
 def _why_no_log(name: str, heads: Any, layout: TableLayout | None) -> str:  # noqa: ANN401 - reader of bytes

@@ -11,6 +11,8 @@ import pytest
 from logparsers import TableLayout
 from servofd.batch.find import META_FILE, find_logs
 from servofd.core.errors import ConfigError
+from servofd.outputs.document import Document
+from servofd.outputs.page import html_page
 
 FLIGHTS = ["broken.csv", "flight0.csv", "flight1.csv", "flight2.csv", "flight3.csv", "flight4.csv"]
 
@@ -28,6 +30,15 @@ def test_a_folder_gives_its_logs_whatever_they_are_called(logs: Path) -> None:
     assert reasons["empty.csv"] == "empty"
     assert "belong to no known format" in reasons["noise.bin"]
     assert all(log.size_bytes == Path(log.path).stat().st_size for log in found.logs)
+
+
+def test_pages_of_last_time_are_no_flights_and_nothing_is_said_of_them(tmp_path: Path) -> None:
+    (tmp_path / "flight.csv").write_text("time_s,rudder_cmd_deg,rudder_pos_deg\n0,1,1\n0.1,2,1\n")
+    (tmp_path / "flight.html").write_text(html_page(Document("flight", "healthy", "All is well.")))
+    (tmp_path / "other.html").write_text("<!DOCTYPE html><html><body>a page from elsewhere</body></html>")
+    found = find_logs([str(tmp_path)])
+    assert [Path(log.path).name for log in found.logs] == ["flight.csv"]
+    assert [Path(one.path).name for one in found.skipped] == ["other.html"]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
