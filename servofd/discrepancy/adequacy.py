@@ -112,7 +112,10 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     spread = max(ratios) / max(min(ratios), 1e-12)
     coloured = not is_predicted and rest_deg == 0.0 and memory > _MEMORY and ratio < _COLOUR and spread < _ALIKE
     if ratio**2 > _RATIO**2 + chance and not coloured:
-        reasons.append(f"{ratio * floor_deg:.3g} deg rms are left on data not fitted, the noise is {floor_deg:.3g} deg")
+        where = "" if ratio == ratios[0] else " of the worst run"
+        reasons.append(
+            f"{ratio * floor_deg:.3g} deg rms{where} are left on data not fitted, the noise is {floor_deg:.3g} deg"
+        )
     if is_predicted:
         reasons.append(f"command and motion still predict {predicted:.0%} of what is left")
     if rest_memory > 0.0 and memory_like_it > _MEMORY * rest_memory + 1.0:

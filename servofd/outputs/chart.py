@@ -220,13 +220,14 @@ def _outline(x: FloatArray, y: FloatArray) -> str:
 def thinned(time_s: FloatArray, values: FloatArray, points: int) -> tuple[FloatArray, FloatArray]:
     """Keep the smallest and the largest sample of each column, so that no spike is lost; `points` of them at most.
 
-    Columns are equally long in time, however often there is a sample; of one without any, nothing is kept but that.
+    Columns are equally long in time, however often there is a sample. Besides, what is missing is kept once a column,
+    so that no line goes on over it.
 
     Examples
     --------
     >>> time_s = np.arange(8.0)
     >>> thinned(time_s, np.array([0.0, 5.0, 1.0, 1.0, np.nan, np.nan, 2.0, -3.0]), 4)
-    (array([0., 1., 6., 7.]), array([ 0.,  5.,  2., -3.]))
+    (array([0., 1., 4., 6., 7.]), array([ 0.,  5., nan,  2., -3.]))
     """
     kept = extremes(time_s, values, points)
     return time_s[kept], values[kept]
@@ -241,9 +242,11 @@ def extremes(time_s: FloatArray, values: FloatArray, points: int) -> IntArray:
     begins = np.flatnonzero(np.diff(into, prepend=-1))
     of_sample = np.repeat(np.arange(begins.size), np.diff(begins, append=values.size))
     low, high = np.fmin.reduceat(values, begins), np.fmax.reduceat(values, begins)
-    kept = [begins[np.isnan(low)]]
-    for extreme in (low, high):
-        at = np.flatnonzero(values == extreme[of_sample])
+    is_missing = np.isnan(values)
+    breaks = is_missing & ~np.append(False, is_missing[:-1])
+    kept = []
+    for wanted in (is_missing & np.isnan(low)[of_sample] | breaks, values == low[of_sample], values == high[of_sample]):
+        at = np.flatnonzero(wanted)
         kept.append(at[np.diff(of_sample[at], prepend=-1) > 0])
     return np.unique(np.concatenate(kept))
 
