@@ -187,7 +187,10 @@ def main() -> None:
         flights = []
         for seed in seeds:
             kinds = (None, *(KINDS[(2 * seed + k) % len(KINDS)] for k in range(2)))
-            broken = [kind and draw_failure(10 * seed + k, _FLIGHT_S, kind, "large") for k, kind in enumerate(kinds)]
+            broken = [
+                None if kind is None else draw_failure(10 * seed + k, _FLIGHT_S, kind, "large")
+                for k, kind in enumerate(kinds)
+            ]
             flights += [(seed, *flown(seed, rate_hz, 1 + k, failure)) for k, failure in enumerate(broken)]
         for loss in options.losses:
             for pattern in PATTERNS:

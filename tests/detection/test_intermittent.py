@@ -29,6 +29,7 @@ def test_it_has_its_name_and_nothing_else_is_at_fault(servo: str, seed: int) -> 
         )
     }
     audit = servofd.audit({"time_s": flown.time_s, **columns}, servo=servo)
+    assert isinstance(audit, servofd.Audit)
     assert audit["rudder"].status == "healthy"
     found = audit["elevator"].faults
     assert found[-1].kind == "intermittent"
