@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pymavlink.dialects.v20 import all as version_2
 
-from logparsers.protocol import SIGNATURE_BYTES, SIGNED
+from logparsers.protocol import CHECK_BYTES, HEADER_1, HEADER_2, MARKER_1, MARKER_2, SIGNATURE_BYTES, SIGNED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,9 +21,7 @@ _SIGNING_TICKS_PER_S: Final = 100_000
 """Signatures count time in 10 us (MAVLink 2, message signing)."""
 _KEY_SIZE: Final = 32
 """Bytes of a key."""
-_MARKER_1, _MARKER_2 = 0xFE, 0xFD
-"""First byte of a frame of version 1, and of version 2."""
-_SHORTEST = 12
+_SHORTEST = HEADER_2 + CHECK_BYTES
 """Bytes of the shortest frame of version 2: header and check-sum."""
 
 
@@ -69,7 +67,7 @@ def is_signed(frame: bytes) -> bool:
     >>> is_signed(Codec(1, 1).encode("HEARTBEAT", {}))
     False
     """
-    return len(frame) >= _SHORTEST and frame[0] == _MARKER_2 and frame[2] & SIGNED != 0
+    return len(frame) >= _SHORTEST and frame[0] == MARKER_2 and frame[2] & SIGNED != 0
 
 
 def signing_key(content: bytes) -> bytes:
@@ -228,15 +226,16 @@ class Codec:
         at, size = 0, len(data)
         while size - at >= _SHORTEST:
             marker, flags = data[at], 0
-            if marker == _MARKER_2:
+            if marker == MARKER_2:
                 _, length, flags, _, sequence, system, component = data[at : at + 7]
-                begin, number = at + 10, int.from_bytes(data[at + 7 : at + 10], "little")
-            elif marker == _MARKER_1:
-                _, length, sequence, system, component, number = data[at : at + 6]
-                begin = at + 6
+                begin = at + HEADER_2
+                number = int.from_bytes(data[at + 7 : begin], "little")
+            elif marker == MARKER_1:
+                _, length, sequence, system, component, number = data[at : at + HEADER_1]
+                begin = at + HEADER_1
             else:
                 break
-            end = begin + length + 2
+            end = begin + length + CHECK_BYTES
             after = end + SIGNATURE_BYTES if flags == SIGNED else end
             kind = self._read.get(number) or self._known(number)
             if kind is None or flags & ~SIGNED or after > size:

@@ -6,11 +6,13 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from logparsers.errors import UnknownFormat
 from logparsers.exports import flights, kind_of, read_part
-from logparsers.mat import header4
+from logparsers.mat import HEADER4, header4
+from logparsers.protocol import frame_bytes
 from logparsers.table import TableLayout, read_table
 from logparsers.variables import read_hdf5, read_level4, read_level5
 
@@ -58,10 +60,10 @@ def _is_hdf5(head: bytes) -> bool:
 
 
 def _is_level4(head: bytes) -> bool:
-    header = header4(head) if len(head) >= 20 else None
+    header = header4(head) if len(head) >= HEADER4 else None
     if header is None:
         return False
-    name = head[20 : 20 + header.name_bytes]
+    name = head[HEADER4 : HEADER4 + header.name_bytes]
     return name[:1].isalpha() and name.rstrip(b"\0").replace(b"_", b"0").isalnum()
 
 
@@ -137,21 +139,11 @@ def _has_telemetry(head: bytes) -> bool:
 def _frames_on(head: bytes, at: int, stamp: int, number: int) -> bool:
     """That many frames begin at `at`, or all there is room for."""
     for _ in range(number):
-        end = _frame_end(head, at)
-        if not end:
-            return False
-        if end == len(head):
-            return True
-        at = end + stamp
+        size = frame_bytes(head, at)
+        if not size or at + size == len(head):
+            return size > 0
+        at += size + stamp
     return True
-
-
-def _frame_end(head: bytes, at: int) -> int:
-    """Where the frame ends that starts here; 0 if none does."""
-    magic, rest = head[at : at + 1], head[at + 1 : at + 3]
-    if len(rest) < 2 or magic not in (b"\xfe", b"\xfd"):
-        return 0
-    return at + rest[0] + (8 if magic == b"\xfe" else 25 if rest[1] & 1 else 12)
 
 
 def _eager(read: Callable[[Source, TableLayout | None], tuple[FlightLog, ...]]) -> Reader:
@@ -164,22 +156,16 @@ def _eager(read: Callable[[Source, TableLayout | None], tuple[FlightLog, ...]]) 
     return reading
 
 
-def _dataflash(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
-    from logparsers.dataflash import read_dataflash
+def _of_autopilot(kind: str) -> Reader:
+    """Make a reader of ``read_<kind>`` in the package of that name, which takes a while to import."""
 
-    return (read_dataflash(source, only),)
+    def reading(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+        return (getattr(import_module(f"logparsers.{kind}"), f"read_{kind}")(source, only),)
 
-
-def _telemetry(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
-    from logparsers.telemetry import read_telemetry
-
-    return (read_telemetry(source, only),)
+    return reading
 
 
-def _ulog(source: Source, _: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
-    from logparsers.ulog import read_ulog
-
-    return (read_ulog(source, only),)
+_dataflash, _telemetry, _ulog = map(_of_autopilot, ("dataflash", "telemetry", "ulog"))
 
 
 def read_messages(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:

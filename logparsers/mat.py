@@ -34,6 +34,12 @@ CELL, STRUCTURE, TEXT, NUMERIC = 1, 2, 4, range(6, 16)
 """Numbers of the array classes: cell, structure, text, and all numeric ones."""
 COMPLEX: Final = 0x0800
 """Flag of an array that has imaginary parts."""
+HEADER4: Final = struct.calcsize("5i")
+"""Bytes of the header of a level-4 variable."""
+TAG: Final = struct.calcsize("2I")
+"""Bytes before an element of a level-5 file: its type and its size."""
+BEGIN5: Final = 128
+"""Bytes of the header of a level-5 file, whose last two tell the order of the bytes."""
 DEEPEST: Final = 16
 """Structures within structures; deeper ones are forged."""
 MOST_PARTS: Final = 200_000
@@ -69,7 +75,7 @@ def header4(head: bytes) -> Header4 | None:
     True
     """
     for order, machine in (("<", 0), (">", 1)):
-        kind, rows, columns, imaginary, name_bytes = struct.unpack(order + "5i", head[:20])
+        kind, rows, columns, imaginary, name_bytes = struct.unpack(order + "5i", head[:HEADER4])
         m, o, p, t = (kind // 10**k % 10 for k in (3, 2, 1, 0))
         sizes = rows >= 0 and columns >= 0 and imaginary in (0, 1) and 1 < name_bytes <= 256
         if 0 <= kind < 2000 and m == machine and o == 0 and p < len(CODES4) and t <= 2 and sizes:
@@ -85,15 +91,15 @@ def level4(path: Path, content: memoryview) -> dict[str, Any]:
     found = {}
     at = 0
     while at < len(content):
-        if len(content) - at < 20:
-            raise _cut(path, "the header of a variable", len(content), at + 20)
-        header = header4(bytes(content[at : at + 20]))
+        if len(content) - at < HEADER4:
+            raise _cut(path, "the header of a variable", len(content), at + HEADER4)
+        header = header4(bytes(content[at : at + HEADER4]))
         if header is None:
             raise UnreadableLog(
                 f"{path}: no MATLAB level-4 variable at byte {at}; copy the log again from its recorder"
             )
-        start = at + 20 + header.name_bytes
-        name = bytes(content[at + 20 : start]).rstrip(b"\0").decode("ascii", "replace")
+        start = at + HEADER4 + header.name_bytes
+        name = bytes(content[at + HEADER4 : start]).rstrip(b"\0").decode("ascii", "replace")
         size = prod(header.shape)
         at = start + size * header.parts * np.dtype(header.dtype).itemsize
         if at > len(content):
@@ -109,23 +115,24 @@ def level5(path: Path, content: memoryview) -> dict[str, Any]:
     Result: by name, in the order of the file: numbers in the type of the file, texts as str, a cell as a list (column
     after column), a structure by the names of its fields.
     """
-    reading = _Level5(path, "<" if bytes(content[126:128]) == b"IM" else ">")
+    reading = _Level5(path, "<" if bytes(content[BEGIN5 - 2 : BEGIN5]) == b"IM" else ">")
     found: dict[str, Any] = {}
-    at = 128
+    at = BEGIN5
     while at < len(content):
-        if len(content) - at < 8:
-            raise _cut(path, "the header of a variable", len(content), at + 8)
+        if len(content) - at < TAG:
+            raise _cut(path, "the header of a variable", len(content), at + TAG)
         kind, size = struct.unpack_from(reading.order + "2I", content, at)
-        element = content[at + 8 : at + 8 + size]
-        if at + 8 + size > len(content):
-            raise _cut(path, reading.name(element, kind), len(content), at + 8 + size)
+        end = at + TAG + size
+        element = content[at + TAG : end]
+        if end > len(content):
+            raise _cut(path, reading.name(element, kind), len(content), end)
         if kind == COMPRESSED:
             kind, element = reading.inflated(element)
         if kind == MATRIX:
             name, value = reading.array(element, DEEPEST)
             if value is not None:
                 found[name] = value
-        at += 8 + size
+        at = end
     return found
 
 
@@ -141,7 +148,7 @@ class _Level5:
     def inflated(self, element: memoryview) -> tuple[int, memoryview]:
         """As much as the header at the beginning of a compressed variable promises."""
         unpack = zlib.decompressobj()
-        head = unpack.decompress(element, 8)
+        head = unpack.decompress(element, TAG)
         kind, size = struct.unpack(self.order + "2I", head)
         self.inflated_bytes += size
         check_size(self.path, self.inflated_bytes, IN_MEMORY_MB)
@@ -153,7 +160,7 @@ class _Level5:
     def name(self, element: memoryview, kind: int) -> str:
         """Name of a variable of which only the beginning is left."""
         try:
-            start = zlib.decompressobj().decompress(element, 512)[8:] if kind == COMPRESSED else bytes(element[:512])
+            start = zlib.decompressobj().decompress(element, 512)[TAG:] if kind == COMPRESSED else bytes(element[:512])
             parts = self.elements(memoryview(start))
             return bytes([next(parts)[1] for _ in range(3)][2]).decode("ascii", "replace")
         except (zlib.error, struct.error, StopIteration, ValueError):
@@ -162,16 +169,16 @@ class _Level5:
     def elements(self, content: memoryview) -> Iterator[tuple[int, memoryview]]:
         """What stands within an array: type and content of one part after the other."""
         at = 0
-        while at + 8 <= len(content):
+        while at + TAG <= len(content):
             kind, size = struct.unpack_from(self.order + "2I", content, at)
             small = kind >> 16  # size and type share four bytes, up to four bytes of data follow at once
-            start, room = (at + 4, 4) if small else (at + 8, len(content) - at - 8)
+            start, room = (at + TAG // 2, TAG // 2) if small else (at + TAG, len(content) - at - TAG)
             if small:
                 kind, size = kind & 0xFFFF, small
             if size > room:
                 raise ValueError(f"an element of {size} bytes does not fit into the {room} that are left")
             yield kind, content[start : start + size]
-            at += 8 if small else 8 + (size + 7) // 8 * 8
+            at += TAG if small else TAG + -(-size // TAG) * TAG
 
     def array(self, content: memoryview, depth: int) -> tuple[str, Any]:
         """Name and value of an array; no value if it is none of those that are read."""

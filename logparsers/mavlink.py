@@ -12,7 +12,7 @@ import pkgutil
 import struct
 from dataclasses import dataclass, field
 from functools import cache
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -254,6 +254,19 @@ def enum_name(enum: str, value: int) -> str:
     if entry is None or entry.name.endswith("_ENUM_END"):
         return f"{enum} {value}"
     return str(entry.name).removeprefix(f"{enum}_").replace("_", " ").lower()
+
+
+@cache
+def constants(prefix: str) -> SimpleNamespace:
+    """Numbers that MAVLink names, by what follows the prefix of their names.
+
+    Examples
+    --------
+    >>> constants("MAV_STATE_").CRITICAL
+    5
+    """
+    named = vars(_module(DEFAULT_DIALECT))
+    return SimpleNamespace(**{name.removeprefix(prefix): n for name, n in named.items() if name.startswith(prefix)})
 
 
 def message_name(number: int) -> str | None:

@@ -2,78 +2,36 @@
 
 from __future__ import annotations
 
-from enum import IntEnum, IntFlag
-from typing import TYPE_CHECKING, Final
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    import numpy as np
+    from numpy.typing import NDArray
 
-class Autopilot(IntEnum):
-    """MAV_AUTOPILOT."""
-
-    GENERIC = 0
-    ARDUPILOTMEGA = 3
-    INVALID = 8
-    PX4 = 12
-
-
-class Capability(IntFlag):
-    """MAV_PROTOCOL_CAPABILITY."""
-
-    PARAM_FLOAT = 2
-    COMMAND_INT = 8
-    PARAM_ENCODE_BYTEWISE = 16
-    MAVLINK2 = 8192
+_PREFIXES: Final = {
+    "Autopilot": "MAV_AUTOPILOT_",
+    "Capability": "MAV_PROTOCOL_CAPABILITY_",
+    "Command": "MAV_CMD_",
+    "Component": "MAV_COMP_ID_",
+    "Kind": "MAV_TYPE_",
+    "ParameterType": "MAV_PARAM_TYPE_",
+    "RemoteLogCommand": "MAV_REMOTE_LOG_DATA_BLOCK_",
+    "Result": "MAV_RESULT_",
+    "State": "MAV_STATE_",
+}
+"""Enumerations of MAVLink that are used: `Autopilot.PX4` is MAV_AUTOPILOT_PX4."""
 
 
-class Command(IntEnum):
-    """MAV_CMD."""
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - pymavlink is untyped
+    """One of these enumerations, out of pymavlink, which takes a while to import."""
+    if name not in _PREFIXES:
+        raise AttributeError(name)
+    from logparsers.mavlink import constants
 
-    GET_MESSAGE_INTERVAL = 510
-    SET_MESSAGE_INTERVAL = 511
-    REQUEST_MESSAGE = 512
-    REQUEST_AUTOPILOT_CAPABILITIES = 520
-
-
-class Component(IntEnum):
-    """MAV_COMPONENT."""
-
-    AUTOPILOT1 = 1
-
-
-class Kind(IntEnum):
-    """MAV_TYPE."""
-
-    FIXED_WING = 1
-    ANTENNA_TRACKER = 5
-    GCS = 6
-    ONBOARD_CONTROLLER = 18
-
-
-class ParameterType(IntEnum):
-    """MAV_PARAM_TYPE."""
-
-    INT8 = 2
-    INT16 = 4
-    INT32 = 6
-    REAL32 = 9
-
-
-class RemoteLogCommand(IntEnum):
-    """MAV_REMOTE_LOG_DATA_BLOCK_COMMANDS: what a client acknowledges to begin and to end."""
-
-    STOP = 2_147_483_645
-    START = 2_147_483_646
-
-
-class Result(IntEnum):
-    """MAV_RESULT."""
-
-    ACCEPTED = 0
-    DENIED = 2
-    UNSUPPORTED = 3
-    IN_PROGRESS = 5
+    return constants(_PREFIXES[name])
 
 
 class Severity(IntEnum):
@@ -86,15 +44,6 @@ class Severity(IntEnum):
     INFO = 6
 
 
-class State(IntEnum):
-    """MAV_STATE."""
-
-    ACTIVE = 4
-    CRITICAL = 5
-
-
-NO_VEHICLES: Final = (Kind.GCS, Kind.ONBOARD_CONTROLLER, 26, 27, *range(30, 35), *range(36, 43), 44, 48)
-"""MAV_TYPE of what sends heartbeats beside a vehicle: gimbals, receivers, cameras, batteries, winches, lamps."""
 LONGEST_TEXT: Final = 50
 """Characters of one STATUSTEXT."""
 NO_INDEX: Final = 65_535
@@ -103,6 +52,27 @@ SIGNED: Final = 1
 """Flag of a MAVLink 2 frame that a signature follows."""
 SIGNATURE_BYTES: Final = 13
 """Bytes of the signature at the end of a signed frame."""
+
+
+MARKER_1, MARKER_2 = 0xFE, 0xFD
+"""First byte of a frame of version 1, and of version 2."""
+HEADER_1, HEADER_2, CHECK_BYTES = 6, 10, 2
+"""Bytes of a header of version 1, of one of version 2, and of the check-sum behind the payload."""
+
+
+def frame_bytes(data: bytes | NDArray[np.uint8], at: int) -> int:
+    """Length of the frame that begins at a place, as its header tells it; 0 if none begins there.
+
+    Examples
+    --------
+    >>> frame_bytes(bytes.fromhex("fe 09 00 01"), 0), frame_bytes(b"none", 0)
+    (17, 0)
+    """
+    if len(data) < at + 3 or data[at] not in (MARKER_1, MARKER_2):
+        return 0
+    if data[at] == MARKER_1:
+        return HEADER_1 + int(data[at + 1]) + CHECK_BYTES
+    return HEADER_2 + int(data[at + 1]) + CHECK_BYTES + SIGNATURE_BYTES * (int(data[at + 2]) & SIGNED)
 
 
 def kind_of(vehicle: str, parameters: Mapping[str, float]) -> str:

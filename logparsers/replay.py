@@ -8,7 +8,7 @@ import numpy as np
 
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import dialect
-from logparsers.protocol import SIGNATURE_BYTES, SIGNED
+from logparsers.protocol import frame_bytes
 from logparsers.source import mapped
 from logparsers.telemetry import frames
 from logparsers.units import S_PER_US
@@ -43,9 +43,4 @@ def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
     for marker in markers.tolist():
         if marker not in lost:
             arrival_s = float(frames.arrivals_us(data, np.array([marker]))[0]) * S_PER_US
-        size = int(data[marker + 1])
-        if data[marker] == 0xFE:
-            size += 8
-        else:
-            size += 12 + (SIGNATURE_BYTES if data[marker + 2] & SIGNED else 0)
-        yield arrival_s, data[marker : marker + size].tobytes()
+        yield arrival_s, data[marker : marker + frame_bytes(data, marker)].tobytes()

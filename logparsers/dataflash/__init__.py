@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from logparsers.dataflash.file import DataFlashFile, ParameterChange
+from logparsers.dataflash.file import DataFlashFile
 from logparsers.dataflash.formats import Field, Layout
 from logparsers.dataflash.store import Step, Stretch
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from logparsers.source import Source
 
-__all__ = ["DataFlashFile", "Field", "Layout", "ParameterChange", "Step", "Stretch", "read_dataflash"]
+__all__ = ["DataFlashFile", "Field", "Layout", "Step", "Stretch", "read_dataflash"]
 
 
 def read_dataflash(source: Source, only: Only) -> FlightLog:

@@ -11,7 +11,6 @@ import numpy as np
 from logparsers.dataflash import scan
 from logparsers.dataflash.formats import FMT, Field, Layout, decode_text, is_consistent, parse_fmt
 from logparsers.dataflash.store import LISTED, Step, Store, Stretch
-from logparsers.dataflash.units import apply_units
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,7 +41,7 @@ class BinaryStore(Store):
         self._walk.defined[FMT.type] = -1
         self._index()
         self._describe_stretches()
-        apply_units(self.layouts, self.read)
+        self.apply_units()
         del self._walk  # its buffers are large
 
     def count(self, name: str) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from types import MappingProxyType
@@ -64,18 +63,6 @@ FRAMES: Final = {
 }  # fmt: skip
 FIRST_WEEK: Final = 1000
 """GPS week before which there was no autopilot (March 1999)."""
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterChange:
-    """A parameter got a value: at the start of the log, or later.
-
-    `time_s`: since boot [s]; NaN if the log does not say. `name`: for example ``"SERVO1_TRIM"``. `value`: as logged.
-    """
-
-    time_s: float
-    name: str
-    value: float
 
 
 def _is_text(head: bytes) -> bool:
@@ -256,30 +243,25 @@ class DataFlashFile:
         return mask if rows is None else mask[rows]
 
     @cached_property
-    def parameter_changes(self) -> tuple[ParameterChange, ...]:
-        """Every value a parameter was given, in order; repetitions of the same value left out."""
-        last: dict[str, float] = {}
-        changes = []
-        for time, name, value in _rows(self, "PARM", {"Name": WORDS, "Value": NUMBER}):
-            if last.get(name) != value:
-                last[name] = value
-                changes.append(ParameterChange(time, name, value))
-        return tuple(changes)
-
-    @cached_property
     def parameters(self) -> Mapping[str, float]:
         """The last value of each parameter."""
-        return MappingProxyType({c.name: c.value for c in self.parameter_changes})
+        return MappingProxyType(dict(self._store.rows("PARM", {"Name": WORDS, "Value": NUMBER})))
 
     @cached_property
     def texts(self) -> tuple[Text, ...]:
         """What the vehicle said (MSG), in order."""
-        return _texts(self, "MSG", "Message")
+        return self._texts("MSG", "Message")
+
+    def _texts(self, message: str, field: str) -> tuple[Text, ...]:
+        """A column of words with its times; empty if the log has no such column."""
+        rows = self._store.rows(message, {field: WORDS})
+        times_s = self.times_s(message).tolist() if rows else []
+        return tuple(Text(time_s, text) for time_s, (text,) in zip(times_s, rows, strict=True))
 
     @cached_property
     def firmware(self) -> str:
         """For example ``"ArduPlane V4.5.1 (1a2b3c4d)"``, from VER, MSG or its first lines; empty if it does not say."""
-        said = (*(t.text for t in (*_texts(self, "VER", "FWS"), *self.texts)), *self._store.said)
+        said = (*(t.text for t in (*self._texts("VER", "FWS"), *self.texts)), *self._store.said)
         return next((t for t in said if re.match(r"[A-Za-z][\w:]* V?\d+\.\d", t)), "")
 
     @property
@@ -355,17 +337,3 @@ class DataFlashFile:
     def __repr__(self) -> str:
         rows = sum(self.count(n) for n in self.names)
         return f"<DataFlashFile {self.source}: {len(self.names)} messages, {rows} rows>"
-
-
-def _texts(file: DataFlashFile, message: str, field: str) -> tuple[Text, ...]:
-    """A column of words with its times; empty if the log has no such column."""
-    return tuple(Text(time, text) for time, text in _rows(file, message, {field: WORDS}))
-
-
-def _rows(file: DataFlashFile, name: str, fields: Mapping[str, bool]) -> Iterable[tuple[Any, ...]]:
-    """Time [s] and columns, row by row; nothing if the log has no such columns."""
-    layout = file.formats.get(name)
-    if layout is None or not layout.has(fields):
-        return ()
-    rows = file.table(name, tuple(fields))
-    return zip(file.times_s(name).tolist(), *(rows[f].tolist() for f in fields), strict=True)

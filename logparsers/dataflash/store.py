@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from logparsers.dataflash.formats import NUMBER, WORDS, with_units
 from logparsers.dataflash.scan import NO_TIME, clock_steps
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -83,6 +86,27 @@ class Store(ABC):
     @abstractmethod
     def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
         """Decode columns, of all rows or of some; the arrays are copies and outlive the file."""
+
+    def rows(self, name: str, wanted: Mapping[str, bool]) -> list[tuple[Any, ...]]:
+        """Rows of a message, if it has these columns and they hold `NUMBER` or `WORDS` as they should."""
+        if name not in self.layouts or not self.layouts[name].has(wanted):
+            return []
+        columns = self.read(name, list(wanted))
+        return list(zip(*(columns[field].tolist() for field in wanted), strict=True))
+
+    def apply_units(self) -> None:
+        """Replace layouts by the same with units: FMTU gives them as characters, which UNIT and MULT spell out."""
+        types = defaultdict(list)
+        for name, layout in self.layouts.items():
+            types[layout.type].append(name)
+        labels, multiples = (
+            {chr(int(k) & 255): value for k, value in self.rows(name, {"Id": NUMBER, column: kind}) if math.isfinite(k)}
+            for name, column, kind in (("UNIT", "Label", WORDS), ("MULT", "Mult", NUMBER))
+        )
+        scales = {k: float(f"{v:.7g}") for k, v in multiples.items()}
+        for type_, units, scale in self.rows("FMTU", {"FmtType": NUMBER, "UnitIds": WORDS, "MultIds": WORDS}):
+            for name in types.get(type_, ()):
+                self.layouts[name] = with_units(self.layouts[name], units, scale, labels, scales)
 
     def suspect(self, name: str) -> NDArray[np.bool_]:
         """Mark rows whose time stamp contradicts the rows around them: damaged inside.

@@ -9,7 +9,6 @@ import numpy as np
 
 from logparsers.dataflash.formats import DICTIONARY, FMT, Layout, define
 from logparsers.dataflash.store import LISTED, MOST_US, Store, Stretch
-from logparsers.dataflash.units import apply_units
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +55,7 @@ class TextStore(Store):
         self._spread_us: NDArray[np.int64] | None = None
         self._spread: frozenset[str] = frozenset()
         self._give_stamps()
-        apply_units(self.layouts, self.read)
+        self.apply_units()
         self.follow_clock([name for name, layout in self.layouts.items() if self.count(name) and _is_timed(layout)])
 
     def count(self, name: str) -> int:

@@ -10,7 +10,8 @@ import numpy as np
 from logparsers.compiled import compiled
 from logparsers.interleave import places
 from logparsers.mavlink import DEFAULT_DIALECT, Layout, dialect
-from logparsers.telemetry.frames import check_sum
+from logparsers.protocol import CHECK_BYTES, HEADER_2, MARKER_2
+from logparsers.telemetry.frames import STAMP_BYTES, check_sum
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     Bytes = NDArray[np.uint8]
 
-_AROUND = 8 + 10 + 2
+_AROUND = STAMP_BYTES + HEADER_2 + CHECK_BYTES
 """Bytes around a message's fields: arrival time, header, check-sum."""
 
 
@@ -70,7 +71,7 @@ def encode(messages: Sequence[Message], *, source: tuple[int, int] = (1, 1)) -> 
     counts = np.split((ranks % 256).astype(np.uint8), np.cumsum([len(s) for s in starts])[:-1])
     body = np.zeros(size, np.uint8)
     for k, layout in enumerate(layouts):
-        stamps = arrivals[k].astype(">u8").view(np.uint8).reshape(-1, 8)
+        stamps = arrivals[k].astype(">u8").view(np.uint8).reshape(-1, STAMP_BYTES)
         _write(body, starts[k], stamps, counts[k], payloads[k], lengths[k], layout.id, layout.seed, *source)
     return body.tobytes()
 
@@ -120,18 +121,18 @@ def _write(
     """Put the frames of one message where they belong."""
     for k in range(starts.size):
         at, length = starts[k], lengths[k]
-        body[at : at + 8] = stamps[k]
-        frame = at + 8
-        body[frame] = 0xFD
+        frame = at + STAMP_BYTES
+        body[at:frame] = stamps[k]
+        body[frame] = MARKER_2
         body[frame + 1] = length
         body[frame + 4] = counts[k]
         body[frame + 5] = system
         body[frame + 6] = component
-        body[frame + 7] = number & 0xFF
-        body[frame + 8] = (number >> 8) & 0xFF
-        body[frame + 9] = (number >> 16) & 0xFF
-        end = frame + 10 + length
-        body[frame + 10 : end] = payloads[k, :length]
+        begin = frame + HEADER_2
+        for byte in range(3):
+            body[begin - 3 + byte] = (number >> (8 * byte)) & 0xFF
+        end = begin + length
+        body[begin:end] = payloads[k, :length]
         crc = check_sum(body, frame + 1, end, seed)
         body[end] = crc & 0xFF
         body[end + 1] = crc >> 8

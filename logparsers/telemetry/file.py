@@ -19,7 +19,7 @@ from logparsers.channels import MOST_CHANNELS, Series, as_float
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import DEFAULT_DIALECT, Dialect, enum_name, rival_names, version_text
 from logparsers.mavlink import dialect as dialect_called
-from logparsers.protocol import LONGEST_TEXT, NO_VEHICLES, Autopilot, Capability, Kind
+from logparsers.protocol import LONGEST_TEXT, Autopilot, Capability, Kind, ParameterType
 from logparsers.records import Damage, Text
 from logparsers.source import mapped
 from logparsers.telemetry import frames
@@ -40,7 +40,18 @@ if TYPE_CHECKING:
 
 _SAMPLE_BYTES = 1 << 17
 """Bytes that are read again in other dialects, where something cannot be read in the default one."""
-_INTEGERS = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}  # MAV_PARAM_TYPE
+_INTEGERS = {
+    ParameterType.UINT8: "u1", ParameterType.INT8: "i1", ParameterType.UINT16: "<u2", ParameterType.INT16: "<i2",
+    ParameterType.UINT32: "<u4", ParameterType.INT32: "<i4",
+}  # fmt: skip
+_NO_VEHICLES = [
+    getattr(Kind, name)
+    for name in (
+        *("GCS", "ONBOARD_CONTROLLER", "GIMBAL", "ADSB", "CAMERA", "CHARGING_STATION", "FLARM", "SERVO", "ODID"),
+        *("BATTERY", "PARACHUTE", "LOG", "OSD", "IMU", "GPS", "WINCH", "ILLUMINATOR", "GRIPPER"),
+    )
+]
+"""What sends heartbeats beside a vehicle."""
 _BANNER = re.compile(r"(Ardu\w+|APM:\w+|PX4|Rover|Blimp|AntennaTracker)[ -]?V?\d")
 _NO_SERIES = ("PARAM_", "MISSION_", "STATUSTEXT", "FILE_TRANSFER", "LOG_", "REMOTE_LOG", "TERRAIN_DATA")
 """Messages that carry lists, files or words: their numbers are no signal over time."""
@@ -298,7 +309,7 @@ def _read_vehicle(file: TelemetryFile) -> Vehicle | None:
     for source in file.sources("HEARTBEAT"):
         autopilots = file.column("HEARTBEAT", "autopilot", source=source)
         kinds = file.column("HEARTBEAT", "type", source=source)
-        named = (autopilots != Autopilot.INVALID) & ~np.isin(kinds, NO_VEHICLES)
+        named = (autopilots != Autopilot.INVALID) & ~np.isin(kinds, _NO_VEHICLES)
         if not named.any():
             continue
         kind, autopilot = (int(np.bincount(each[named]).argmax()) for each in (kinds, autopilots))

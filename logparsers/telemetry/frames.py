@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers.compiled import compiled
-from logparsers.protocol import SIGNED
+from logparsers.protocol import CHECK_BYTES, HEADER_1, HEADER_2, MARKER_1, MARKER_2, SIGNATURE_BYTES, SIGNED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 STAMP_BYTES = 8
 """Bytes of the arrival time before each frame."""
-_V1, _V2 = 0xFE, 0xFD
-"""First byte of a frame of version 1, and of version 2."""
-
 BAD_CHECKSUM, LOST_SYNC, TRUNCATED = 1, 2, 3
 """Kinds of a damaged stretch."""
 
@@ -63,17 +60,17 @@ def _inspect(data: Bytes, at: int, slots: Slots, seeds: Bytes) -> tuple[int, int
     size = data.size
     if at >= size:
         return _NOT_A_FRAME, 0, -1
-    if data[at] == _V1:
-        if at + 8 > size:
+    if data[at] == MARKER_1:
+        if at + HEADER_1 + CHECK_BYTES > size:
             return _BEYOND, 0, -1
-        header, trailer = 6, 2
+        header, trailer = HEADER_1, CHECK_BYTES
         message = np.int64(data[at + 5])
-    elif data[at] == _V2:
-        if at + 12 > size:
+    elif data[at] == MARKER_2:
+        if at + HEADER_2 + CHECK_BYTES > size:
             return _BEYOND, 0, -1
         if data[at + 2] & ~SIGNED:
             return _NOT_A_FRAME, 0, -1
-        header, trailer = 10, 2 + 13 * (data[at + 2] & SIGNED)
+        header, trailer = HEADER_2, CHECK_BYTES + SIGNATURE_BYTES * (data[at + 2] & SIGNED)
         message = np.int64(data[at + 7]) | np.int64(data[at + 8]) << 8 | np.int64(data[at + 9]) << 16
     else:
         return _NOT_A_FRAME, 0, -1
@@ -107,7 +104,7 @@ def _leads_on(data: Bytes, start: int, slots: Slots, seeds: Bytes) -> bool:
 def _resume(data: Bytes, start: int, slots: Slots, seeds: Bytes) -> int:
     """Find the first good frame at or after `start`; the end of the data if there is none."""
     for at in range(start, data.size):
-        if (data[at] == _V1 or data[at] == _V2) and _inspect(data, at, slots, seeds)[0] == _GOOD:
+        if (data[at] == MARKER_1 or data[at] == MARKER_2) and _inspect(data, at, slots, seeds)[0] == _GOOD:
             return at
     return data.size
 
@@ -177,7 +174,7 @@ def _group(markers: NDArray[Any], kinds: NDArray[np.uint16], starts: NDArray[np.
 def _gather(data: Bytes, markers: NDArray[Any], offset: int, out: Bytes) -> None:
     for i in range(markers.size):
         at = np.int64(markers[i])
-        header = 6 if data[at] == _V1 else 10
+        header = HEADER_1 if data[at] == MARKER_1 else HEADER_2
         available = np.int64(data[at + 1]) - offset  # the sender cuts trailing zeros off
         source = at + header + offset
         for k in range(out.shape[1]):
@@ -188,7 +185,7 @@ def _gather(data: Bytes, markers: NDArray[Any], offset: int, out: Bytes) -> None
 def _copy(data: Bytes, markers: NDArray[Any], back: int, out: Bytes) -> None:
     for i in range(markers.size):
         at = np.int64(markers[i])
-        first = at + back if back < 0 else at + (3 if data[at] == _V1 else 5)
+        first = at + back if back < 0 else at + (3 if data[at] == MARKER_1 else 5)
         for k in range(out.shape[1]):
             out[i, k] = data[first + k]
 

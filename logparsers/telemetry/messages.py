@@ -128,8 +128,8 @@ class MessageTable:
         """Positions of each sender's frames, by one sort however many senders there are."""
         if message not in self._senders:
             found = self._positions[message]
-            origins, codes = np.unique(frames.origins(self._data, found), return_inverse=True)
-            senders = [Sender(*divmod(int(origin), 256)) for origin in origins]
+            addresses, codes = np.unique(frames.origins(self._data, found), return_inverse=True)
+            senders = [Sender(*divmod(int(address), 256)) for address in addresses]
             rows = split_rows(senders, codes) if len(senders) > 1 else dict.fromkeys(senders, slice(None))
             self._senders[message] = {sender: found[mine] for sender, mine in rows.items()}
         return self._senders[message]

@@ -22,7 +22,7 @@ from logparsers.records import Damage, Text
 from logparsers.source import mapped
 from logparsers.texts import distinct_texts, split_rows
 from logparsers.ulog.bounded import load
-from logparsers.ulog.sieve import NotPlain, chain, set_aside, sieve
+from logparsers.ulog.sieve import NotPlain, chain, is_cut, set_aside
 from logparsers.units import S_PER_MS, S_PER_US
 
 if TYPE_CHECKING:
@@ -266,8 +266,7 @@ def _loaded(
         rest, samples = aside
         with contextlib.suppress(NotPlain):
             return True, load(rest, name, wanted, samples)
-    sieved = sieve(data, wanted)
-    return sieved is not None, load(data if sieved is None else sieved, name, wanted)
+    return is_cut(data, chain(data)), load(data, name, wanted)
 
 
 class _WithClock:

@@ -1,4 +1,4 @@
-"""Leaves topics that are not asked for out of a PX4 log, so that they are not decoded."""
+"""Takes the samples of a PX4 log aside, so that only those that are asked for are decoded, and each topic at once."""
 
 from __future__ import annotations
 
@@ -15,8 +15,13 @@ if TYPE_CHECKING:
 
     Bytes = NDArray[np.uint8]
 
-_HEADER = 16
-"""Bytes of the header of a PX4 log."""
+_HEADER, _STAMP, _HEAD = 16, 8, 3
+"""Bytes of the header of a PX4 log, of the time stamp at its end and at the beginning of a sample, and of what stands
+before each message: its size and its kind."""
+_TOPICS = 1 << 16
+"""Numbers that topics can have."""
+_FLAG_BITS, _FLAGS, _INCOMPATIBLE = ord("B"), 43, 11
+"""Kind and bytes of the message of flags that comes first, and which byte of it forbids to read on in order."""
 _ADD, _DATA, _DROPOUT, _PARAMETER = ord("A"), ord("D"), ord("O"), ord("P")
 _TEXT, _TAGGED = ord("L"), ord("C")
 _KNOWN = np.zeros(256, dtype=np.bool_)
@@ -25,16 +30,22 @@ _APPENDED = 0x01
 
 
 @compiled
+def _u16(data: Bytes, at: int) -> int:
+    """Two bytes as a number, the lower one first."""
+    return int(data[at]) | int(data[at + 1]) << 8
+
+
+@compiled
 def _walk(data: Bytes, topics: NDArray[np.int64], dropped: NDArray[np.bool_], out: Bytes) -> tuple[int, int, int]:
     """Follow the messages; note the topics announced, copy what is not dropped: (end, topics, bytes copied).
 
     Ends early where what follows is no message. An empty `out` counts, and copies nothing.
     """
-    at, found, kept = 16, 0, 0
-    while at + 3 <= data.size:
-        size = int(data[at]) + 256 * int(data[at + 1])
+    at, found, kept = _HEADER, 0, 0
+    while at + _HEAD <= data.size:
+        size = _u16(data, at)
         kind = data[at + 2]
-        end = at + 3 + size
+        end = at + _HEAD + size
         if end > data.size or size == 0 or not _KNOWN[kind]:
             break
         if kind == _ADD:
@@ -45,10 +56,10 @@ def _walk(data: Bytes, topics: NDArray[np.int64], dropped: NDArray[np.bool_], ou
             found += 1
         if kind == _DATA and size < 2:
             break
-        if kind != _DATA or not dropped[int(data[at + 3]) + 256 * int(data[at + 4])]:
+        if kind != _DATA or not dropped[_u16(data, at + _HEAD)]:
             if out.size:
-                out[kept : kept + 3 + size] = data[at:end]
-            kept += 3 + size
+                out[kept : kept + _HEAD + size] = data[at:end]
+            kept += _HEAD + size
         at = end
     return at, found, kept
 
@@ -56,33 +67,8 @@ def _walk(data: Bytes, topics: NDArray[np.int64], dropped: NDArray[np.bool_], ou
 def chain(data: Bytes) -> int:
     """Find the end of the last whole message [bytes]; the length of the file if nothing is cut or damaged."""
     no_bytes = np.zeros(0, dtype=np.uint8)
-    end, _, _ = _walk(data, np.zeros(0, dtype=np.int64), np.zeros(1 << 16, dtype=np.bool_), no_bytes)
+    end, _, _ = _walk(data, np.zeros(0, dtype=np.int64), np.zeros(_TOPICS, dtype=np.bool_), no_bytes)
     return int(end)
-
-
-def sieve(data: Bytes, wanted: Container[str]) -> Bytes | None:
-    """Copy a log without the samples of unwanted topics.
-
-    `data` (shape (n,)): the file. Result: a log in the same format; all else is kept, also the start of a last message
-    that was cut. None if the file is damaged, or has parts appended by position: then only the whole of it will do.
-    """
-    if data.size < _HEADER + 43 or (data[_HEADER + 2] == ord("B") and data[_HEADER + 11] & _APPENDED):
-        return None
-    keep_all = np.zeros(1 << 16, dtype=np.bool_)
-    no_bytes = np.zeros(0, dtype=np.uint8)
-    end, found, _ = _walk(data, np.zeros(0, dtype=np.int64), keep_all, no_bytes)
-    if not _is_cut(data, end):
-        return None
-    topics = np.zeros(found, dtype=np.int64)
-    _walk(data, topics, keep_all, no_bytes)
-    dropped = _unwanted(data, topics, wanted)
-    _, _, kept = _walk(data, topics, dropped, no_bytes)
-    out = np.empty(_HEADER + kept + data.size - end, dtype=np.uint8)
-    out[:_HEADER] = data[:_HEADER]
-    out[_HEADER + kept :] = data[end:]
-    if kept:
-        _walk(data, topics, dropped, out[_HEADER : _HEADER + kept])
-    return out
 
 
 class NotPlain(Exception):  # noqa: N818 - no error of the file: another way has to be taken
@@ -121,18 +107,22 @@ class Samples:
 
 
 def set_aside(data: Bytes, wanted: Container[str]) -> tuple[Bytes, Samples] | None:
-    """A log without any sample, and the samples of the wanted topics; None if only the whole of it will do."""
-    if data.size < _HEADER + 43 or (data[_HEADER + 2] == ord("B") and data[_HEADER + 11] & _APPENDED):
+    """A log without any sample, and the samples of the wanted topics; None if only the whole of it will do.
+
+    `data` (shape (n,)): the file. The log keeps all else, also the start of a last message that was cut. None if the
+    file is damaged, or has parts appended by position.
+    """
+    if data.size < _HEADER + _FLAGS or (data[_HEADER + 2] == _FLAG_BITS and data[_HEADER + _INCOMPATIBLE] & _APPENDED):
         return None
     no_bytes, no_numbers = np.zeros(0, dtype=np.uint8), np.zeros(0, dtype=np.int64)
-    all_, none = np.ones(1 << 16, dtype=np.bool_), np.zeros(1 << 16, dtype=np.bool_)
+    all_, none = np.ones(_TOPICS, dtype=np.bool_), np.zeros(_TOPICS, dtype=np.bool_)
     end, found, kept = _walk(data, no_numbers, all_, no_bytes)
-    if not _is_cut(data, end):
+    if not is_cut(data, end):
         return None
     topics = np.zeros(found, dtype=np.int64)
     _walk(data, topics, none, no_bytes)
     dropped = _unwanted(data, topics, wanted)
-    sizes = np.zeros((2, 1 << 16), dtype=np.int64)
+    sizes = np.zeros((2, _TOPICS), dtype=np.int64)
     counts = np.zeros(3, dtype=np.int64)
     if not _collect(data, end, dropped, counts, no_numbers, no_numbers, sizes, no_numbers, no_numbers):
         return None
@@ -149,7 +139,7 @@ def set_aside(data: Bytes, wanted: Container[str]) -> tuple[Bytes, Samples] | No
 @compiled
 def _stamp(data: Bytes, at: int) -> int:
     stamp = np.int64(0)
-    for k in range(8):
+    for k in range(_STAMP):
         stamp |= np.int64(data[at + k]) << (8 * k)
     return int(stamp)
 
@@ -187,29 +177,29 @@ def _collect(
 
     False if a topic is announced twice or too late, or a stamp is no time.
     """
-    added = np.zeros(1 << 16, dtype=np.bool_)
-    at, begun = 16, False
+    added = np.zeros(_TOPICS, dtype=np.bool_)
+    at, begun = _HEADER, False
     counts[:] = 0
-    latest = _stamp(data, 8)
+    latest = _stamp(data, _HEADER - _STAMP)
     while at < end:
-        size = int(data[at]) + 256 * int(data[at + 1])
+        size = _u16(data, at)
         kind = data[at + 2]
         begun = begun or kind in (_ADD, _TEXT, _TAGGED)
         if kind == _ADD:
-            number = int(data[at + 4]) + 256 * int(data[at + 5])
+            number = _u16(data, at + _HEAD + 1)
             if added[number]:
                 return False
             added[number] = True
         elif kind == _DATA:
-            number = int(data[at + 3]) + 256 * int(data[at + 4])
+            number = _u16(data, at + _HEAD)
             if not added[number]:
                 return False
             if not dropped[number]:
-                stamp = _stamp(data, at + 5) if size >= 10 else np.int64(-1)
+                stamp = _stamp(data, at + _HEAD + 2) if size >= 2 + _STAMP else np.int64(-1)
                 if stamp < 0:
                     return False
                 latest = max(latest, stamp)
-                _note(counts[0], at + 5, number, size - 2, places, numbers, sizes)
+                _note(counts[0], at + _HEAD + 2, number, size - 2, places, numbers, sizes)
                 counts[0] += 1
         elif kind == _DROPOUT and begun:
             if dropouts_us.size:
@@ -219,7 +209,7 @@ def _collect(
             if parameters_us.size:
                 parameters_us[counts[2]] = latest
             counts[2] += 1
-        at += 3 + size
+        at += _HEAD + size
     return True
 
 
@@ -230,21 +220,21 @@ def _gather(data: Bytes, places: NDArray[np.int64], width: int, out: Bytes) -> N
             out[k * width + j] = data[places[k] + j]
 
 
-def _is_cut(data: Bytes, end: int) -> bool:
+def is_cut(data: Bytes, end: int) -> bool:
     """Whether the file ends inside a message, or with one; otherwise something is wrong at `end`."""
     rest = data[end:]
-    if rest.size < 3:
+    if rest.size < _HEAD:
         return True
-    return bool(_KNOWN[rest[2]] and rest.size < 3 + int(rest[0]) + 256 * int(rest[1]))
+    return bool(_KNOWN[rest[2]] and rest.size < _HEAD + _u16(rest, 0))
 
 
 def _unwanted(data: Bytes, topics: NDArray[np.int64], wanted: Container[str]) -> NDArray[Any]:
     """Message numbers that only ever stand for unwanted topics."""
-    asked, known = np.zeros(1 << 16, dtype=np.bool_), np.zeros(1 << 16, dtype=np.bool_)
+    asked, known = np.zeros(_TOPICS, dtype=np.bool_), np.zeros(_TOPICS, dtype=np.bool_)
     for at in topics.tolist():
-        size = int(data[at]) + 256 * int(data[at + 1])
-        number = int(data[at + 4]) + 256 * int(data[at + 5])
-        name = data[at + 6 : at + 3 + size].tobytes().decode("utf-8", errors="ignore")
+        size = _u16(data, at)
+        number = _u16(data, at + _HEAD + 1)
+        name = data[at + _HEAD + 3 : at + _HEAD + size].tobytes().decode("utf-8", errors="ignore")
         known[number] = True
         asked[number] |= name in wanted
     return known & ~asked

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from functools import cache
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -22,7 +23,7 @@ from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
 from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
-from servofd.serve.forms import fields_of, files_in
+from servofd.serve.forms import fields_of, files_in, refused
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, RECORDING, curves_in, progress_in
 from servofd.serve.preview import preview
@@ -78,16 +79,23 @@ async def _icon(_request: Request) -> Response:
 
 async def _said(_request: Request, error: Exception) -> Response:
     """What is wrong with a request, as a page."""
-    status, text = (error.status_code, error.detail) if isinstance(error, HTTPException) else (500, "")
+    status, text = HTTPStatus.INTERNAL_SERVER_ERROR, ""
+    if isinstance(error, HTTPException):
+        status, text = HTTPStatus(error.status_code), error.detail
     return _page(Document("Nothing here", "unknown", text or "Not found."), status)
 
 
 async def _failed(_request: Request, _error: Exception) -> Response:
     """What is wrong with the page itself: printed where it runs; the browser learns only that there is something."""
-    return _page(Document("An error", "unknown", "This did not work; the terminal says why."), 500)
+    shown = Document("An error", "unknown", "This did not work; the terminal says why.")
+    return _page(shown, HTTPStatus.INTERNAL_SERVER_ERROR)
 
 
-def _page(document: Document, status: int = 200, template: str = "serve.html", **values: object) -> Response:
+def _missing(text: str) -> HTTPException:
+    return HTTPException(HTTPStatus.NOT_FOUND, text)
+
+
+def _page(document: Document, status: int = HTTPStatus.OK, template: str = "serve.html", **values: object) -> Response:
     return HTMLResponse(html_page(document, template, **values), status)
 
 
@@ -135,24 +143,24 @@ class _Routes:
         try:
             upload = await run_in_threadpool(self._flights.upload, name, int(expected) if expected.isdecimal() else 0)
         except TooLarge as error:
-            return JSONResponse({"error": str(error)}, 413)
+            return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except OSError as error:
-            return JSONResponse({"error": f"{name}: cannot be kept: {error.strerror}"}, 507)
+            return JSONResponse({"error": f"{name}: cannot be kept: {error.strerror}"}, HTTPStatus.INSUFFICIENT_STORAGE)
         try:
             async for some in request.stream():
                 await run_in_threadpool(upload.write, some)
             taken = await run_in_threadpool(upload.finish)
         except TooLarge as error:
             upload.abandon()
-            return JSONResponse({"error": str(error)}, 413)
+            return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except ClientDisconnect:
             upload.abandon()
-            return JSONResponse({"error": f"{name}: did not arrive completely"}, 400)
+            return JSONResponse({"error": f"{name}: did not arrive completely"}, HTTPStatus.BAD_REQUEST)
         except BaseException:
             upload.abandon()
             raise
         row = {} if taken.flight is None else self._row(taken.flight)
-        return JSONResponse(row | {"notice": taken.notice}, 201)
+        return JSONResponse(row | {"notice": taken.notice}, HTTPStatus.CREATED)
 
     async def take_form(self, request: Request) -> Response:
         """Logs of a form, as browsers send it that run no script."""
@@ -178,12 +186,12 @@ class _Routes:
                     rows += [(name, f"{wrong}.")] if wrong else []
                     wrong = ""
         except ClientDisconnect:
-            return JSONResponse({"error": "did not arrive completely"}, 400)
+            return JSONResponse({"error": "did not arrive completely"}, HTTPStatus.BAD_REQUEST)
         finally:
             if upload is not None:
                 upload.abandon()
         if not rows:
-            raise HTTPException(400, "No file was chosen.")
+            raise refused("No file was chosen.")
         count = f"{len(rows)} {'file' if len(rows) == 1 else 'files'} arrived."
         return _page(Document("Files", "no_data", count, parts=[Table("Files", ("file", "what became of it"), rows)]))
 
@@ -194,21 +202,21 @@ class _Routes:
         ticked = form.getlist("flight")
         if verb == "delete":
             if not ticked:
-                raise HTTPException(400, "Tick the flights to delete first.")
+                raise refused("Tick the flights to delete first.")
             said = [await run_in_threadpool(self._flights.remove, one) for one in ticked]
             return _page(Document("Deleted", "no_data", " ".join(said)))
         flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
         if verb not in ("calibrate", "trend", "explain"):
-            raise HTTPException(400, "There is nothing of that name to do.")
+            raise refused("There is nothing of that name to do.")
         if not flights:
-            raise HTTPException(400, f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
+            raise refused(f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
         if verb == "trend" and not (aircraft or self._flights.job.aircraft or flights[0].choice.aircraft):
-            raise HTTPException(400, "A trend follows one aircraft: choose its file beside the button first.")
+            raise refused("A trend follows one aircraft: choose its file beside the button first.")
         try:
             task = self._flights.begin(_VERBS[verb], flights, aircraft=aircraft, surface=form.get("surface", ""))
         except ConfigError as error:
-            raise HTTPException(400, f"{error}.") from None
-        return RedirectResponse(f"/tasks/{task.id}", 303)
+            raise refused(f"{error}.") from None
+        return RedirectResponse(f"/tasks/{task.id}", HTTPStatus.SEE_OTHER)
 
     async def choose(self, request: Request) -> Response:
         """Aircraft file or columns of one flight."""
@@ -219,8 +227,8 @@ class _Routes:
             choice = Choice(form.get("aircraft", ""), columns)
             await run_in_threadpool(self._flights.choose, flight.id, choice)
         except ConfigError as error:
-            raise HTTPException(400, f"{flight.name}: {error}.") from None
-        return RedirectResponse(f"/flights/{flight.id}", 303)
+            raise refused(f"{flight.name}: {error}.") from None
+        return RedirectResponse(f"/flights/{flight.id}", HTTPStatus.SEE_OTHER)
 
     async def flight(self, request: Request) -> Response:
         flight = self._known(request.path_params["id"])
@@ -261,7 +269,7 @@ class _Routes:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
         path = self._flights.results(flight.id) / name
         if name not in _KINDS or not path.is_file():
-            raise HTTPException(404, "There is no such result of this flight.")
+            raise _missing("There is no such result of this flight.")
         download = {AUDIT: f"{flight.name}.json", RECORDING: f"{flight.name}.rrd"}.get(name)
         if "download" in request.query_params and name == PAGE:
             download = f"{flight.name}.html"
@@ -271,7 +279,7 @@ class _Routes:
         """A calibration, trend or explanation, or how far it is."""
         task = self._flights.task(request.path_params["id"])
         if task is None:
-            raise HTTPException(404, "There is no such calibration, trend or explanation.")
+            raise _missing("There is no such calibration, trend or explanation.")
         try:
             page = self._flights.task_folder(task.id) / PAGE
             found = page.read_text(encoding="utf-8") if task.state == "done" else ""
@@ -296,7 +304,7 @@ class _Routes:
                 json.loads((self._flights.results(one.id) / AUDIT).read_text(encoding="utf-8")) for one in flights
             ]
         except OSError:
-            raise HTTPException(409, "One of the two is not judged yet.") from None
+            raise HTTPException(HTTPStatus.CONFLICT, "One of the two is not judged yet.") from None
         names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
         first, second = (curves_in(self._flights.results(one.id)) for one in flights)
         both = {name: (track, second[name]) for name, track in first.items() if name in second}
@@ -308,7 +316,7 @@ class _Routes:
         name = request.path_params["file"] or "index.html"
         folder = await run_in_threadpool(viewer_files, self._flights.folder / RESULTS / f"viewer-{_rerun_version()}")
         if folder is None or name not in FILES:
-            raise HTTPException(404, 'The viewer is not here; pip install "servofd[view]" brings it.')
+            raise _missing('The viewer is not here; pip install "servofd[view]" brings it.')
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
 
     def _row(self, flight: Flight) -> dict[str, Any]:
@@ -336,7 +344,7 @@ class _Routes:
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
         if flight is None:
-            raise HTTPException(404, "There is no such flight; it may have been deleted.")
+            raise _missing("There is no such flight; it may have been deleted.")
         return flight
 
 
@@ -345,9 +353,9 @@ def _moments(given: Sequence[str]) -> tuple[float, float]:
     try:
         first, second = (float(one or 0.0) for one in given or ("", ""))
     except ValueError:
-        raise HTTPException(400, "Align two flights by a moment of each, in seconds.") from None
+        raise refused("Align two flights by a moment of each, in seconds.") from None
     if not (math.isfinite(first) and math.isfinite(second)):
-        raise HTTPException(400, "Align two flights by a moment of each, in seconds.")
+        raise refused("Align two flights by a moment of each, in seconds.")
     return first, second
 
 

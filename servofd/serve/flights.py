@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
 
-    from servofd.aircraft.schema import Aircraft
 
 State = Literal["waiting", "at work", "done"]
 
@@ -217,10 +216,6 @@ class Flights:
     def aircraft(self) -> list[str]:
         """Aircraft files of the folder."""
         return sorted(path.name for path in self.folder.glob("*.toml") if path.is_file())
-
-    def aircraft_of(self, flight: Flight) -> Aircraft | None:
-        """What it is judged with."""
-        return self.job_of(flight.choice).aircraft
 
     def job_of(self, choice: Choice) -> Job:
         """What to judge with, as it was chosen.

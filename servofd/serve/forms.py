@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from http import HTTPStatus
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
@@ -19,13 +20,18 @@ _MOST_BYTES = 1_000_000
 _NAME = re.compile(rb'filename="((?:[^"\\]|\\.)*)"', re.IGNORECASE)
 
 
+def refused(text: str) -> HTTPException:
+    """What to raise where a request makes no sense."""
+    return HTTPException(HTTPStatus.BAD_REQUEST, text)
+
+
 async def fields_of(request: Request) -> ImmutableMultiDict[str, str]:
     """Fields of a form without files."""
     body = b""
     async for some in request.stream():
         body += some
         if len(body) > _MOST_BYTES:
-            raise HTTPException(413, "More than a form holds.")
+            raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "More than a form holds.")
     return ImmutableMultiDict(parse_qsl(body.decode(errors="replace"), keep_blank_values=True))
 
 
@@ -36,7 +42,7 @@ async def files_in(pieces: AsyncIterator[bytes], content_type: str) -> AsyncIter
     """
     found = re.search(r'boundary="?([^";]+)"?', content_type)
     if found is None:
-        raise HTTPException(400, "A form with files was expected.")
+        raise refused("A form with files was expected.")
     boundary = b"\r\n--" + found[1].encode()
     held, name, in_head = b"\r\n", "", False
     async for piece in pieces:
@@ -46,7 +52,7 @@ async def files_in(pieces: AsyncIterator[bytes], content_type: str) -> AsyncIter
                 head, end, rest = held.partition(b"\r\n\r\n")
                 if not end:
                     if len(held) > _MOST_BYTES:
-                        raise HTTPException(400, "A form with files was expected.")
+                        raise refused("A form with files was expected.")
                     break
                 given = _NAME.search(head)
                 name = given[1].decode(errors="replace").replace('\\"', '"').replace("%22", '"') if given else ""
@@ -64,4 +70,4 @@ async def files_in(pieces: AsyncIterator[bytes], content_type: str) -> AsyncIter
             held, name, in_head = rest, "", True
             if rest.startswith(b"--"):
                 return
-    raise HTTPException(400, f"{name or 'The form'}: did not arrive completely. What did is in the list.")
+    raise refused(f"{name or 'The form'}: did not arrive completely. What did is in the list.")

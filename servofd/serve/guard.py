@@ -9,6 +9,7 @@ import socket
 import sys
 import webbrowser
 from contextlib import suppress
+from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlencode, urlsplit
@@ -63,22 +64,23 @@ class Guard:
         host = headers.get("host", "")
         if not self._token and not _OWN.fullmatch(host):
             # A name of another host that was led to this machine.
-            return PlainTextResponse("open this page as http://127.0.0.1", 421)
-        origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
-            return PlainTextResponse("another site may not ask this", 403)
+            return PlainTextResponse("open this page as http://127.0.0.1", HTTPStatus.MISDIRECTED_REQUEST)
+        asker = headers.get("origin")
+        if asker is not None and urlsplit(asker).netloc != host:
+            return PlainTextResponse("another site may not ask this", HTTPStatus.FORBIDDEN)
         if not self._token:
             return None
         words = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
         given = dict(words).get("token")
         if given is not None and self._fits(given):
             rest = urlencode([(name, value) for name, value in words if name != "token"])
-            answer = RedirectResponse(scope["path"] + (f"?{rest}" if rest else ""), 303)
+            answer = RedirectResponse(scope["path"] + (f"?{rest}" if rest else ""), HTTPStatus.SEE_OTHER)
             answer.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
             return answer
         if self._fits(_cookie(headers.get("cookie", ""))):
             return None
-        return PlainTextResponse("this page needs the whole link that servofd printed, with its token", 401)
+        needed = "this page needs the whole link that servofd printed, with its token"
+        return PlainTextResponse(needed, HTTPStatus.UNAUTHORIZED)
 
     def _fits(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self._token.encode())

@@ -20,7 +20,7 @@ from servofd.outputs.audit_report import audit_report
 from servofd.outputs.compare_report import Track, track_of
 from servofd.outputs.json_report import to_json, worst_outline
 from servofd.outputs.page import html_page
-from servofd.outputs.sentence import spoken, whole_sentence, worst
+from servofd.outputs.sentence import LEAST_CLEARED, spoken, whole_sentence, worst
 from servofd.serve.preview import preview, what_it_is
 
 if TYPE_CHECKING:
@@ -155,9 +155,8 @@ def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) ->
 
 def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], job: Job) -> Summary:
     """Of several runs the worst."""
-    ranks = ("fault", "suspect", "unknown", "no_data", "healthy")
     judged = [
-        (ranks.index(worst((*result.surfaces, *result.axes))), result, document)
+        (LEAST_CLEARED.index(worst((*result.surfaces, *result.axes))), result, document)
         for result, document in zip(results, documents, strict=True)
         if not isinstance(result, FailedLog)
     ]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import gzip
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from logparsers import LogError
+from logparsers.source import heads
+from logparsers.text import convert, read_grid
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 _HEAD_BYTES = 64 * 1024
 """Beginning of a file that is read for the preview."""
-_ROWS = 50
-"""Rows of the preview."""
+_ROWS = 5
+"""Rows that are shown."""
 _MOSTLY = 0.9
 """Share of the cells of a column that have to be numbers for a column of numbers; the others are missing or damaged."""
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
@@ -64,49 +67,33 @@ def _unit(name: str) -> str:
     return next((unit for unit in ("rad", "us") if re.search(rf"(?:_|\b){unit}\b", name)), "deg")
 
 
-def text_of(path: Path) -> str | None:
-    """The beginning of a file if it is text, packed or not; None if it is something else."""
+def text_of(path: Path) -> bytes:
+    """The beginning of a file if it is text, packed or not, without its last line; empty if it is something else."""
     try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-        if head.startswith(b"\x1f\x8b"):
-            with gzip.open(path) as packed:
-                head = packed.read(_HEAD_BYTES)
-    except (OSError, EOFError):
-        return None
-    return None if not head or _CONTROL.search(head) else head.decode(errors="replace").lstrip("\ufeff")
+        head = heads(path, _HEAD_BYTES)[0]
+    except (LogError, IndexError):
+        return b""
+    return b"" if _CONTROL.search(head) else head.rpartition(b"\n")[0] or head
 
 
 def preview(path: Path) -> Preview | None:
     """The beginning of a table of text; None if it has no columns."""
-    text = text_of(path)
-    lines = [line for line in (text or "").splitlines() if line.strip() and not line.startswith("#")][: _ROWS + 1]
-    if len(lines) < 2:
-        return None
-    mark = max(",;\t", key=lines[0].count)
-    cells = [
-        tuple(cell.strip().strip('"') for cell in line.split(mark if mark in lines[0] else None)) for line in lines
-    ]
-    names, rows = cells[0], [row for row in cells[1:] if len(row) == len(cells[0])]
-    if len(set(names)) < len(names) or not rows or len(names) < 2:
-        return None
-    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
-    numeric = {name for name, values in columns.items() if sum(map(_is_number, values)) > _MOSTLY * len(values)}
-    return Preview(names, tuple(rows[:5]), frozenset(numeric))
-
-
-def _is_number(cell: str) -> bool:
     try:
-        float(cell or "nan")
-    except ValueError:
-        return False
-    return True
+        grid = read_grid(path, text_of(path))
+    except LogError:
+        return None
+    if len(grid.names) < 2:
+        return None
+    lines = bytes(grid.blocks[0]).decode(errors="replace").splitlines()[:_ROWS]
+    few = (1.0 - _MOSTLY) * grid.size
+    numeric = {name for name, cells in convert(grid).items() if cells.has_number and cells.strange <= few}
+    return Preview(grid.names, tuple(tuple(line.split(grid.delimiter)) for line in lines), frozenset(numeric))
 
 
 def what_it_is(path: Path) -> str:
     """What a file is that is no log, as far as it is text; empty if it is not."""
-    text = text_of(path)
-    if text is None:
+    lines = text_of(path).decode(errors="replace").lstrip("\ufeff").splitlines()
+    first = next((line.strip() for line in lines if line.strip()), "")
+    if not first:
         return ""
-    first = next((line.strip() for line in text.splitlines() if line.strip()), "")
     return f"text that begins with “{first[:40]}”, and not a table of numbers"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.calibration import PulseCalibration
+from servofd.aircraft.outputs import SURFACE_FUNCTIONS
 from servofd.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -31,25 +32,17 @@ THROTTLE_US: Final = 1620
 
 _HALF_RANGE_US: Final = 500
 """Pulse width from trim to either end [us]."""
-_FLAP: Final = 2
+_FUNCTION_OF: Final = {name: function for function, name in reversed(SURFACE_FUNCTIONS.items())}
+"""SERVOn_FUNCTION by what it turns; of two the smaller."""
+_FLAP: Final = _FUNCTION_OF["flap"]
 _ANYTHING: Final = 94
 """Function of an output that only its script knows (ArduPilot, SERVOn_FUNCTION: Script1)."""
-_USUAL: Final[dict[int, int]] = {
-    4: 1,
-    19: 2,
-    21: 4,
-}  # outputs of aileron, elevator and rudder as they come with ArduPlane
-_FUNCTIONS: Final = (
-    ("elevon", 77, 78),
-    ("vtail", 79, 80),
-    ("flaperon", 24, 25),
-    ("flap", _FLAP, _FLAP),
-    ("spoiler", 16, 17),
-    ("airbrake", 110, 110),
-    ("aileron", 4, 4),
-    ("elevator", 19, 19),
-    ("rudder", 21, 21),
-)
+_USUAL: Final = {_FUNCTION_OF[name]: number for name, number in (("aileron", 1), ("elevator", 2), ("rudder", 4))}
+"""Outputs of these as they come with ArduPlane."""
+_FUNCTIONS: Final = {
+    word: tuple(_FUNCTION_OF.get(f"{word}_{side}") or _FUNCTION_OF[word] for side in ("left", "right"))
+    for word in ("elevon", "vtail", "flaperon", "flap", "spoiler", "airbrake", "aileron", "elevator", "rudder")
+}
 """Words in the names of surfaces, and their SERVOn_FUNCTION on the left and on the right."""
 _NUMBERED: Final = re.compile(r"(?:RCOU\.C|\.servo)(\d+)(?:_raw)?$")
 
@@ -185,7 +178,7 @@ def _functions(surfaces: Collection[str]) -> dict[str, int]:
     unknown = 0
     for name in surfaces:
         plain = name.lower().replace("-", "").replace("_tail", "tail")
-        pair = next(((left, right) for word, left, right in _FUNCTIONS if word in plain), None)
+        pair = next((both for word, both in _FUNCTIONS.items() if word in plain), None)
         if pair is None:
             functions[name] = _ANYTHING + unknown
             unknown += 1

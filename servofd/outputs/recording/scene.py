@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import re
-from dataclasses import dataclass
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +18,8 @@ from servofd.outputs.recording.surface import send_seconds
 from servofd.servo.context import NO_CONTEXT
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from servofd.core.types import FloatArray
     from servofd.outputs.recording.content import Recording, Trace
     from servofd.outputs.recording.stream import Recorder
@@ -122,17 +126,6 @@ def _strips(recording: Recording, rows: FloatArray) -> tuple[list[FloatArray], A
     return [piece for piece, _ in pieces], colours([tint for _, tint in pieces])
 
 
-BODY = (
-    ((0.0, 0.0, 0.0), (0.75, 0.07, 0.08)),
-    ((0.12, 0.0, -0.05), (0.16, 1.2, 0.015)),
-    ((-0.72, 0.0, -0.02), (0.10, 0.38, 0.012)),
-    ((-0.72, 0.0, -0.22), (0.10, 0.012, 0.20)),
-)
-"""Fuselage, wing, tail and fin: centre and half size in the axes forward, right, down, in drawn metres."""
-
-_RIGHT, _DOWN = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-
-
 @dataclass(frozen=True, slots=True)
 class Hinge:
     """Axis that a surface turns about; its trailing edge is behind (forward, right, down)."""
@@ -143,16 +136,14 @@ class Hinge:
     """Of the surface: half its chord, span and thickness, in the same axes."""
 
 
-_PLACES: tuple[tuple[str, Hinge], ...] = (
-    ("rudder|yaw", Hinge((-0.825, 0.0, -0.22), _DOWN, (0.06, 0.014, 0.20))),
-    ("elev(?!on)|pitch|stab", Hinge((-0.825, 0.0, -0.02), _RIGHT, (0.06, 0.38, 0.014))),
-    ("flap.*(left|_l)", Hinge((-0.045, -0.35, -0.05), _RIGHT, (0.06, 0.22, 0.017))),
-    ("flap.*(right|_r)", Hinge((-0.045, 0.35, -0.05), _RIGHT, (0.06, 0.22, 0.017))),
-    ("(left|_l$)", Hinge((-0.045, -0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
-    ("(right|_r$)|aileron", Hinge((-0.045, 0.88, -0.05), _RIGHT, (0.06, 0.28, 0.017))),
-)
-"""Hinge of a surface by words of its name: place, axis and half sizes [m] on the drawn aircraft, which is no
-particular one."""
+_DRAWN = tomllib.loads((Path(__file__).parent / "aircraft.toml").read_text(encoding="utf-8"))
+BODY = tuple((part["at"], part["half_size"]) for part in _DRAWN["body"])
+"""Fuselage, wing, tail and fin: centre and half size in the axes forward, right, down, in drawn metres."""
+_AXES = {"right": (0.0, 1.0, 0.0), "down": (0.0, 0.0, 1.0)}
+
+
+def _hinge(place: Mapping[str, Any]) -> Hinge:
+    return Hinge(tuple(place["at"]), _AXES[place["axis"]], tuple(place["half_size"]))
 
 
 def hinges(names: list[str]) -> dict[str, Hinge]:
@@ -163,12 +154,15 @@ def hinges(names: list[str]) -> dict[str, Hinge]:
     >>> [round(h.at[0], 2) for h in hinges(["elevator", "servo_7"]).values()]
     [-0.82, -1.3]
     """
+    known = [(place["words"], _hinge(place)) for place in _DRAWN["surfaces"]]
+    other, apart_m = _hinge(_DRAWN["unnamed"]), _DRAWN["unnamed"]["apart"]
     placed: dict[str, Hinge] = {}
+    row = 0
     for name in names:
-        guess = next((hinge for words, hinge in _PLACES if re.search(words, name.lower())), None)
+        guess = next((hinge for words, hinge in known if re.search(words, name.lower())), None)
         if guess is None or guess in placed.values():
-            row = sum(h.at[0] == -1.3 for h in placed.values())
-            sideways = (row + 1) // 2 * (0.35 if row % 2 else -0.35)
-            guess = Hinge((-1.3, sideways, 0.0), _RIGHT, (0.08, 0.14, 0.014))
+            sideways = (row + 1) // 2 * (apart_m if row % 2 else -apart_m)
+            guess = replace(other, at=(other.at[0], sideways, other.at[2]))
+            row += 1
         placed[name] = guess
     return placed
