@@ -59,7 +59,7 @@ def measure(duration_s: float = _DURATION_S) -> Cost:
     segments = []
     for seed in range(_SURFACES):
         rng = np.random.default_rng(seed)
-        command_deg = COMMANDS["lively"](time_s, rng)
+        command_deg = COMMANDS["gusty"](time_s, rng)
         measured_deg = model.simulate(time_s, command_deg, time_s) + _NOISE_DEG * rng.standard_normal(time_s.size)
         segments.append(Series("x", time_s, command_deg, time_s, measured_deg))
     generator = ResidualGenerator.fitting(model, segments[0])
@@ -76,7 +76,7 @@ def measure(duration_s: float = _DURATION_S) -> Cost:
 
 def _naming_ms(kind: str) -> float:
     """Time of one decision between all hypotheses."""
-    log = judged(flight(0, "lively", kind, "large"))
+    log = judged(flight(0, "gusty", kind, "large"))
     alarm_s = log.judgement.faults[0].alarm_s
     return 1e3 * min(
         _timed(lambda: named(log.judgement.flight, alarm_s, 2.0, earliest_s=0.0, names={})) for _ in range(_REPEATS)

@@ -51,7 +51,7 @@ def healthy_log(seed: int, model: str) -> FlightLog:
     else:
         names = tuple(library())
         plane = plain_aircraft(["x"], names[draw % len(names)])
-        asked = ("flight", "lively", "hand_flown")[draw % 3]
+        asked = ("flight", "gusty", "hand_flown")[draw % 3]
         simulated = simulate_flight(plane, command=asked, duration_s=_FLIGHT_S, rate_hz=50.0, seed=seed, noise_deg=0.1)
         series = (simulated.time_s, simulated.command_deg[:, 0], simulated.time_s, simulated.measured_deg[:, 0])
     command_s, command_deg, position_s, position_deg = series

@@ -35,7 +35,7 @@ __all__ = [
     "flight",
 ]
 
-STYLES = ("lively", "calm", "chirp", "hand_flown", "cruise")
+STYLES = ("gusty", "calm", "chirp", "hand_flown", "cruise")
 SIZES: dict[str, tuple[str, dict[str, float]]] = {
     "bias": ("bias_deg", {"small": 0.8, "medium": 1.5, "large": 3.0}),
     "stuck": ("motion_rank", {"small": 1 / 6, "medium": 1 / 2, "large": 5 / 6}),
@@ -126,7 +126,7 @@ def flight(
 ) -> FleetFlight:
     """Fly one servo once, drawn or given. Up to its fault it is the flight of the same seed and style without a fault.
 
-    >>> one = flight(1, "lively", "stuck", "large")
+    >>> one = flight(1, "gusty", "stuck", "large")
     >>> one.truth.kind, 2.0 <= one.truth.start_s <= 118.0
     ('stuck', True)
     """

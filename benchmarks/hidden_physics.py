@@ -287,7 +287,7 @@ def sweep(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     return command_deg
 
 
-_WAYS = {"flight": COMMANDS["lively"], "doublets": COMMANDS["doublets"], "chirp": COMMANDS["chirp"], "sweep": sweep}
+_WAYS = {"flight": COMMANDS["gusty"], "doublets": COMMANDS["doublets"], "chirp": COMMANDS["chirp"], "sweep": sweep}
 
 
 _Translation = Callable[[Motor, Mapping[str, float]], dict[str, float]]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["crossing_at", "drawn_servo", "followed", "widths_trend"]
 
 _RATE_HZ = 100.0
-_STYLES = ("flight", "lively", "hand_flown")
+_STYLES = ("flight", "gusty", "hand_flown")
 _BANDWIDTH, _DELAY_S, _BIAS_DEG = 0.005, 0.0002, 0.01
 """Standard deviations from flight to flight: half a per cent, 0.2 ms, a hundredth of a degree."""
 

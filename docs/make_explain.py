@@ -27,7 +27,7 @@ fault smaller than what its model got wrong before. Every command and picture he
 
 A flight in which the linkage of the elevator has a degree of play. The audit knows the servo by its name, and not of the play:
 
-@ simulate -o first.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 4
+@ simulate -o first.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command gusty --seed 4
 @ audit first.csv -s elevator --servo hs225bb-eq31 -o before
 
 ![The residual stays below its threshold, but jumps with every reversal](explain/before.png)
@@ -55,8 +55,8 @@ The audit simulates the play from now on, and the same log is healthy:
 
 A model that was fitted to one flight proves itself on others. Two more, simulated with the same play:
 
-@ simulate -o second.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 1
-@ simulate -o third.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 2
+@ simulate -o second.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command gusty --seed 1
+@ simulate -o third.csv --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command gusty --seed 2
 @ explain first.csv -s elevator --servo hs225bb-eq31 --also second.csv third.csv --json why.json
 
 `--also` fits nothing to them. `servofd explain one.csv two.csv` fits both together, and holds every other one out whole.

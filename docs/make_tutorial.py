@@ -62,7 +62,7 @@ More on this in [Calibration](calibrate.md).
 The linkage of the next elevator has one degree of play. Nothing breaks in this flight, and yet the audit sees that the servo
 is not the one of the library:
 
-@ simulate -o {LOOSE} --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command lively --seed 1
+@ simulate -o {LOOSE} --effect elevator:backlash:width_deg=1 --noise-deg 0.05 --command gusty --seed 1
 @ audit {LOOSE} -s elevator --servo hs225bb-eq31 -o before
 
 ![Command, deflections and residual; the residual stays below the threshold but is far from noise](tutorial/before-elevator.png)

@@ -22,9 +22,7 @@ ONLY_IN = {
     },
     "matplotlib": {
         "servofd/outputs/calibrate_report.py",
-        "servofd/outputs/odds_figure.py",
         "servofd/outputs/figure.py",
-        "servofd/outputs/picture.py",
         *(f"servofd/results/{name}.py" for name in ("audits", "models", "shown")),
     },
     "jinja2": {"servofd/outputs/page.py", "servofd/onboard/script.py"},

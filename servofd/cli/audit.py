@@ -54,14 +54,11 @@ def run(options: Options) -> int:
     report = audit_report(results)
     write(options, results, report)
     audits = [result for result in results if not isinstance(result, FailedLog)]
-    if len(audits) > _A_FEW:  # cycles of a bench: one table and one sentence
-        if options.json != "-":
-            print_document(replace(report, parts=report.parts[:1]))
-        return _code_of_cycles(results)
-    if options.json != "-":
-        for audit in audits:
-            print_document(audit_report([audit]))
-        for audit in audits if options.plot else ():
+    few = audits if len(audits) <= _A_FEW else []  # of cycles of a bench one table and one sentence
+    if audits and options.json != "-":
+        for document in [audit_report([audit]) for audit in few] or [replace(report, parts=report.parts[:1])]:
+            print_document(document)
+        for audit in few if options.plot else ():
             _plot(audit)
     return exit_code(results)
 
@@ -118,37 +115,22 @@ def judged_logs(options: Options) -> list[LogAudit | FailedLog]:
 
 
 def exit_code(results: list[LogAudit | FailedLog]) -> int:
-    """The worst of all logs; why a log gave no verdict goes to stderr, in a line each."""
-    codes = []
-    for result in results:
-        if isinstance(result, FailedLog):
-            complain(result.error)
-            codes.append(2)
-        elif result.has_fault:
-            codes.append(1)
-        else:
-            if result.not_judged:
-                complain(result.not_judged, one_line(result.log.label))
-            codes.append(2 if result.not_judged else 0)
-    return worst(codes)
-
-
-def _code_of_cycles(results: list[LogAudit | FailedLog]) -> int:
-    """The worst of many runs of few files; which of each gave no verdict goes to stderr in a line."""
-    for result in results:
-        if isinstance(result, FailedLog):
-            complain(result.error)
+    """The worst of all logs; why there is no verdict goes to stderr, a line a log, or one for many runs of a file."""
     audits = [result for result in results if not isinstance(result, FailedLog)]
+    for result in results:
+        if isinstance(result, FailedLog):
+            complain(result.error)
     for source in dict.fromkeys(audit.log.source for audit in audits):
         runs = [audit for audit in audits if audit.log.source == source]
         dark = [audit for audit in runs if not audit.has_fault and audit.not_judged]
-        if dark:
+        if len(audits) > _A_FEW and dark:
             which = ", ".join(audit.log.run for audit in dark[:_SOME]) + (", ..." if len(dark) > _SOME else "")
-            complain(
-                f"{len(dark)} of {len(runs)} runs ({which}); the first {dark[0].not_judged}", one_line(str(source))
-            )
-    codes = [2 if isinstance(result, FailedLog) else 1 if result.has_fault else 0 for result in results]
-    return worst([*codes, *(2 for audit in audits if not audit.has_fault and audit.not_judged)])
+            complain(f"{len(dark)} of {len(runs)} runs ({which}); the first {dark[0].not_judged}", one_line(source))
+        else:
+            for audit in dark:
+                complain(audit.not_judged, one_line(audit.log.label))
+    codes = [1 if audit.has_fault else 2 if audit.not_judged else 0 for audit in audits]
+    return worst([*codes, *(2 for _ in range(len(results) - len(audits)))])
 
 
 def write(options: Options, results: list[LogAudit | FailedLog], report: Document) -> None:

@@ -23,7 +23,7 @@ def run(options: Options) -> int:
         raise NoMeasurement(f"{log.label}: FASER logs have their aircraft file: configs/faser.toml")
     else:
         aircraft = flown_aircraft(log)
-        if all(surface.model.origin == "none" for surface in aircraft.surfaces.values()):
+        if not any(surface.model.predicts for surface in aircraft.surfaces.values()):
             raise NoMeasurement(
                 f"{log.label}: no servo can be fitted to {', '.join(aircraft.surfaces)}: record commands and positions "
                 "of a flight in which they move"

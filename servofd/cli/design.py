@@ -13,13 +13,16 @@ from servofd.core.errors import ConfigError, DesignError
 from servofd.core.files import write_whole
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
-from servofd.outputs.picture import new_figure, saved
+from servofd.outputs.chart import Chart, Curve, Panel
+from servofd.outputs.figure import chart_png
 from servofd.servo.library import servo_named
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
     from servofd.detection.pulse import PulseFilter
     from servofd.servo.library import Servo
+_SHOWN_S = 0.3
+"""Time after the onset of a fault that is shown [s]."""
 
 
 def run(options: Options) -> int:
@@ -59,8 +62,7 @@ def _polynomial(coefficients: tuple[float, ...]) -> str:
 
 def _print_step(sampled: PulseFilter) -> None:
     """A few points of the response, the threshold of the thesis among them."""
-    count = max(2, round(0.3 / sampled.sample_time_s))
-    step = sampled.fault_step(count + 1)
+    step = sampled.fault_step(max(2, round(_SHOWN_S / sampled.sample_time_s)) + 1)
     say("  residual after a fault of 1 deg on the command:")
     for share in (0.1, 0.25, 0.5, 0.9):
         reached = next((k for k, value in enumerate(step) if value >= share), None)
@@ -69,16 +71,14 @@ def _print_step(sampled: PulseFilter) -> None:
 
 
 def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
-    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+    kind = path.suffix.lower()
+    if kind not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{path}: draws .png, .svg or .pdf, not {path.suffix or 'a file without suffix'}")
-    count = max(2, round(0.3 / sampled.sample_time_s)) + 1
-    figure, (axes,) = new_figure(height=4.5, width=8.0)
-    time_ms = MS_PER_S * sampled.sample_time_s * np.arange(count)
-    axes.plot(time_ms, sampled.fault_step(count), marker=".", label="residual")
-    axes.axhline(1.0, color="0.6", lw=0.8, ls="--", label="fault on the command")
-    axes.set_title(f"{servo.title}: residual after a fault of 1 deg (pole {sampled.pole_rad_s:g} rad/s)", loc="left")
-    axes.set_xlabel("time after the fault [ms]")
-    axes.set_ylabel("residual [deg]")
-    axes.grid(visible=True, color="0.9")
-    axes.legend(frameon=False)
-    write_whole(path, saved(figure, path.suffix.lower().lstrip(".")))
+    step = sampled.fault_step(max(2, round(_SHOWN_S / sampled.sample_time_s)) + 1)
+    time_ms = MS_PER_S * sampled.sample_time_s * np.arange(float(step.size))
+    ends_ms = time_ms[[0, -1]]
+    curves = (Curve("residual", "residual", time_ms, step), Curve("fault", "threshold", ends_ms, np.ones(2)))
+    title = f"{servo.title}: residual after a fault of 1 deg (pole {sampled.pole_rad_s:g} rad/s)"
+    panel = Panel.around("residual", "deg", curves)
+    chart = Chart(title, title, float(ends_ms[0]), float(ends_ms[1]), (panel,), axis="time after the fault [ms]")
+    write_whole(path, chart_png(chart, kind[1:]))

@@ -23,7 +23,7 @@ from servofd.cli.terminal import (
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
 from servofd.feedback.flown import layout_of
-from servofd.fleets.overview import Overview, log_status, overview
+from servofd.fleets.overview import Overview, overview
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore, by_path, read_logs
 from servofd.outputs.fleet_report import fleet_report, flight_name
@@ -47,19 +47,14 @@ def run(options: Options) -> int:
     seen = overview(read_logs(Path(options.folder)))
     target = options.html or str(Path(options.folder, FLEET_PAGE))
     _write_page(seen, target)
-    if give_json(options.json, seen.document()):
-        return seen.exit_code
-    print_document(fleet_report(seen.document()))
-    for fault in seen.faults:
-        say(f"{fault['path']}: {fault['surface']}: {fault['kind']} from {fault['start_s']:.1f} s")
-    for one in seen.not_judged:
-        say(f"{one['path']}: {one['reason'].removeprefix(one['path'] + ': ')}")
-    say(f"wrote {target}")
+    if not give_json(options.json, seen.document()):
+        print_document(replace(fleet_report(seen.document()), sentence=""))
+        _print(seen, target)
     return seen.exit_code
 
 
 def run_fleet(options: Options, job: Job) -> int:
-    """Judge all logs, each printed as it is done; then the overview, and what was asked for."""
+    """Judge all logs, write what was asked for, then print a line for each flight, the worst first."""
     if options.rrd:
         raise ConfigError(f"{options.rrd}: --rrd takes one log; judge the one you want to see by itself")
     folder = options.output or options.pages
@@ -71,20 +66,24 @@ def run_fleet(options: Options, job: Job) -> int:
     kept = [run.row | {"content": one.content} for one in judged for run in one.runs]
     logs = read_logs(Path(options.output)) if options.output else by_path(kept)
     seen = overview(logs)
-    for page in filter(None, (options.html, str(Path(folder, FLEET_PAGE)) if folder else None)):
+    pages = [str(Path(folder, FLEET_PAGE))] if folder else []
+    pages += [options.html] if options.html else []
+    for page in pages:
         _write_page(seen, page)
-    printed = give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]})
-    flights = seen.document()["flights"]
-    if options.pages and not printed:
-        say(f"{fleet_report(seen.document()).sentence} → {Path(options.pages, FLEET_PAGE)}")
-        print_lines([_brief(one) for one in flights[:_MOST]])
-        if len(flights) > _MOST:
-            say(f"and {len(flights) - _MOST} more, on the page")
-    elif not printed:
-        print_document(fleet_report(seen.document()))
+    if not give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}):
+        _print(seen, *pages[:1])
     for problem in (*found.problems, *(one["reason"] for one in seen.not_judged)):
         complain(problem)
     return worst([seen.exit_code, *(2 for _ in found.problems)])
+
+
+def _print(seen: Overview, page: str = "") -> None:
+    """Print what they come to, and a line for each flight, the worst first."""
+    document = seen.document()
+    say(f"{fleet_report(document).sentence}{f' → {page}' if page else ''}")
+    print_lines([_brief(one) for one in document["flights"][:_MOST]])
+    if len(seen.flights) > _MOST:
+        say(f"and {len(seen.flights) - _MOST} more{', on the page' if page else ''}")
 
 
 def _brief(flight: dict[str, Any]) -> tuple[str, str, str]:
@@ -94,7 +93,7 @@ def _brief(flight: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) -> list[JudgedLog]:
-    """Judge what is not done, and print it; kept in memory only if there is no folder for it."""
+    """Judge what is not done; kept in memory only if there is no folder for it."""
     kept = []
     to_do = list(found.logs) if store is None else _to_do(found.logs, store)
     if not to_do:
@@ -111,9 +110,6 @@ def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) 
                 kept.append(replace(judged, page=""))
             elif not store.add(judged):
                 complain("the same bytes as another log; counted once", judged.source.path)
-            if options.json != "-" and not options.pages:
-                for run in judged.runs:
-                    say(_line(run.row))
             step()
     return kept
 
@@ -138,18 +134,6 @@ def _say_what_was_skipped(found: Found) -> None:
         more = f"; and {len(found.skipped) - _SHOWN} more" if len(found.skipped) > _SHOWN else ""
         what = "1 file that is no log" if len(found.skipped) == 1 else f"{len(found.skipped)} files that are no logs"
         complain(f"passed over {what}: {some}{more}")
-
-
-def _line(log: dict[str, Any]) -> str:
-    """One run: worst status, name, and what is not as it should be."""
-    document = log["document"]
-    name = document["path"] + (f" (run {document['run']})" if document.get("run") else "")
-    bad = [
-        f"{name} {', '.join(fault['kind'] for fault in entry.get('faults', ())) or entry['status']}"
-        for name, entry in (document["surfaces"] | document.get("axes", {})).items()
-        if entry["status"] != "healthy"
-    ]
-    return f"{log_status(log):<9}{one_line(name)}{': ' + '; '.join(bad) if bad else ''}"
 
 
 def _write_page(seen: Overview, target: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from servofd.cli.terminal import print_document, say
 from servofd.jobs.survey import survey
@@ -11,7 +11,6 @@ from servofd.outputs.document import Bullets, Document, Table
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
-    from servofd.jobs.survey import Survey
 
 _SHOWN = 3
 """Alarms of another program whose times are listed."""
@@ -25,47 +24,49 @@ def run(options: Options) -> int:
     """Survey the log and print."""
     surveys = survey(options.log, options.config, every_channel=options.channels)
     if options.json:
-        say(json.dumps({"schema": "servofd.info/1", "logs": [s.as_dict() for s in surveys]}, indent=2))
+        say(json.dumps({"schema": "servofd.info/1", "logs": surveys}, indent=2))
     else:
         for found in surveys:
             print_document(_report(found))
     return 0
 
 
-def _report(found: Survey) -> Document:
-    log = found.log
-    about = (("vehicle", log.vehicle), ("firmware", log.firmware), ("booted", log.start_utc))
-    lines = [f"{label}: {value}" for label, value in about if value]
-    lines += [f"damage: {damage.kind}: {damage.note}" for damage in log.damage_summary]
-    advice = [f"to audit this aircraft: {found.advice}"] if found.advice else []
-    if not found.on_board and log.format in ("dataflash", "tlog") and found.surfaces:
+def _report(found: dict[str, Any]) -> Document:
+    label = found["path"] + (f" (run {found['run']})" if found["run"] else "")
+    about = {
+        "vehicle": found["vehicle"],
+        "firmware": found["firmware"],
+        "booted": (found["start_utc"] or "").replace("T", " "),
+    }
+    lines = [f"{name}: {value}" for name, value in about.items() if value]
+    lines += [f"damage: {damage['kind']}: {damage['note']}" for damage in found["damage"]]
+    advice = [f"to audit this aircraft: {found['advice']}"] if found["advice"] else []
+    if not found["on_board"] and found["format"] in ("dataflash", "tlog") and found["surfaces"]:
         advice.insert(0, _ON_BOARD)
     surfaces = [
         (
-            s.name,
-            s.verdict,
-            _rate(s.position_hz),
-            _rate(s.command_hz),
-            ", ".join(filter(None, (s.command, s.position, s.current))),
+            *(s["name"], s["verdict"], _rate(s["position_hz"]), _rate(s["command_hz"])),
+            ", ".join(filter(None, (s["command"], s["position"], s["current"]))),
         )
-        for s in found.surfaces
+        for s in found["surfaces"]
     ]
     channels = [
-        (c.name, c.unit, str(c.samples), _rate(c.rate_hz), str(c.gaps), f"{c.longest_gap_s:.2f}")
-        for c in found.channels
+        (c["name"], c["unit"], str(c["samples"]), _rate(c["rate_hz"]), str(c["gaps"]), f"{c['longest_gap_s']:.2f}")
+        for c in found["channel_details"]
     ]
     on_board = []
-    for seen in found.on_board:
-        times = ", ".join(f"{time_s:.2f}" for time_s in seen.alarms_s[:_SHOWN])
-        more = f", and {len(seen.alarms_s) - _SHOWN} more" if len(seen.alarms_s) > _SHOWN else ""
-        share = "not judged" if seen.peak_share is None else f"{seen.peak_share:.2f}"
-        on_board.append((seen.name, str(seen.samples), share, f"{times}{more}" or "never"))
-    count = f"{len(log.channels)} channel{'' if len(log.channels) == 1 else 's'}"
+    for seen in found["on_board"]:
+        alarms_s, peak = seen["alarms_s"], seen["peak_share"]
+        times = ", ".join(f"{time_s:.2f}" for time_s in alarms_s[:_SHOWN])
+        more = f", and {len(alarms_s) - _SHOWN} more" if len(alarms_s) > _SHOWN else ""
+        share = "not judged" if peak is None else f"{peak:.2f}"
+        on_board.append((seen["name"], str(seen["samples"]), share, f"{times}{more}" or "never"))
+    count = f"{found['channels']} channel{'' if found['channels'] == 1 else 's'}"
     return Document(
-        title=log.label,
+        title=label,
         status="no_data",
         sentence="",
-        facts=f"{log.label}: {log.format}, {log.duration_s:.1f} s, {count}",
+        facts=f"{label}: {found['format']}, {found['duration_s']:.1f} s, {count}",
         parts=[
             Bullets(lines),
             Table("", ("surface", "can be audited", "position [Hz]", "command [Hz]", "channels"), surfaces),

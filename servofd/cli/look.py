@@ -14,7 +14,7 @@ from servofd.core.files import beginning, distinct_file_names
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.page import FLEET_PAGE, source_tag
-from servofd.outputs.sentence import answers, whole_sentence, worst
+from servofd.outputs.sentence import LEAST_CLEARED, answers, whole_sentence, worst
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 _PACKED = (".gz", ".zip", ".bz2", ".xz")
 _HEAD_BYTES = 2000
 """Beginning of a page in which its source is looked for."""
-_WORST_FIRST = ("fault", "suspect", "unknown", "no_data", "healthy")
 
 
 def run(options: Options) -> int:
@@ -64,7 +63,7 @@ def _closing_lines(results: Sequence[LogAudit | FailedLog], sentence: str, page:
     audits = [result for result in results if not isinstance(result, FailedLog)]
     if not audits:
         return [f"{sentence}{where}"]
-    shown = min(audits, key=lambda audit: _WORST_FIRST.index(worst((*audit.surfaces, *audit.axes))))
+    shown = min(audits, key=lambda audit: LEAST_CLEARED.index(worst((*audit.surfaces, *audit.axes))))
     run_name = f"Run {shown.log.run}: " if shown.log.run else ""
     lines = [f"{run_name}{whole_sentence(shown)}{where}"]
     if len(audits) > 1:

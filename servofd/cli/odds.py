@@ -9,13 +9,13 @@ from servofd.aircraft.schema import UNKNOWN_SERVO, plain_aircraft
 from servofd.batch.key import Job
 from servofd.cli.terminal import complain, give_json, progress, show
 from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.core.files import distinct_file_names, make_folder
+from servofd.core.files import distinct_file_names, make_folder, write_whole
 from servofd.detection.probability import Wish
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.odds import LeftOut, odds_from_design, odds_from_logs, parts_of
 from servofd.jobs.workflow import FailedLog, judged
-from servofd.outputs.odds_figure import save_odds_figure
-from servofd.outputs.odds_report import odds_report
+from servofd.outputs.figure import chart_png
+from servofd.outputs.odds_report import odds_chart, odds_report
 from servofd.servo.library import servo_named
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run(options: Options) -> int:
         make_folder(folder)
         with progress("figures", len(odds)) as step:
             for surface, name in zip(odds, distinct_file_names([o.surface for o in odds]), strict=True):
-                save_odds_figure(surface, folder / f"odds-{name}.png")
+                write_whole(folder / f"odds-{name}.png", chart_png(odds_chart(surface)))
                 step(surface.surface)
         give_json(str(folder / "odds.json"), report.data)
     show(report, json=options.json if odds or options.json == "-" else None)

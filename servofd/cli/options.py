@@ -360,7 +360,7 @@ def _simulate(parser: Parser) -> None:
     rate = "sample rate (default: 100; in a .tlog 40; of a stream 50, the main loop of an ArduPlane)"
     parser.add_argument("--rate-hz", type=float, metavar="HZ", help=rate)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
-    command = "flight, calm, lively, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)"
+    command = "flight, calm, gusty, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)"
     parser.add_argument("--command", default="flight", help=command)
     noise = "noise of the position (default: 0.1)"
     parser.add_argument("--noise-deg", type=float, default=0.1, metavar="X", help=noise)

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.cli.terminal import check_targets, complain, give_json, print_table, say, worst
+from servofd.cli.terminal import (
+    check_targets,
+    complain,
+    give_json,
+    print_document,
+    print_lines,
+    print_table,
+    say,
+    worst,
+)
 from servofd.core.errors import ConfigError, RecordingError
-from servofd.detection.verdict import describe
 from servofd.jobs.workflow import FailedLog
+from servofd.outputs.audit_report import audit_report
+from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.read import read_recording, repair_recording
 from servofd.outputs.recording.review import between, compared, contradictions, rejudged
 from servofd.outputs.recording.states import events
 from servofd.outputs.recording.verdicts import LIVE
 from servofd.outputs.recording.write import write_recording
+from servofd.outputs.sentence import STATUSES, whole_sentence
+from servofd.outputs.sentence import worst as worst_of
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
@@ -97,62 +110,39 @@ def _show(options: Options, found: list[tuple[Path, Recording]], failed: list[tu
         complain(error)
     if options.json and give_json(options.json, _document(found, failed)):
         return
-    if len(found) == 1 and not failed:
-        _print_one(*found[0])
-    elif found:
-        _print_fleet(found)
+    if found:
+        _print(found)
+
+
+def _events(recording: Recording) -> list[tuple[float, str, str]]:
+    """When [s], level and words of what happened to all surfaces."""
+    traces, surfaces = recording.traces, recording.audit.surfaces
+    return sorted(line for s in surfaces for line in events(traces.get(s.surface), s, recording.start_s))
 
 
 def _document(found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> dict[str, Any]:
     """Schema servofd.audit/1, as the audit wrote it, and which recording it was read from."""
     document = audit_document([*(r.audit for _, r in found), *(FailedLog(str(p), e) for p, e in failed)])
     for entry, (path, recording) in zip(document["logs"], found, strict=False):
-        lines = [
-            line
-            for s in recording.audit.surfaces
-            for line in events(recording.traces.get(s.surface), s, recording.start_s)
-        ]
         entry["recording"] = str(path)
         entry["notes"] = list(recording.notes)
-        entry["events"] = [{"time_s": t, "level": level, "text": text} for t, level, text in sorted(lines)]
+        entry["events"] = [{"time_s": t, "level": level, "text": text} for t, level, text in _events(recording)]
     return document
 
 
-def _print_one(path: Path, recording: Recording) -> None:
-    audit, rows = recording.audit, []
-    for s in audit.surfaces:
-        of = s.statistics
-        sizes = ["", "", ""] if of is None else [f"{x:.3f}" for x in (of.mean_deg, of.std_deg, of.max_abs_deg)]
-        rows.append([s.surface, s.status, *sizes, s.reason])
-    headings = ["surface", "status", "mean", "std", "max [deg]", "why"]
-    print_table(headings, rows, f"{path}   {audit.log.source.name}, {audit.log.duration_s:.1f} s")
-    lines = [e for s in audit.surfaces for e in events(recording.traces.get(s.surface), s, recording.start_s)]
-    for time_s, level, text in sorted(lines):
-        say(f"  {time_s:10.2f} s  {level:5}  {text}")
-    for note in recording.notes:
-        say(f"  note: {note}")
-
-
-def _print_fleet(found: list[tuple[Path, Recording]]) -> None:
-    """One line for each flight, the worst status and all faults."""
-    rows = []
-    for path, recording in found:
-        audit = recording.audit
-        statuses = [s.status for s in audit.surfaces]
-        worst = next(w for w in ("fault", "suspect", "unknown", "healthy", "no_data") if w in statuses)
-        faults = "; ".join(f"{s.surface}: {describe(f)}" for s in audit.surfaces for f in s.faults)
-        judged = sum(s.is_judged for s in audit.surfaces)
-        rows.append(
-            [
-                path.name,
-                audit.aircraft.name,
-                f"{audit.log.duration_s:.0f} s",
-                f"{judged}/{len(statuses)}",
-                worst,
-                faults,
-            ]
-        )
-    print_table(["recording", "aircraft", "length", "judged", "status", "faults"], rows, f"{len(rows)} recordings")
+def _print(found: list[tuple[Path, Recording]]) -> None:
+    """Print a recording as the audit prints its log, with what happened when; of several, a line for each."""
+    report = audit_report([recording.audit for _, recording in found])
+    if len(found) > 1:
+        audits = [(path.name, recording.audit) for path, recording in found]
+        rows = [(worst_of(audit.surfaces), name, whole_sentence(audit)) for name, audit in audits]
+        say(report.sentence)
+        print_lines(sorted(rows, key=lambda row: (STATUSES.index(row[0]), row[1])))
+        return
+    ((path, recording),) = found
+    lines = [f"{time_s:10.2f} s  {level:5}  {text}" for time_s, level, text in _events(recording)]
+    lines += [f"note: {note}" for note in recording.notes]
+    print_document(replace(report, facts=f"{path}: {report.facts}", parts=[*report.parts, Bullets(lines)]))
 
 
 def _compare(options: Options, path: Path) -> int:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from logparsers.units import MS_PER_S
 from servofd.cli.terminal import give_json, print_table
+from servofd.core.statistics import Estimate
 from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
 from servofd.jobs.sweep import check_sweep
 
@@ -14,8 +15,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.cli.options import Options
-    from servofd.core.statistics import Estimate
-    from servofd.jobs.sweep import SurfaceSweep, SweepNumbers
+    from servofd.jobs.sweep import SurfaceSweep
 
 
 def run(options: Options) -> int:
@@ -63,36 +63,19 @@ def _print(found: tuple[SurfaceSweep, ...], title: str) -> None:
 
 def sweep_document(log: FlightLog, surfaces: Sequence[SurfaceSweep]) -> dict[str, Any]:
     """All numbers of one sweep."""
-    return {
-        "schema": "servofd.sweep/1",
-        "path": str(log.source),
-        "duration_s": log.duration_s,
-        "surfaces": {
-            one.surface: {
-                "status": one.status,
-                "reasons": list(one.reasons),
-                "numbers": None if one.numbers is None else _numbers(one.numbers),
-            }
-            for one in surfaces
-        },
+    found = {
+        one.surface: {
+            "status": one.status,
+            "reasons": list(one.reasons),
+            "numbers": one.numbers and {name: _plain(value) for name, value in one.numbers._asdict().items()},
+        }
+        for one in surfaces
     }
+    about = {"path": str(log.source), "duration_s": log.duration_s}
+    return {"schema": "servofd.sweep/1", **about, "surfaces": found}
 
 
-def _numbers(numbers: SweepNumbers) -> dict[str, Any]:
-    return {
-        "asked_deg": list(numbers.asked_deg),
-        "expected_deg": list(numbers.expected_deg),
-        "reached_deg": list(numbers.reached_deg),
-        "gain": _estimate(numbers.gain),
-        "extra_delay_s": _estimate(numbers.extra_delay_s),
-        "bandwidth_scale": _estimate(numbers.bandwidth),
-        "bias_deg": _estimate(numbers.bias_deg),
-        "play_deg": _estimate(numbers.play_deg),
-        "fastest_deg_s": numbers.fastest_deg_s,
-        "residual_peak_deg": numbers.residual_peak_deg,
-        "threshold_deg": numbers.threshold_deg,
-    }
-
-
-def _estimate(estimate: Estimate) -> dict[str, float]:
-    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
+def _plain(value: float | tuple[float, ...]) -> Any:  # noqa: ANN401 - as JSON has it
+    if isinstance(value, Estimate):
+        return value._asdict()
+    return list(value) if isinstance(value, tuple) else value

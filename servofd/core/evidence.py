@@ -35,6 +35,11 @@ class ModelOrigin(BaseModel):
     fitted_between_s: tuple[float, float] | None = None
     """Which part of the log that is judged the model was fitted to; None where it was not fitted to it."""
 
+    @property
+    def predicts(self) -> bool:
+        """Whether there is a model at all."""
+        return self.origin != "none"
+
 
 NAMED = ModelOrigin()
 

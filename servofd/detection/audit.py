@@ -134,7 +134,7 @@ def audit_segment(
     problem = _too_little(segment, is_calibrated=surface.is_calibrated)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
-    if surface.model.origin == "none":
+    if not surface.model.predicts:
         asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
         reason, tried = _unpredicted(surface, segment, asked_deg), asked_deg >= _HARDLY_ASKED_DEG
         return verdict(status="unknown", reason=reason, segment=segment, tried=tried)

@@ -204,10 +204,6 @@ class Noise:
 
 _POINTS_LOG2 = 13
 """Logarithm to base 2 of the number of Sobol points."""
-_SHARE_SEEN = 0.95
-"""Share of the simulated flights that must see the alarm for a mean delay."""
-_RUNS = 400
-"""Flights to simulate; the standard error is about the delay over their square root."""
 _TRACE_OF_WHITE = 1e-12
 """White noise that is added to a correlation, so that it can be factored."""
 _TINY = np.finfo(float).tiny
@@ -240,28 +236,6 @@ def _rate_of(noise: Noise, samples: int) -> Callable[[float], float]:
         return lambda level: false_alarms_per_hour(level, 1.0, noise.correlation, noise.sample_time_s)
     factor = _factor(noise, samples)
     return lambda level: _rate(level, factor, noise.sample_time_s)
-
-
-def persistent_delay_s(
-    response_deg: FloatArray, threshold_deg: float, noise: Noise, samples: int, *, seed: int = 1
-) -> float:
-    """Expected time from a fault to this many samples in a row over the threshold, by simulation [s].
-
-    `response_deg` (n,) is the mean residual from the sample at which the fault sets in; infinite if more than one
-    run in twenty saw no alarm within it.
-    """
-    residual = noise.sample((_RUNS, response_deg.size), seed) + response_deg + noise.mean_deg
-    hit = np.zeros(residual.shape, dtype=bool)
-    for side in (residual >= threshold_deg, residual <= -threshold_deg):
-        held = side.copy()
-        for back in range(1, samples):
-            held[:, back:] &= side[:, :-back]
-            held[:, :back] = False
-        hit |= held
-    seen = hit.any(axis=1)
-    if np.count_nonzero(seen) < _SHARE_SEEN * _RUNS:
-        return float("inf")
-    return float(np.where(seen, hit.argmax(axis=1), response_deg.size).mean()) * noise.sample_time_s
 
 
 def _factor(noise: Noise, samples: int) -> FloatArray:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from logparsers.units import S_PER_HOUR
 from servofd.batch.key import page_name
 from servofd.outputs.json_report import worst_outline
+from servofd.outputs.sentence import STATUSES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_WORST_FIRST = ("fault", "suspect", "healthy", "unknown", "no_data")
 _RANK = ("fault", "suspect", "not_judged", "unknown", "no_data", "healthy")
 
 
@@ -112,7 +112,7 @@ def log_status(log: dict[str, Any]) -> str:
     statuses = {entry["status"] for entry in (*log["document"]["surfaces"].values(), *_axes(log).values())}
     if log["not_judged"] and "suspect" not in statuses:
         return "not_judged"
-    return next((status for status in _WORST_FIRST if status in statuses), "not_judged")
+    return next((status for status in STATUSES if status in statuses), "not_judged")
 
 
 def _axes(log: dict[str, Any]) -> dict[str, Any]:

@@ -31,49 +31,33 @@ if TYPE_CHECKING:
     from servofd.batch.find import LogSource
     from servofd.fleets.run import JudgedLog
 
-_LOG = {"content": "string", "path": "string", "run": "string", "start_utc": "time"}
+
+def _all(kind: str, *names: str) -> dict[str, str]:
+    return dict.fromkeys(names, kind)
+
+
+_LOG = {**_all("string", "content", "path", "run"), "start_utc": "time"}
 TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "faults": {
             **_LOG,
-            "surface": "string",
-            "kind": "string",
-            "level": "string",
-            "start_s": "double",
-            "alarm_s": "double",
-            "end_s": "double",
-            "probability": "double",
-            "parameters": "string",
-            "alternatives": "string",
+            **_all("string", "surface", "kind", "level"),
+            **_all("double", "start_s", "alarm_s", "end_s", "probability"),
+            **_all("string", "parameters", "alternatives"),
         },
         "surfaces": {
             **_LOG,
             "duration_s": "double",
-            "surface": "string",
-            "status": "string",
-            "reason": "string",
-            "servo": "string",
-            "threshold_kind": "string",
-            "threshold_deg": "double",
-            "residual_mean_deg": "double",
-            "residual_std_deg": "double",
-            "residual_max_abs_deg": "double",
-            "simulation_error_rms_deg": "double",
-            "false_alarms_per_hour": "double",
-            "faults": "int64",
-            "suspicions": "int64",
+            **_all("string", "surface", "status", "reason", "servo", "threshold_kind"),
+            **_all("double", "threshold_deg", "residual_mean_deg", "residual_std_deg", "residual_max_abs_deg"),
+            **_all("double", "simulation_error_rms_deg", "false_alarms_per_hour"),
+            **_all("int64", "faults", "suspicions"),
         },
         "axes": {
             **_LOG,
             "duration_s": "double",
-            "axis": "string",
-            "status": "string",
-            "reason": "string",
-            "members": "string",
-            "lost_share": "double",
-            "offset_us": "double",
-            "since_s": "double",
-            "judged_share": "double",
+            **_all("string", "axis", "status", "reason", "members"),
+            **_all("double", "lost_share", "offset_us", "since_s", "judged_share"),
         },
         "logs": {
             **_LOG,
@@ -94,47 +78,40 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
     for run in judged.runs:
         document = run.document
-        start = document.get("start_utc")
-        log = {
+        start, duration_s = document.get("start_utc"), document["duration_s"]
+        log = {key: document.get(key) for key in ("path", "run")} | {
             "content": judged.content,
-            "path": document["path"],
-            "run": document.get("run"),
-            "start_utc": datetime.fromisoformat(start) if start else None,
+            "duration_s": duration_s,
         }
-        tables["logs"].append(
-            {
-                **log,
-                "size_bytes": judged.source.size_bytes,
-                "format": document["format"],
-                "duration_s": document["duration_s"],
-                "not_judged": run.not_judged or None,
-                "damage": len(document["damage"]),
-                "document": json.dumps(document),
-            }
-        )
+        log["start_utc"] = datetime.fromisoformat(start) if start else None
+        own = {"size_bytes": judged.source.size_bytes, "not_judged": run.not_judged or None}
+        own |= {"damage": len(document["damage"]), "document": json.dumps(document)}
+        tables["logs"].append(_row("logs", document | log | own))
         for name, axis in document.get("axes", {}).items():
-            own = {key: axis[key] for key in ("status", "reason", "lost_share", "offset_us", "since_s", "judged_share")}
-            members = ", ".join(axis["members"])
-            tables["axes"].append(
-                {**log, "duration_s": document["duration_s"], "axis": name, **own, "members": members}
-            )
+            tables["axes"].append(_row("axes", axis | log | {"axis": name, "members": ", ".join(axis["members"])}))
         for name, surface in document["surfaces"].items():
-            tables["surfaces"].append({**log, "duration_s": document["duration_s"], **_surface(name, surface)})
-            for level in ("faults", "suspicions"):
-                tables["faults"] += [{**log, "surface": name, **_fault(fault, level)} for fault in surface[level]]
+            sizes = {f"residual_{key}": size for key, size in (surface["residual"] or {}).items()}
+            sizes |= {f"threshold_{key}": value for key, value in surface["threshold"].items()}
+            counts = {level: len(surface[level]) for level in ("faults", "suspicions")}
+            tables["surfaces"].append(_row("surfaces", surface | log | sizes | counts | {"surface": name}))
+            for level in counts:
+                for fault in surface[level]:
+                    parameters, others = json.dumps(fault["parameters"]), ", ".join(fault["alternatives"])
+                    text = {"level": level.removesuffix("s"), "parameters": parameters, "alternatives": others}
+                    tables["faults"].append(_row("faults", fault | log | text | {"surface": name}))
     return tables
+
+
+def _row(table: str, known: Mapping[str, Any]) -> dict[str, Any]:
+    """Of all that is known, the columns of a table."""
+    return {name: known.get(name) for name in TABLES[table]}
 
 
 def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
     """Rows as an Arrow table with the columns of `TABLES`, whatever they hold."""
     import pyarrow as pa
 
-    kinds = {
-        "string": pa.string(),
-        "double": pa.float64(),
-        "int64": pa.int64(),
-        "time": pa.timestamp("us", tz="UTC"),
-    }
+    kinds = {"string": pa.string(), "double": pa.float64(), "int64": pa.int64(), "time": pa.timestamp("us", tz="UTC")}
     schema = pa.schema([(column, kinds[kind]) for column, kind in TABLES[name].items()])
     return pa.Table.from_pylist([{key: _text(value) for key, value in row.items()} for row in content], schema=schema)
 
@@ -142,38 +119,6 @@ def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
 def _text(value: Any) -> Any:  # noqa: ANN401 - any cell
     """Names of files that are no UTF-8 as Python writes them; anything else as it is."""
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
-
-
-def _surface(name: str, surface: dict[str, Any]) -> dict[str, Any]:
-    residual = surface["residual"] or {}
-    return {
-        "surface": name,
-        "status": surface["status"],
-        "reason": surface["reason"],
-        "servo": surface["servo"],
-        "threshold_kind": surface["threshold"]["kind"],
-        "threshold_deg": surface["threshold"]["deg"],
-        "residual_mean_deg": residual.get("mean_deg"),
-        "residual_std_deg": residual.get("std_deg"),
-        "residual_max_abs_deg": residual.get("max_abs_deg"),
-        "simulation_error_rms_deg": surface["simulation_error_rms_deg"],
-        "false_alarms_per_hour": surface["false_alarms_per_hour"],
-        "faults": len(surface["faults"]),
-        "suspicions": len(surface["suspicions"]),
-    }
-
-
-def _fault(fault: dict[str, Any], level: str) -> dict[str, Any]:
-    return {
-        "kind": fault["kind"],
-        "level": level.removesuffix("s"),
-        "start_s": fault["start_s"],
-        "alarm_s": fault["alarm_s"],
-        "end_s": fault["end_s"],
-        "probability": fault["probability"],
-        "parameters": json.dumps(fault["parameters"]),
-        "alternatives": ", ".join(fault["alternatives"]),
-    }
 
 
 _SCHEMA = "servofd.fleets/1"

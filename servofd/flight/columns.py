@@ -77,11 +77,6 @@ class Flight:
     sticks: Mapping[str, Series]
     supply_v: Series | None
 
-    def in_air(self, time_s: FloatArray) -> BoolArray:
-        """Which times lie in the flight."""
-        inside: BoolArray = (time_s >= self.span_s[0]) & (time_s <= self.span_s[1])
-        return inside
-
 
 _STICKS = {"roll": ("RCMAP_ROLL", 1), "pitch": ("RCMAP_PITCH", 2), "yaw": ("RCMAP_YAW", 4)}
 """Parameter that names the channel of each stick, and ArduPilot's default."""

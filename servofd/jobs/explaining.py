@@ -132,8 +132,9 @@ class _Flown:
 
     logs: tuple[FlightLog, ...]
     aircraft: Aircraft
-    servo: str | None
     label: str
+    unnamed: frozenset[str]
+    """Surfaces whose servo is unknown: its poles have to be found as well."""
 
     @property
     def source(self) -> str:
@@ -151,12 +152,6 @@ class _Flown:
         """Whether these are experiments that begin at rest."""
         return self.aircraft.table is not None and bool(self.aircraft.table.run)
 
-    def has_unknown_servo(self, surface: str) -> bool:
-        """Whether the poles have to be found as well."""
-        if self.servo is None:
-            return not self.aircraft.surfaces[surface].names_servo
-        return self.servo == UNKNOWN
-
 
 def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = known_aircraft(aircraft)
@@ -165,7 +160,10 @@ def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, se
     flown = surfaces_of(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
-    return _Flown(logs, flown, servo, ", ".join(map(label_of, paths)))
+    unnamed = frozenset(
+        n for n, s in flown.surfaces.items() if servo == UNKNOWN or (servo is None and not s.names_servo)
+    )
+    return _Flown(logs, flown, ", ".join(map(label_of, paths)), unnamed)
 
 
 def _explained(
@@ -176,15 +174,13 @@ def _explained(
 ) -> ExplainedLogs:
     aircraft, found, failures = flown.aircraft, [], []
     for name in surfaces:
-        if name not in aircraft.surfaces:
-            raise UnknownName(f"{flown.source}: {suggest('surface', name, aircraft.surfaces)}")
         try:
             one = _surface(flown, name, also, progress)
         except (NoMeasurement, DesignError) as error:
             failures.append(f"{flown.source}: {name}: {error}")
             continue
         found.append(one)
-        if flown.has_unknown_servo(name) and one.record.side is None:
+        if name in flown.unnamed and one.record.side is None:
             aircraft = _with_unknown_servo(aircraft, name, _fitted_poles(one))
     return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source, flown.logs)
 
@@ -195,8 +191,7 @@ def _surface(
     also: Sequence[tuple[str, dict[str, Series]]],
     progress: Callable[[str], None],
 ) -> Explanation:
-    free_poles = flown.has_unknown_servo(name)
-    aircraft = _with_unknown_servo(flown.aircraft, name) if free_poles else flown.aircraft
+    aircraft = _with_unknown_servo(flown.aircraft, name) if name in flown.unnamed else flown.aircraft
     logs, segments = _segments(flown.logs, name, aircraft)
     model = aircraft.model(name)
     off: list[Undriven] = []
@@ -210,7 +205,7 @@ def _surface(
         segments,
         model,
         on_bench=flown.on_bench,
-        free_poles=free_poles,
+        free_poles=name in flown.unnamed,
         off=off,
         conditions=conditions,
         usual_deg=aircraft.surfaces[name].model.held_out_rms_deg or 0.0,

@@ -44,7 +44,7 @@ class SweepNumbers(NamedTuple):
     """Deflection per degree of command."""
     extra_delay_s: Estimate
     """Beyond that of the model [s]."""
-    bandwidth: Estimate
+    bandwidth_scale: Estimate
     """Over that of the model."""
     bias_deg: Estimate
     play_deg: Estimate
@@ -223,8 +223,8 @@ def _out_of_tolerance(numbers: SweepNumbers, surface: Surface, model: ServoModel
             f"lags by {MS_PER_S * numbers.extra_delay_s.value:+.0f} ms more than its model "
             f"(tolerance ±{MS_PER_S * tolerance.delay_s:.1f} ms)"
         )
-    if _beyond(numbers.bandwidth, 1.0, tolerance.bandwidth):
-        found.append(f"has {numbers.bandwidth.value:.0%} of its bandwidth (tolerance ±{tolerance.bandwidth:.0%})")
+    if _beyond(numbers.bandwidth_scale, 1.0, tolerance.bandwidth):
+        found.append(f"has {numbers.bandwidth_scale.value:.0%} of its bandwidth (tolerance ±{tolerance.bandwidth:.0%})")
     if _beyond(numbers.bias_deg, 0.0, tolerance.bias_deg):
         found.append(f"is off by {numbers.bias_deg.value:+.2f} deg (tolerance ±{tolerance.bias_deg:.2g} deg)")
     if numbers.play_deg.low > max(2.0 * tolerance.bias_deg, _SMALL_PLAY_DEG):

@@ -32,6 +32,8 @@ from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.lanes import beside, diary
 from servofd.outputs.sentence import (
+    LEAST_CLEARED,
+    STATUSES,
     clock,
     gravity,
     other_way_round,
@@ -64,8 +66,8 @@ _ORIGINS = {
     "fitted": "fitted to this very log",
     "none": "none that predicts",
 }
-_WORST_FIRST = ("fault", "suspect", "unknown", "no_data", "healthy")
-_SHOWN_FIRST = ("fault", "suspect", "healthy", "unknown", "no_data")
+_RATES = {"calibrated": "as measured on simulated aircraft"}
+"""What a rate of false alarms rests on, by the origin of the model."""
 _BY_POSITION = """Each servo is simulated with the commands that were logged, on their true time stamps: poles,
 transport delay, hold and rate limit of its model. Measured minus simulated deflection passes a nullspace filter,
 which leaves a residual that no command can move as long as the servo is healthy. The alarm is raised when its size
@@ -106,7 +108,7 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     ]
     return Document(
         title=", ".join(log.title for log in logs),
-        status=next((status for status in _WORST_FIRST if status in known), "no_data"),
+        status=next((status for status in LEAST_CLEARED if status in known), "no_data"),
         sentence=f"{faulty or 'None'} of {len(logs)} logs show{'s' * (faulty <= 1)} a fault{others}.",
         parts=[
             Table("All logs", ("log", "worst", "verdict"), index),
@@ -197,7 +199,7 @@ def _log(audit: LogAudit) -> Document:
     facts = [log.source.name, log.format, f"{log.duration_s:.1f} s", log.vehicle, log.firmware]
     if log.start_utc is not None:
         facts.append(f"begun {log.start_utc:%Y-%m-%d %H:%M} UTC")
-    ordered = sorted(audit.surfaces, key=lambda surface: (_SHOWN_FIRST.index(surface.status), gravity(surface)))
+    ordered = sorted(audit.surfaces, key=lambda surface: (STATUSES.index(surface.status), gravity(surface)))
     damage = [
         (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
         for damage in log.damage_summary
@@ -346,7 +348,7 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
         ("smallest faults", seen(surface.detectable) or "none would have been seen"),
     ]
     if surface.false_alarms_per_hour is not None:
-        basis = "as measured on simulated aircraft" if model.origin == "calibrated" else "were the residual Gaussian"
+        basis = _RATES.get(model.origin, "were the residual Gaussian")
         rows.append((f"false alarms, {basis}", plain_rate(surface.false_alarms_per_hour)))
     return rows
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.outputs.document import Bullets, Document, Table
-from servofd.outputs.picture import finish, new_figure
+from servofd.outputs.figure import finish, new_figure
 from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
@@ -108,23 +108,18 @@ def _interval(estimate: Iterable[float]) -> str:
 
 def calibrate_figure(found: Calibration) -> Figure:
     """Bars of the smallest faults that flights like the good ones show, 19 times in 20; none where none would show."""
-    figure, (angles, shares) = new_figure(1, 2, height=1.4 + 0.7 * len(found.surfaces), share_x=False)
-    shown = [one.detectable for one in found.surfaces]
-    in_degrees = {words: [getattr(one, name) or 0.0 for one in shown] for words, name in _ANGLES_DEG.items()}
-    in_percent = {
-        "travel lost": [100.0 * (one.loss_share or 0.0) for one in shown],
-        "speed lost": [0.0 if one.slow_share is None else 100.0 * (1.0 - one.slow_share) for one in shown],
-    }
-    places = np.arange(len(shown))
-    for axes, sizes, unit in ((angles, in_degrees, "deg"), (shares, in_percent, "%")):
-        height = 0.8 / len(sizes)
-        for k, (words, values) in enumerate(sizes.items()):
-            axes.barh(places + (k - 0.5 * (len(sizes) - 1)) * height, values, 0.9 * height, label=words)
-        axes.set_axisbelow(True)
-        axes.set_yticks(places, [spoken(one.surface) for one in found.surfaces])
+    figure, all_axes = new_figure(1, 2, height=1.4 + 0.7 * len(found.surfaces), share_x=False)
+    places, kinds = np.arange(len(found.surfaces)), [one.detectable for one in found.surfaces]
+    lost = np.array([(one.loss_share or 0.0, 1.0 - (one.slow_share or 1.0)) for one in kinds])
+    angles = np.array([[getattr(one, name) or 0.0 for name in _ANGLES_DEG.values()] for one in kinds])
+    shown = ((angles, list(_ANGLES_DEG), "deg"), (100.0 * lost, ["travel lost", "speed lost"], "%"))
+    for axes, (sizes, words, unit) in zip(all_axes, shown, strict=True):
+        height = 0.8 / len(words)
+        for k, word in enumerate(words):
+            axes.barh(places + k * height, sizes[:, k], 0.9 * height, label=word)
+        axes.set_yticks(places + (0.4 - height / 2.0), [spoken(one.surface) for one in found.surfaces])
         axes.invert_yaxis()
-        axes.set_xlabel(f"smallest fault that shows [{unit}]")
-        finish(axes, legend="above")
+        finish(axes, x=f"smallest fault that shows [{unit}]", legend="above")
     return figure
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from servofd.outputs.chart import Chart, Curve, Panel, extremes
 from servofd.outputs.document import Cell, Document, Figures, Table
-from servofd.outputs.sentence import spoken
+from servofd.outputs.sentence import STATUSES, spoken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.document import Part
 
-_RANKS = ("fault", "suspect", "healthy", "unknown", "no_data", "")
+_RANKS = (*STATUSES, "")
 _LEAST_DEG = 0.1
 """Room above and below curves that hardly move [deg]."""
 _FEWEST = 2

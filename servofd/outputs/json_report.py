@@ -71,21 +71,25 @@ def _about(log: FlightLog) -> dict[str, Any]:
     }
 
 
+_OF_CHANGE = ("alarm_s", "explained_share", "judged_share", "judged_until_s", "since_s", "status")
+_OF_AXIS = ("status", "reason", "since_s", "false_alarms_per_hour", "judged_share")
+_OF_EVENT = ("start_s", "alarm_s", "end_s", "from_start")
+
+
+def _named(of: object, names: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in names}
+
+
 def _flight(flight: FlightAlone) -> dict[str, Any]:
     return {
         "checks": [asdict(check) for check in flight.checks],
         "axes": {
             name: {
-                "status": axis.status,
+                **_named(axis, _OF_CHANGE),
                 "reason": axis.text,
                 "members": list(axis.members),
-                "since_s": axis.since_s,
-                "alarm_s": axis.alarm_s,
                 "lost_share": axis.lost_share and axis.lost_share._asdict(),
                 "offset_us": axis.offset_us and axis.offset_us._asdict(),
-                "explained_share": axis.explained_share,
-                "judged_share": axis.judged_share,
-                "judged_until_s": axis.judged_until_s,
             }
             for name, axis in flight.axes.items()
         },
@@ -93,36 +97,24 @@ def _flight(flight: FlightAlone) -> dict[str, Any]:
 
 
 def _axis(axis: AxisAudit) -> dict[str, Any]:
+    sizes = {"lost_share": axis.lost_share, "offset_us": axis.offset_us}
+    smallest = {"loss_share": axis.detectable.loss, "offset_us": axis.detectable.offset_us}
     return {
-        "status": axis.status,
-        "reason": axis.reason,
+        **_named(axis, _OF_AXIS),
         "members": list(axis.members),
-        "lost_share": axis.lost_share and axis.lost_share.value,
-        "offset_us": axis.offset_us and axis.offset_us.value,
-        "intervals": {
-            "lost_share": axis.lost_share and [axis.lost_share.low, axis.lost_share.high],
-            "offset_us": axis.offset_us and [axis.offset_us.low, axis.offset_us.high],
-        },
-        "since_s": axis.since_s,
+        **{name: size and size.value for name, size in sizes.items()},
+        "intervals": {name: size and [size.low, size.high] for name, size in sizes.items()},
         "outline": list(axis.outline),
-        "false_alarms_per_hour": axis.false_alarms_per_hour,
         "identifiable": axis.identifiable >= MOST_OF_THE_FLIGHT,
         "identifiable_share": axis.identifiable,
-        "judged_share": axis.judged_share,
-        "detectable": {
-            "loss_share": axis.detectable.loss if math.isfinite(axis.detectable.loss) else None,
-            "offset_us": axis.detectable.offset_us if math.isfinite(axis.detectable.offset_us) else None,
-        },
+        "detectable": {name: size if math.isfinite(size) else None for name, size in smallest.items()},
         "events": [
             {
-                "start_s": event.start_s,
-                "alarm_s": event.alarm_s,
-                "end_s": event.end_s,
+                **_named(event, _OF_EVENT),
                 "lost_share": event.lost_share._asdict() if axis.model.own_command else None,
                 "offset_us": event.offset_us._asdict() if axis.model.own_command else None,
                 "lag_s": None if event.lag_s is None else event.lag_s._asdict(),
                 "cause": event.cause or None,
-                "from_start": event.from_start,
             }
             for event in axis.events
         ],
@@ -158,8 +150,7 @@ def _surface(surface: SurfaceAudit) -> dict[str, Any]:
 
 
 def _current(current: CurrentAudit) -> dict[str, Any]:
-    names = ("status", "reason", "explained_share", "ratio_to_good", "since_s", "judged_share")
-    return {name: getattr(current, name) for name in names}
+    return _named(current, ("status", "reason", "explained_share", "ratio_to_good", "since_s", "judged_share"))
 
 
 def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
@@ -168,8 +159,7 @@ def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
 
 
 def _fault(identity: str, fault: Fault) -> dict[str, Any]:
-    plain = {name: getattr(fault, name) for name in _OF_FAULT}
-    return plain | {
+    return _named(fault, _OF_FAULT) | {
         "id": identity,
         "witness": fault.witness,
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},

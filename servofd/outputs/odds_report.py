@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from servofd.detection.probability import SurfaceOdds
+import numpy as np
+
+from servofd.detection.probability import WITHIN_S, SurfaceOdds, bias_response, detect, false_alarms_per_hour
+from servofd.outputs.chart import Chart, Curve, Mark, Panel
 from servofd.outputs.document import Bullets, Document, Table
 
 if TYPE_CHECKING:
@@ -14,6 +17,44 @@ if TYPE_CHECKING:
 
 _SHORTEST_S, _LONGEST_S = 1e-4, 3600.0
 """Delays below the first are shown as that, and above the second as over an hour [s]."""
+_SIZES_SIGMAS, _ROLES = (3.0, 4.0, 5.0, 6.0, 8.0), ("simulated", "measured", "residual", "suspect", "fault")
+"""Sizes of the bias faults of the chart, in standard deviations of the residual, and the roles of their curves."""
+_LOWEST_RATE, _HIGHEST_RATE, _THRESHOLDS = 1e-6, 1e3, 60
+"""Ends of the axis of false alarms [1/h], and points of a curve."""
+
+
+def odds_chart(odds: SurfaceOdds) -> Chart:
+    """Probability of detection within 0.2 s against false alarms per hour, one curve for each size of a bias fault.
+
+    By the measured tail, where there is one, sizes grow with the threshold of the wanted rate.
+    """
+    noise, tail = odds.noise, odds.tail
+    if tail is None:
+        scale_deg = noise.sigma_deg
+        thresholds = abs(noise.mean_deg) + scale_deg * np.linspace(_SIZES_SIGMAS[0], _SIZES_SIGMAS[-1], _THRESHOLDS)
+        rates = np.array(
+            [
+                false_alarms_per_hour(noise.margin_deg(t), noise.sigma_deg, noise.correlation, noise.sample_time_s)
+                for t in thresholds
+            ]
+        )
+    else:
+        scale_deg = max(noise.sigma_deg, 1.2 * odds.wished.threshold_deg / _SIZES_SIGMAS[-1])
+        rates = np.geomspace(tail.peaks_per_hour, _LOWEST_RATE, _THRESHOLDS)
+        thresholds = np.array([tail.threshold_deg(rate).value for rate in rates])
+    response = bias_response(odds.design, WITHIN_S[0])
+    curves = []
+    for sigmas, role in zip(_SIZES_SIGMAS, _ROLES, strict=True):
+        seen = np.array([float(detect(sigmas * scale_deg * response, t, noise).likely[-1]) for t in thresholds])
+        curves.append(Curve(f"{sigmas * scale_deg:.2g} deg", role, rates[::-1], seen[::-1]))
+    panel = Panel(f"bias seen within {WITHIN_S[0]:g} s", "probability", tuple(curves), -0.02, 1.02)
+    marks = [Mark("command", odds.wish.false_alarms_per_hour, "wanted rate")]
+    if tail is not None:
+        marks.append(Mark("threshold", tail.lowest_rate_per_hour, "extrapolation to the left"))
+    text = "Each curve is a bias fault of one size: lower thresholds, to the right, see it surely and alarm falsely."
+    title = f"{odds.surface}: detection against false alarms"
+    ends = _LOWEST_RATE, _HIGHEST_RATE
+    return Chart(title, text, *ends, (panel,), marks=tuple(marks), axis="false alarms per flight hour", log=True)
 
 
 def odds_report(odds: Sequence[SurfaceOdds], left_out: Mapping[str, str], failed: Mapping[str, str]) -> Document:

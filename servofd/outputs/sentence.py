@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from servofd.core.evidence import Detectable
     from servofd.detection.verdict import CommonCause, Fault, LogAudit, Status, SurfaceAudit
 
-_WORST_FIRST: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
+STATUSES: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
+"""Of surfaces, the one that decides first: what could not be judged does not count beside what could."""
+LEAST_CLEARED: tuple[Status, ...] = ("fault", "suspect", "unknown", "no_data", "healthy")
+"""Of flights, the one to look at first: what could not be judged comes before what is healthy."""
 _CAUSES = {
     "supply": "SUPPLY GAVE WAY",
     "bus": "SERVO BUS STOOD STILL",
@@ -44,7 +47,7 @@ def worst(surfaces: Sequence[SurfaceAudit | AxisAudit]) -> Status:
     'no_data'
     """
     statuses: set[Status] = {surface.status for surface in surfaces}
-    return next((status for status in _WORST_FIRST if status in statuses), "no_data")
+    return next((status for status in STATUSES if status in statuses), "no_data")
 
 
 def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
@@ -131,7 +134,7 @@ def answers(audit: LogAudit) -> list[str]:
     A surface with several faults names each, and one that rests on a fitted zero or scale says so.
     """
     lines = []
-    surfaces = sorted(audit.surfaces, key=lambda s: (_WORST_FIRST.index(s.status), gravity(s)))
+    surfaces = sorted(audit.surfaces, key=lambda s: (STATUSES.index(s.status), gravity(s)))
     for surface in surfaces:
         if surface.status in ("fault", "suspect"):
             step = next_step(surface).removeprefix("do not fly; ")
@@ -169,7 +172,7 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
     if lost:
         named = "; ".join(f"{axis.axis.upper()}: {axis.reason}" for axis in lost)
         gravest_status = worst(lost)
-        if _WORST_FIRST.index(gravest_status) >= _WORST_FIRST.index(advised):
+        if STATUSES.index(gravest_status) >= STATUSES.index(advised):
             return f"{named}."
         return f"{named}. {'Do not fly.' if gravest_status == 'fault' else 'Look at it before the next flight.'}"
     weaker = {axis.axis: axis.lost_share for axis in axes if axis.is_weaker and axis.lost_share}
@@ -281,11 +284,11 @@ def other_way_round(surface: SurfaceAudit) -> str:
     >>> from servofd.detection.verdict import Fault, SurfaceAudit
     >>> early = Fault("bias", 0.3, 0.4, 10.2, {"bias_deg": Estimate(-2.5, -2.6, -2.4)}, 1.0, ())
     >>> rudder = SurfaceAudit("rudder", "suspect", "", "x", "interval", 1.0, True, suspicions=(early,),
-    ...                       model=ModelOrigin(origin="fitted"))
+    ...                       model=ModelOrigin(origin="fitted", fitted_between_s=(10.2, 60.0)))
     >>> other_way_round(rudder)
     'its zero was fitted to this log: it may as well have been right until 0:10, and off by +2.5 deg since'
     """
-    if surface.model.origin != "fitted":
+    if surface.model.fitted_between_s is None:
         return ""
     for fault in (*surface.faults, *surface.suspicions):
         if fault.kind == "bias" and "bias_deg" in fault.parameters:

@@ -29,6 +29,7 @@ from servofd.outputs.compare_report import Track, charts, compare_report, overla
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import html_page
+from servofd.outputs.sentence import LEAST_CLEARED
 from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, plain_log
 
 if TYPE_CHECKING:
@@ -215,7 +216,7 @@ class Audit(LogAudit, Shown):
         drawn = [self[one] for one in surfaces or [axis.axis for axis in self.axes]]
         if not drawn:
             raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
-        return self._drawn(min(drawn, key=lambda one: _WORST_FIRST.index(one.status)), ax)
+        return self._drawn(min(drawn, key=lambda one: LEAST_CLEARED.index(one.status)), ax)
 
     @staticmethod
     def _drawn(one: Drawn, ax: Axes | Sequence[Axes] | None) -> Figure:
@@ -229,9 +230,6 @@ class Audit(LogAudit, Shown):
 
 def _audit_of(log: dict[str, Any], *others: Any) -> Audit:  # noqa: ANN401 - the other fields
     return Audit(FlightLog(**log), *others)
-
-
-_WORST_FIRST = ("fault", "suspect", "unknown", "healthy", "no_data")
 
 
 def _row(one: SurfaceAudit) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def calm(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     return _pattern(time_s, rng, _Style(0.3, 1.0, (2.0, 6.0), (0.5, 1.2)))
 
 
-def lively(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+def gusty(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     """In gusts, with turns twice as often (measured: 3.1 deg rms, peak rate 172 deg/s)."""
     return _pattern(time_s, rng, _Style(1.2, 2.0, leg_s=_LEG_S / 2.0))
 
@@ -99,9 +99,11 @@ def doublets(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 COMMANDS: dict[str, Callable[[FloatArray, np.random.Generator], FloatArray]] = {
-    function.__name__: function for function in (flight, chirp, steps, doublets, calm, lively, hand_flown, cruise)
+    function.__name__: function for function in (flight, chirp, steps, doublets, calm, gusty, hand_flown, cruise)
 }
 """Command sequences by name."""
+FORMER_NAMES = {"lively": "gusty"}
+"""Names of the release before, which are understood."""
 
 
 def _pattern(time_s: FloatArray, rng: np.random.Generator, style: _Style) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.faults import Fault, failing_deflection, in_order
-from servofd.simulation.commands import COMMANDS
+from servofd.simulation.commands import COMMANDS, FORMER_NAMES
 from servofd.simulation.surroundings import acting, current_a
 
 if TYPE_CHECKING:
@@ -96,6 +96,7 @@ def simulate_flight(
     >>> bool(np.ptp(flown.measured_deg[1001:, 0]) == 0.0)
     True
     """
+    command = FORMER_NAMES.get(command, command)
     if command not in COMMANDS:
         raise UnknownName(suggest("command", command, COMMANDS))
     aircraft.check_names([*(faults or {}), *(effects or {})])

@@ -315,7 +315,7 @@ def test_another_unit_is_told_as_a_wrong_scale(
 @pytest.mark.slow
 def test_a_log_without_noise_hides_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "log.csv"
-    assert main(["simulate", "-o", str(path), "--command", "lively", "--duration", "20", "--noise-deg", "0"]) == 0
+    assert main(["simulate", "-o", str(path), "--command", "gusty", "--duration", "20", "--noise-deg", "0"]) == 0
     capsys.readouterr()
     assert main(["explain", *KNOWN, str(path), "-s", "elevator", "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)

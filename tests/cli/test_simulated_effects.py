@@ -44,7 +44,7 @@ CONTEXT = ("airspeed_m_s", "servo_voltage_v", "servo_current_a")
 def simulated(folder: Path, *effects: str, duration_s: float = 12.0) -> Path:
     path = folder / "log.csv"
     options = [option for effect in effects for option in ("--effect", f"elevator:{effect}")]
-    assert main(["simulate", "-o", str(path), "--command", "lively", "--duration", str(duration_s), *options]) == 0
+    assert main(["simulate", "-o", str(path), "--command", "gusty", "--duration", str(duration_s), *options]) == 0
     return path
 
 

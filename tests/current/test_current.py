@@ -10,14 +10,14 @@ import pytest
 
 import servofd
 from servofd.cli import main
-from servofd.simulation.commands import lively
+from servofd.simulation.commands import gusty
 from tests.current.motor import Flown, Sensor, fly
 
 START_S = 100.0
 
 
 def flown(seed: int, rate_hz: float, fault: str = "", seconds: float = 180.0, averages: bool = False) -> Flown:
-    command_deg = lively(np.arange(0.0, seconds, 0.04), np.random.default_rng(1000 + seed))
+    command_deg = gusty(np.arange(0.0, seconds, 0.04), np.random.default_rng(1000 + seed))
     sensor = Sensor(rate_hz, averages=averages)
     return fly(seconds, seed, sensor=sensor, fault=fault, start_s=START_S, command_deg=command_deg)
 

@@ -140,7 +140,7 @@ class TestFlights:
     @pytest.mark.parametrize("seed", [0, 2])
     def test_a_small_lasting_loss_is_one_fault_by_the_interval_threshold(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
-        command_deg = COMMANDS["lively"](TIME_S, rng)
+        command_deg = COMMANDS["gusty"](TIME_S, rng)
         measured_deg = LossOfEffectiveness(20.0, gain=0.88).deflection(MODEL, TIME_S, command_deg, TIME_S)
         measured_deg += NOISE_DEG * rng.standard_normal(TIME_S.size)
         assert len(judged(TIME_S, command_deg, measured_deg, "interval").faults) == 1

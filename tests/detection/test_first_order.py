@@ -16,7 +16,7 @@ from servofd.simulation.commands import COMMANDS
 
 SERVO = servo_named("hs225bb-eq31")
 TIME_S = np.arange(6000) / 500.0
-COMMAND_DEG = COMMANDS["lively"](TIME_S, np.random.default_rng(1))
+COMMAND_DEG = COMMANDS["gusty"](TIME_S, np.random.default_rng(1))
 GENERATOR = ResidualGenerator(ServoModel(SERVO.transfer) + Delay(SERVO.delay_s), 50.0)
 GAIN, DELAY_S, BANDWIDTH = 0.01, 0.5e-3, 0.01
 

@@ -65,8 +65,8 @@ def all_cases() -> list[tuple[int, tuple[str, str | None, str]]]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_seed_is_a_flight_and_healthy_until_the_fault(kind: str) -> None:
-    one, same = (flight(5, "lively", kind, "large", duration_s=30.0) for _ in range(2))
-    healthy = flight(5, "lively", duration_s=30.0)
+    one, same = (flight(5, "gusty", kind, "large", duration_s=30.0) for _ in range(2))
+    healthy = flight(5, "gusty", duration_s=30.0)
     np.testing.assert_array_equal(one.measured_deg, same.measured_deg)
     assert one.truth is not None
     assert one.truth == same.truth
@@ -74,7 +74,7 @@ def test_a_seed_is_a_flight_and_healthy_until_the_fault(kind: str) -> None:
     before = one.time_s < one.truth.start_s
     np.testing.assert_array_equal(one.measured_deg[before], healthy.measured_deg[before])
     assert np.max(np.abs(one.measured_deg - healthy.measured_deg)[~before]) > 0.5
-    assert not np.array_equal(one.command_deg[:900], flight(6, "lively", duration_s=30.0).command_deg[:900])
+    assert not np.array_equal(one.command_deg[:900], flight(6, "gusty", duration_s=30.0).command_deg[:900])
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ ROUND_OFF_DEG = 1e-6
 
 commands = st.builds(
     lambda style, seed, scale: scale * COMMANDS[style](TIME_S, np.random.default_rng(seed)),
-    st.sampled_from(["flight", "chirp", "lively", "calm", "hand_flown"]),
+    st.sampled_from(["flight", "chirp", "gusty", "calm", "hand_flown"]),
     st.integers(0, 1000),
     st.floats(0.2, 1.5),
 )
@@ -152,7 +152,7 @@ def test_a_position_in_coarse_steps_is_not_called_noise_free() -> None:
 
 
 def test_a_constant_threshold_still_knows_the_tolerance() -> None:
-    command_deg = COMMANDS["lively"](TIME_S, np.random.default_rng(3))
+    command_deg = COMMANDS["gusty"](TIME_S, np.random.default_rng(3))
     _, interval = judged(TIME_S, command_deg, deviating(TIME_S, command_deg), Tolerance())
     constant = constant_threshold(interval, 1.5)
     assert (constant.kind, interval.kind, constant.typical_deg) == ("constant", "interval", 1.5)

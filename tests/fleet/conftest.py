@@ -25,7 +25,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "may").mkdir()
     for seed in range(5):
         faults = {"rudder": Stuck(15.0)} if seed == 4 else {}
-        flown = simulate_flight(plane, command="lively", duration_s=30.0, seed=seed, faults=faults)
+        flown = simulate_flight(plane, command="gusty", duration_s=30.0, seed=seed, faults=faults)
         write_flight(folder / ("may" if seed > 2 else ".") / f"flight{seed}.csv", flown, plane)
     (folder / "README.md").write_text("# Flights of May\n\nAll of them were windy.\n")
     (folder / "noise.bin").write_bytes(bytes(range(1, 32)) * 40)

@@ -52,8 +52,10 @@ def test_a_folder_is_judged_like_its_logs_one_by_one(
 ) -> None:
     code, out, err = run(capsys, "audit", logs / "may", "-o", tmp_path / "results", "--json", tmp_path / "fleet.json")
     assert code == 1
-    assert f"fault    {logs}/may/flight4.csv: rudder stuck" in out
-    assert f"healthy  {logs}/may/flight3.csv\n" in out
+    sentence, *lines = out.splitlines()
+    assert sentence == f"1 of 2 judged logs shows a fault. → {tmp_path}/results/fleet.html"
+    assert lines[0].startswith("fault   flight4.csv RUDDER JAMMED at 0:15")
+    assert lines[1] == "healthy flight3.csv All 2 surfaces followed their commands."
     assert err == ""
     one_by_one = [str(logs / "may" / f"flight{k}.csv") for k in (3, 4)]
     assert main(["audit", *one_by_one, "--json", str(tmp_path / "one.json")]) == 1
@@ -88,7 +90,8 @@ def test_what_could_not_be_judged_is_said_and_the_rest_is_done(
         f"servofd: {logs}/broken.csv: line 2, column 'elevator_pos_deg': 'x' is not a number; missing cells are empty "
         "or nan"
     ]
-    assert "6 logs" in out
+    assert out.startswith("1 of 5 judged logs shows a fault, 1 more could not be judged.")
+    assert max(map(len, out.splitlines()[1:])) <= 80
 
 
 @pytest.mark.slow
@@ -132,7 +135,7 @@ def test_finished_logs_are_not_done_again(
     code, out, err = run(capsys, "audit", mine, "-o", tmp_path / "r")
     assert (code, len(judged)) == (1, 3)
     assert "3 of 4 logs are done already" in err
-    assert "3 logs" in out
+    assert "1 of 3 judged logs" in out
     assert run(capsys, "fleet", tmp_path / "r")[0] == 1
 
 
@@ -144,7 +147,7 @@ def test_the_same_bytes_twice_in_one_run_count_once(
     shutil.copy(tmp_path / "mine" / "flight3.csv", tmp_path / "mine" / "copy.csv")
     _, out, err = run(capsys, "audit", tmp_path / "mine", "-o", tmp_path / "r")
     assert "the same bytes as another log; counted once" in err
-    assert "2 logs" in out
+    assert "1 of 2 judged logs" in out
 
 
 @pytest.mark.slow
@@ -155,7 +158,7 @@ def test_another_threshold_is_another_job_and_the_first_comes_back(
     run(capsys, *words)
     _, out, err = run(capsys, *words, "--threshold-deg", "3")
     assert "2 logs were judged with another aircraft file, other options or another version" in err
-    assert "2 logs" in out
+    assert "1 of 2 judged logs" in out
     assert len(judged) == 4
     assert set(pd.read_parquet(tmp_path / "r" / "surfaces").threshold_deg) == {3.0}
     run(capsys, *words)
@@ -177,18 +180,17 @@ def test_another_version_judges_again(
 def test_an_interrupt_keeps_what_was_done(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
 ) -> None:
-    from servofd.cli import fleet
+    real = FleetStore.add
 
-    real = fleet._line
-
-    def struck(one: Any) -> str:
+    def struck(store: FleetStore, one: Any) -> bool:
+        is_new = real(store, one)
         if len(judged) == 3:
             raise KeyboardInterrupt
-        return real(one)
+        return is_new
 
-    monkeypatch.setattr(fleet, "_line", struck)
+    monkeypatch.setattr(FleetStore, "add", struck)
     assert main(["audit", str(logs), "-o", str(tmp_path / "r")]) == 130
-    monkeypatch.setattr(fleet, "_line", real)
+    monkeypatch.setattr(FleetStore, "add", real)
     capsys.readouterr()
     _, _, err = run(capsys, "audit", logs, "-o", tmp_path / "r")
     assert "3 of 6 logs are done already" in err

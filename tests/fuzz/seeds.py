@@ -155,7 +155,7 @@ def flight(rate_hz: float = 25.0) -> SimulatedFlight:
     """A short flight in which one servo jams and the other slips."""
     faults = {"elevator": Stuck(2.5), "rudder": Bias(3.0, bias_deg=3.0)}
     return simulate_flight(
-        PLANE, command="lively", duration_s=SECONDS, rate_hz=rate_hz, seed=1, faults=faults, outputs=outputs_of(PLANE)
+        PLANE, command="gusty", duration_s=SECONDS, rate_hz=rate_hz, seed=1, faults=faults, outputs=outputs_of(PLANE)
     )
 
 
@@ -172,7 +172,7 @@ def _slip() -> bytes:
     """Telemetry of a single servo that slips, and is found out."""
     flown = simulate_flight(
         ONE,
-        command="lively",
+        command="gusty",
         duration_s=3.5,
         rate_hz=25.0,
         seed=1,

@@ -34,7 +34,7 @@ CUT_ALIKE_S = 0.1
 few = settings(max_examples=6, deadline=None, derandomize=True)
 flights = st.builds(
     lambda seed, surface, fault: simulate_flight(
-        plain_aircraft(SURFACES, "hs225bb-eq31"), command="lively", duration_s=DURATION_S, rate_hz=RATE_HZ, seed=seed,
+        plain_aircraft(SURFACES, "hs225bb-eq31"), command="gusty", duration_s=DURATION_S, rate_hz=RATE_HZ, seed=seed,
         faults={surface: fault}, noise_deg=0.05,
     ),
     st.integers(0, 2**16), st.sampled_from(SURFACES), st.sampled_from(FAULTS),

@@ -25,7 +25,7 @@ from servofd.servo.physics import Physics
 from servofd.servo.registry import everything, fields_of
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
-from servofd.simulation.commands import lively
+from servofd.simulation.commands import gusty
 from tests.laws.reference_twin import linear_deflection
 from tests.laws.slow_loop import SlowLoop
 
@@ -238,12 +238,12 @@ def test_with_its_slow_pole_elsewhere_it_moves_as_that_loop_in_small_steps(
 
 
 FLIGHT_S = np.arange(0.0, 20.0, 0.02)
-FLIGHT = np.array([FLIGHT_S, lively(FLIGHT_S, np.random.default_rng(3)), np.zeros(FLIGHT_S.size)])
+FLIGHT = np.array([FLIGHT_S, gusty(FLIGHT_S, np.random.default_rng(3)), np.zeros(FLIGHT_S.size)])
 CALM = np.tile([300.0, 5.0, 1.0, 0.5, 0.3], (FLIGHT_S.size, 1))
 
 
 @every_stepped_effect
-def test_half_of_the_longest_step_changes_a_lively_flight_by_less_than_is_said(effect: type[Effect]) -> None:
+def test_half_of_the_longest_step_changes_a_gusty_flight_by_less_than_is_said(effect: type[Effect]) -> None:
     physics = of_size(effect)
     whole_deg, half_deg = (
         moved(machine_of(EQ31, [physics], finer), physics, FLIGHT, FLIGHT_S, CALM)[:, 0] for finer in (1.0, 2.0)

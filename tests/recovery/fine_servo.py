@@ -103,7 +103,7 @@ class Hidden:
 
 
 def hide(
-    servo: FineServo, command: str = "lively", *, seed: int = 0, duration_s: float = 30.0, noise_deg: float = 0.1
+    servo: FineServo, command: str = "gusty", *, seed: int = 0, duration_s: float = 30.0, noise_deg: float = 0.1
 ) -> Hidden:
     """Fly a servo."""
     rng = np.random.default_rng(seed)

@@ -37,7 +37,7 @@ from servofd.servo.faults import Stuck
 from servofd.simulation.commands import COMMANDS
 from servofd.simulation.flight import simulate_flight
 
-STYLES = ("lively", "calm", "hand_flown", "cruise")
+STYLES = ("gusty", "calm", "hand_flown", "cruise")
 
 
 def flown(servo: FleetServo, seed: int, style: str, duration_s: float = 120.0) -> Series:
@@ -102,7 +102,7 @@ def of_stranger(
 @pytest.mark.slow
 def test_hidden_numbers_are_found() -> None:
     servo = FleetServo(gain=0.97, delay_s=0.007, bandwidth_scale=1.1, bias_deg=-0.25, noise_deg=0.1, jitter_s=0.002)
-    (one,) = calibrated(flown(servo, 0, "lively")).surfaces
+    (one,) = calibrated(flown(servo, 0, "gusty")).surfaces
     scale, shift_deg = one.measured.correction
     assert 1.0 / scale == pytest.approx(0.97, abs=0.01)
     assert shift_deg == pytest.approx(0.25 / 0.97, abs=0.03)
@@ -145,9 +145,9 @@ def test_play_dead_band_and_friction_are_told_with_what_they_may_be(
 
 @pytest.mark.slow
 def test_small_faults_are_found_and_named() -> None:
-    servo = flight(101, "lively").servo
-    aircraft = calibrated(flown(servo, 0, "lively")).aircraft
-    healthy = flown(servo, 1, "lively", 60.0)
+    servo = flight(101, "gusty").servo
+    aircraft = calibrated(flown(servo, 0, "gusty")).aircraft
+    healthy = flown(servo, 1, "gusty", 60.0)
     off_deg = np.where(healthy.measured_s > 30.0, 1.0, 0.0)
     (fault,) = judged(aircraft, replace(healthy, measured_deg=healthy.measured_deg + off_deg)).faults
     assert fault.kind == "bias"
@@ -158,7 +158,7 @@ def test_small_faults_are_found_and_named() -> None:
 
 @pytest.mark.slow
 def test_a_flight_that_turns_bad_is_refused() -> None:
-    healthy = flown(FleetServo(noise_deg=0.1), 0, "lively")
+    healthy = flown(FleetServo(noise_deg=0.1), 0, "gusty")
     weak = np.where(healthy.measured_s > 80.0, 0.6, 1.0)
     with pytest.raises(CalibrationError, match="not a good flight"):
         calibrated(replace(healthy, measured_deg=weak * healthy.measured_deg))
@@ -205,7 +205,7 @@ def test_what_was_calibrated_on_the_ground_is_not_judged_in_the_air() -> None:
 
 @pytest.mark.slow
 def test_positions_that_pause_are_no_change_of_the_servo() -> None:
-    healthy = flown(FleetServo(noise_deg=0.05, bias_deg=4.0), 0, "lively", 80.0)
+    healthy = flown(FleetServo(noise_deg=0.05, bias_deg=4.0), 0, "gusty", 80.0)
     t = healthy.measured_s
     heard = (t < 40.0) | (t > 47.3)
     paused = replace(healthy, measured_s=t[heard], measured_deg=healthy.measured_deg[heard])
@@ -232,7 +232,7 @@ def test_a_jam_of_most_of_the_flight_is_refused_with_its_time(seed: int) -> None
 
 @pytest.mark.slow
 def test_flights_of_two_servos_are_refused() -> None:
-    one, other = (flown(FleetServo(noise_deg=0.1, gain=gain), 0, "lively") for gain in (1.0, 0.6))
+    one, other = (flown(FleetServo(noise_deg=0.1, gain=gain), 0, "gusty") for gain in (1.0, 0.6))
     with pytest.raises(CalibrationError, match="not the same aircraft"):
         calibrated(one, other)
 
@@ -240,8 +240,8 @@ def test_flights_of_two_servos_are_refused() -> None:
 @pytest.mark.slow
 def test_more_flights_measure_what_differs_between_them() -> None:
     servo = FleetServo(noise_deg=0.1)
-    (one,) = calibrated(flown(servo, 0, "lively")).surfaces
-    (many,) = calibrated(*(flown(servo, seed, "lively") for seed in range(4))).surfaces
+    (one,) = calibrated(flown(servo, 0, "gusty")).surfaces
+    (many,) = calibrated(*(flown(servo, seed, "gusty") for seed in range(4))).surfaces
     assert many.known.covariance[0, 0] < one.known.covariance[0, 0]
     # What one flight foresees of four comes true, and they foresee no more.
     now, then = one.detectable, many.detectable
@@ -258,7 +258,7 @@ def test_more_flights_measure_what_differs_between_them() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("style", ["lively", "calm", "hand_flown"])
+@pytest.mark.parametrize("style", ["gusty", "calm", "hand_flown"])
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_no_false_alarm_in_fresh_flights(style: str, number: int) -> None:
     servo = flight(100 + number, style).servo
@@ -296,7 +296,7 @@ def test_a_servo_calibrated_on_half_a_minute_is_quiet_in_other_flights(seed: int
 def test_a_servo_whose_neutral_is_far_from_zero_is_calibrated_as_well() -> None:
     """Bends of its reading are those of the angles seen: the cube of 180 deg would be anything."""
     servo = FleetServo(noise_deg=0.1)
-    segments = [flown(servo, seed, "lively") for seed in (1, 2)]
+    segments = [flown(servo, seed, "gusty") for seed in (1, 2)]
     away = [replace(s, command_deg=s.command_deg + 180.0, measured_deg=s.measured_deg + 180.0) for s in segments]
     found = calibrated(away[0])
     verdict = judged(found.aircraft, away[1])

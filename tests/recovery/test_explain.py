@@ -106,7 +106,7 @@ def test_nothing_is_missing_from_a_healthy_servo(seed: int) -> None:
 @pytest.mark.slow
 def test_lost_rows_and_jitter_are_no_effect() -> None:
     rng = np.random.default_rng(5)
-    log = hide(FineServo(), "lively", seed=4)
+    log = hide(FineServo(), "gusty", seed=4)
     kept = rng.random(log.time_s.size) > 0.03
     parts = [values[kept] for values in (log.time_s, log.command_deg, log.position_deg)]
     parts[0] = parts[0] + 0.001 * rng.uniform(-1.0, 1.0, kept.sum())
@@ -116,7 +116,7 @@ def test_lost_rows_and_jitter_are_no_effect() -> None:
 
 @pytest.mark.slow
 def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
-    log = hide(FineServo(), "lively", seed=3)
+    log = hide(FineServo(), "gusty", seed=3)
     stuck = np.where(log.time_s > 18.0, log.position_deg[1800], log.position_deg)
     stuck[log.time_s > 18.0] += 0.1 * np.random.default_rng(0).standard_normal(int((log.time_s > 18.0).sum()))
     found = explained(replace(log, position_deg=stuck))
@@ -128,7 +128,7 @@ def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["lively", pytest.param("chirp", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("command", ["gusty", pytest.param("chirp", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
     ("servo", "name", "value", "within"),
     [
@@ -166,7 +166,7 @@ def test_two_effects_are_both_named() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(4, 12))])
 def test_healthy_servos_at_several_noises(seed: int) -> None:
-    command = ("lively", "chirp", "doublets", "flight")[seed % 4]
+    command = ("gusty", "chirp", "doublets", "flight")[seed % 4]
     found = explained(hide(FineServo(), command, seed=seed, noise_deg=(0.05, 0.1, 0.2)[seed % 3]))
     assert found.conclusion == "nothing_missing"
 
@@ -221,7 +221,7 @@ def jammed(log: Hidden, from_s: float, until_s: float) -> Hidden:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "command", ["lively", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("doublets", "chirp"))]
+    "command", ["gusty", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("doublets", "chirp"))]
 )
 @pytest.mark.parametrize(("noise_deg", "step_deg"), [(0.02, 0.3), (0.05, 0.3), (0.05, 0.8), (0.2, 2.0)])
 def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: float, step_deg: float) -> None:
@@ -240,14 +240,14 @@ def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: fl
 
 @pytest.mark.slow
 def test_a_jam_that_passes_is_no_missing_effect() -> None:
-    found = explained(jammed(hide(FineServo(), "lively", seed=3), 12.0, 18.0))
+    found = explained(jammed(hide(FineServo(), "gusty", seed=3), 12.0, 18.0))
     assert found.conclusion == "unexplained"
     assert found.fault_s == pytest.approx(12.0, abs=1.0)
 
 
 @pytest.mark.slow
 def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> None:
-    log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
+    log = hide(FineServo(), "gusty", seed=3, duration_s=40.0)
     spikes = np.random.default_rng(1)
     odd = np.where(spikes.random(log.time_s.size) < 0.01, spikes.normal(0.0, 2.0, log.time_s.size), 0.0)
     found = explained(jammed(replace(log, position_deg=log.position_deg + odd), 24.0, 32.0))
@@ -257,7 +257,7 @@ def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> No
 
 @pytest.mark.slow
 def test_a_drift_is_no_fault_that_sets_in() -> None:
-    log = hide(FineServo(), "lively", seed=3, duration_s=40.0)
+    log = hide(FineServo(), "gusty", seed=3, duration_s=40.0)
     found = explained(replace(log, position_deg=log.position_deg + 1.5 * log.time_s / 40.0))
     assert found.fault_s is None
     assert found.conclusion == "partly_explained"

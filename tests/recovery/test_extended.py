@@ -32,7 +32,7 @@ from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.servo.transfer import TransferFunction
-from servofd.simulation.commands import lively
+from servofd.simulation.commands import gusty
 from servofd.simulation.flight import simulate_flight
 from tests.recovery.fine_servo import FineServo, Hidden, hide
 
@@ -70,7 +70,7 @@ FORMS = {
 }
 CASES = {name: (name, size) for name, size in SIZES.items()} | FORMS
 TIME_S: FloatArray = np.cumsum(np.random.default_rng(3).uniform(0.008, 0.012, 800))
-COMMAND_DEG = lively(TIME_S, np.random.default_rng(1))
+COMMAND_DEG = gusty(TIME_S, np.random.default_rng(1))
 CONTEXT = Context(
     *(TIME_S, 22.0 + 4.0 * np.sin(TIME_S)), *(TIME_S, 6.0 - 0.1 * TIME_S), *(TIME_S, 0.3 + 0.2 * np.sin(3.0 * TIME_S))
 )
@@ -295,7 +295,7 @@ def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Fault, kind: 
         "effects": {"backlash": {"width_deg": 0.8}, "friction": {"friction_deg": 0.3}},
     }
     aircraft = Aircraft.model_validate({"surfaces": {"elevator": entry}})
-    flown = simulate_flight(aircraft, command="lively", duration_s=24.0, seed=4, faults={"elevator": fault})
+    flown = simulate_flight(aircraft, command="gusty", duration_s=24.0, seed=4, faults={"elevator": fault})
     segment = Series("elevator", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
     generator = ResidualGenerator.fitting(aircraft.model("elevator"), segment)
     judged = judge(generator, segment, generator.run(segment), aircraft.surfaces["elevator"])

@@ -23,7 +23,7 @@ from tests.recovery.fine_servo import FineServo
 
 KNOWN = ServoModel.of(servo_named("hs225bb-eq31"))
 TIME_S = np.arange(1000) / 100.0
-_LIVELY_DEG = COMMANDS["lively"](TIME_S, np.random.default_rng(5))
+_LIVELY_DEG = COMMANDS["gusty"](TIME_S, np.random.default_rng(5))
 COMMAND_DEG = _LIVELY_DEG - _LIVELY_DEG[0]
 AIR_PA = 300.0 + 100.0 * np.sin(0.7 * TIME_S)
 SUPPLY_V = 6.0 - 0.08 * TIME_S

@@ -34,7 +34,7 @@ def flown(
     effects: tuple[type[Effect], ...],
     values: list[float],
     seed: int,
-    command: str = "lively",
+    command: str = "gusty",
     noise_deg: float = 0.1,
     duration_s: float = 30.0,
 ) -> Record:
@@ -77,7 +77,7 @@ def _deviations(effect: type[Effect], values: list[float], command: str) -> Floa
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "values", "command"),
-    [(CurrentLimit, [3.0], "lively"), (Backlash, [1.0], "chirp"), (Delay, [0.02], "chirp")],
+    [(CurrentLimit, [3.0], "gusty"), (Backlash, [1.0], "chirp"), (Delay, [0.02], "chirp")],
 )
 def test_intervals_hold_the_truth(effect: type[Effect], values: list[float], command: str) -> None:
     away = _deviations(effect, values, command)

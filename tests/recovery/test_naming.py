@@ -15,7 +15,7 @@ SEED = 1000
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_large_fault_gets_its_name(kind: str) -> None:
-    one = trial(Case(SEED, "lively", kind, "large"))
+    one = trial(Case(SEED, "gusty", kind, "large"))
     assert one.name == kind
     assert one.alarms == 0
     assert one.found is not None

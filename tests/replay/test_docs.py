@@ -97,15 +97,6 @@ def test_the_odds_of_the_documentation_are_printed(
     assert capsys.readouterr().out == "0.292 deg, 3 in a row 0.234 deg\n"
 
 
-@pytest.mark.nightly
-def test_the_pictures_of_the_odds_are_what_their_script_draws(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    runpy.run_path(str(ROOT / "docs" / "make_odds.py"))["main"](tmp_path)
-    assert capsys.readouterr().out.count(".png") == 2
-    assert {p.name for p in (tmp_path / "odds").iterdir()} == {p.name for p in (ROOT / "docs" / "odds").iterdir()}
-
-
 def test_the_page_on_detection_tells_the_constants_of_the_code() -> None:
     """What was measured is taken as it stands: flying it takes minutes."""
     script = runpy.run_path(str(ROOT / "docs" / "make_detection.py"))

@@ -22,7 +22,7 @@ from servofd.servo.faults import FAULTS, Fault, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.registry import catalogue, including
 from servofd.servo.servo_model import ServoModel, plant_of
-from servofd.simulation.commands import lively
+from servofd.simulation.commands import gusty
 from servofd.simulation.flight import simulate_flight
 
 ROOT = Path(__file__).parent.parent.parent
@@ -50,7 +50,7 @@ def bench_log(jammed_s: float | None) -> bytes:
     """A flight as the recorder of the example writes it."""
     faults = {} if jammed_s is None else {"elevator": Stuck(jammed_s)}
     flight = simulate_flight(
-        plain_aircraft(["elevator"], "hs225bb-eq31"), duration_s=30.0, faults=faults, command="lively"
+        plain_aircraft(["elevator"], "hs225bb-eq31"), duration_s=30.0, faults=faults, command="gusty"
     )
     record = np.zeros(flight.time_s.size, dtype=[("time_ms", ">u4"), ("angle", ">i2", (2,))])
     record["time_ms"] = np.round(flight.time_s * 1e3)
@@ -89,7 +89,7 @@ def test_an_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert "worn_horn" in {effect.name for effect in catalogue()}
         physics = effects_installed(plant_of(healthy).neutral, {"worn_horn": {"width_deg": 0.8, "gain": 0.9}})
         time_s = np.arange(0.0, 20.0, 0.01)
-        command_deg = lively(time_s, np.random.default_rng(1))
+        command_deg = gusty(time_s, np.random.default_rng(1))
         moved_deg = healthy.with_physics(physics).simulate(time_s, command_deg, time_s)
         # Play of 0.8 deg keeps a gear at most half of it from its motion; the horn scales that as well.
         lost_deg = np.abs(moved_deg - 0.9 * healthy.simulate(time_s, command_deg, time_s))

@@ -36,7 +36,7 @@ _REFRESHED = b"\x1b[H"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A flight for the monitor, two for the audit of a folder, and one with a gap to explain."""
     path: Path = tmp_path_factory.mktemp("terminal")
-    flight = flown(duration_s=40.0, command="lively", faults={"elevator": Stuck(5.0)})
+    flight = flown(duration_s=40.0, command="gusty", faults={"elevator": Stuck(5.0)})
     (path / "flight.tlog").write_bytes(telemetry_log(flight, PLANE))
     (path / "plane.toml").write_text(plane_file())
     (path / "logs").mkdir()
@@ -72,7 +72,7 @@ def printed(words: list[str], width: int, monkeypatch: pytest.MonkeyPatch) -> tu
 @pytest.mark.parametrize("width", WIDTHS)
 def test_what_verbs_print(folder: Path, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
     code, shown = printed(["audit", str(folder / "logs"), "--servo", "hs225bb-eq31"], width, monkeypatch)
-    assert (code, "stuck" in shown, "healthy" in shown) == (1, True, True)
+    assert (code, "JAMMED" in shown, "healthy" in shown) == (1, True, True)
     target = str(folder / f"calibrated{width}.toml")
     code, shown = printed(["calibrate", str(folder / "logs" / "good.csv"), "-o", target], width, monkeypatch)
     assert (code, "Calibrated: rudder" in shown) == (0, True)

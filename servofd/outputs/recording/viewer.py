@@ -31,7 +31,7 @@ def run_rerun(*words: str) -> subprocess.CompletedProcess[str]:
 def _program() -> list[str]:
     """The program itself, where its package has it; starting it through Python takes more than twice the time."""
     package = find_spec("rerun_cli")
-    if package is not None and package.origin is not None and "RERUN_CLI_PATH" not in os.environ:
+    if package is not None and package.origin and "RERUN_CLI_PATH" not in os.environ:
         bundled = Path(package.origin).with_name("rerun")
         if bundled.is_file():
             return [str(bundled)]
