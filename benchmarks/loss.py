@@ -1,11 +1,11 @@
 """Alarms of healthy and of faulty flights over links that lose 0 to 60 % of their frames, at random and in bursts.
 
-Strangers' aircraft (`benchmarks/strangers.py`) fly with commands and positions at 10, 25 and 50 Hz. Each is calibrated
+Strangers' aircraft (`benchmarks/strangers.py`) fly with commands and positions at 10, 20 and 40 Hz. Each is calibrated
 on a clean log of its link and then replayed as a worse link would have brought it: frames are lost, late by up to
 50 ms, and one in twenty changes places with its neighbour. A healthy flight may raise no alarm. A fault is found, or
 the monitor has said that the link is too poor to judge that surface::
 
-    python benchmarks/loss.py --flights 2
+    python benchmarks/loss.py --seeds 1 3 --healthy
 
 ``--recorded LOG.tlog -c FILE --events EVENTS.csv`` does the same to a flight that was recorded; the events name each
 fault's ``begin_s``, ``end_s`` and ``surface``.
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 LOSSES: Final = tuple(round(0.05 * k, 2) for k in range(13))
 PATTERNS: Final = ("random", "bursts")
-RATES_HZ: Final = (10.0, 25.0, 50.0)
+RATES_HZ: Final = (10.0, 20.0, 40.0)
 KINDS: Final = ("stuck", "slow", "bias", "loss_of_effectiveness", "oscillation", "floating")
 _BURST_S: Final = 0.3
 """Mean length of what a link loses in one piece."""
@@ -89,7 +89,7 @@ def told(aircraft: Aircraft, frames: Frames) -> list[Published]:
     events: list[Published] = []
     for now_s, frame in frames:
         events += session.take(now_s, frame)
-        if now_s - stepped_s >= (_CALM_STEP_S if session.may_wait else _STEP_S):
+        if now_s - stepped_s >= (_CALM_STEP_S if session.rests(_CALM_STEP_S) else _STEP_S):
             stepped_s = now_s
             events += session.step(now_s)
     return events + session.finish(now_s)
@@ -164,14 +164,15 @@ def _recorded(options: argparse.Namespace) -> None:
     for loss in options.losses:
         for pattern in PATTERNS:
             score: Counter[str] = Counter()
-            for seed in range(options.flights):
+            for seed in options.seeds:
                 score += scored(told(aircraft, worse(frames, loss, pattern, seed)), truth)
             print(_row(loss, pattern, "recorded", score), flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--flights", type=int, default=2, help="healthy ones of each cell, and faulty ones")
+    parser.add_argument("--seeds", type=int, nargs="+", default=(0, 2), help="of aircraft, and of recorded links")
+    parser.add_argument("--healthy", action="store_true", help="fly no faults")
     parser.add_argument("--rates", type=float, nargs="+", default=RATES_HZ)
     parser.add_argument("--losses", type=float, nargs="+", default=LOSSES)
     parser.add_argument("--recorded", type=Path)
@@ -182,11 +183,10 @@ def main() -> None:
         _recorded(options)
         return
     for rate_hz in options.rates:
-        seeds = range(options.flights)
-        known = [calibrated(seed, rate_hz) for seed in seeds]
+        known = {seed: calibrated(seed, rate_hz) for seed in options.seeds}
         flights = []
-        for seed in seeds:
-            kinds = (None, *(KINDS[(2 * seed + k) % len(KINDS)] for k in range(2)))
+        for seed in options.seeds:
+            kinds = (None, *(KINDS[(2 * seed + k) % len(KINDS)] for k in range(0 if options.healthy else 2)))
             broken = [
                 None if kind is None else draw_failure(10 * seed + k, _FLIGHT_S, kind, "large")
                 for k, kind in enumerate(kinds)

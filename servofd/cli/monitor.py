@@ -40,6 +40,8 @@ def run(options: Options) -> int:
     is_log = Path(options.endpoint).is_file()
     has_card = options.dataflash or (is_log and _ON_THE_CARD in beginning(Path(options.endpoint), _HEAD_BYTES))
     aircraft = _aircraft(options.config, has_card=has_card)
+    if min(aircraft) < 0 and options.dataflash:  # a vehicle that is not known yet is asked for no log
+        raise ConfigError("--dataflash: which vehicle has which file? -c 1=FILE -c 2=FILE")
     if options.dataflash and options.no_request:
         raise ConfigError("--dataflash has to ask for the log, which --no-request forbids")
     if options.dataflash and is_log:
@@ -98,6 +100,8 @@ def _replay(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
         signature = signature_of(options.signing_key)
         recorded = signature.of_any_time() if signature else None
         is_stream = log.format == "tlog"
+        if not is_stream and len(aircraft) > 1:
+            raise ConfigError(f"{path}: is the log of one vehicle; give the one -c FILE of it")
         if not is_stream:
             aircraft = {system: resolved(log, craft) for system, craft in aircraft.items()}
         session = Session(
@@ -160,16 +164,24 @@ def _verdict(session: Session) -> int:
 def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
     """The aircraft by system; channels of the log on the card become those of telemetry where it does not come."""
     known: dict[int, Aircraft] = {}
+    loaded: list[Aircraft] = []
     for name in names:
         head, equals, path = name.partition("=")
-        system = int(head) if equals and head.isdigit() and len(head) <= 3 else 0
-        if system in known or (len(names) > 1 and not 0 < system < 256):
-            raise ConfigError(f"{name}: several vehicles need one file each, as -c 1=FILE -c 2=FILE")
-        aircraft = load_aircraft(path if system else name)
+        numbered = equals and head.isdigit()
+        system = int(head) if numbered else min((0, *(number - 1 for number in known if number <= 0)))
+        if numbered and (system in known or not 0 < system < 256):
+            what = "has two files" if system in known else "is no system id, which is 1 to 255"
+            raise ConfigError(f"-c {name}: vehicle {system} {what}")
+        aircraft = load_aircraft(path if numbered else name)
+        if not numbered and aircraft in loaded:
+            raise ConfigError(
+                f"-c {name}: given twice; two vehicles of one file are -c 1={name} -c 2={name}, by system id"
+            )
+        loaded.append(aircraft)
         unnamed = [key for key, surface in aircraft.surfaces.items() if not surface.names_servo]
         if unnamed:  # an audit fits them to its log; in flight there is none yet
             raise ConfigError(
-                f"{path if system else name}: {', '.join(unnamed)}: no servo is named; name one (servo = ...), or let "
+                f"{path or name}: {', '.join(unnamed)}: no servo is named; name one (servo = ...), or let "
                 "'servofd calibrate' make the file from a good flight"
             )
         known[system] = streamed(aircraft, has_card=has_card)

@@ -314,7 +314,7 @@ def _design(parser: Parser) -> None:
 def _monitor(parser: Parser) -> None:
     endpoint = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, a serial device, or a log file"
     parser.add_argument("endpoint", metavar="ENDPOINT", help=endpoint)
-    config = "aircraft file; of several vehicles one for each system id"
+    config = "aircraft file; of several vehicles one each, as ID=FILE by system id"
     parser.config("[ID=]AIRCRAFT.toml", action="append", required=True, help=config)
     parser.add_argument("--duration", type=_LASTING, default=float("inf"), metavar="S", help="end after so long [s]")
     parser.add_argument("--speed", type=_SPEED, metavar="X", help="of a replay; 0: as fast as it goes (default: 1)")

@@ -48,13 +48,13 @@ class Quiet:
         if begun.size:
             self.since_s = min(self.since_s, float(time_s[begun[0]]))
 
-    def is_due(self, now_s: float) -> bool:
-        """Whether the bank should look now [s]."""
-        pause_s = min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S)
-        if now_s - self._asked_s < pause_s or now_s - self.since_s < QUIET_S:
-            return False
-        self._asked_s, self._asked = now_s, self._asked + 1
-        return True
+    def due_s(self, now_s: float) -> list[float]:
+        """When the bank should have looked by now [s], if it should."""
+        due_s = max(self._asked_s + min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S), self.since_s + QUIET_S)
+        if now_s < due_s:
+            return []
+        self._asked_s, self._asked = due_s, self._asked + 1
+        return [due_s]
 
 
 EventKind = Literal["alarm", "clear", "named", "no_data", "link_lost", "link_restored"]

@@ -41,6 +41,8 @@ from servofd.detection.verdict import Fault
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.core.types import FloatArray
     from servofd.detection.changes import Watched
@@ -70,7 +72,7 @@ _LOG_CLIP = 25.0
 _NO_NEWS = 0.01
 """By so little a fault may explain a sample better, and yet not have begun."""
 _GROWN: Final = 1.3
-"""A window that has grown by less since its hypotheses were fitted tells no more."""
+"""Hypotheses fitted to a window are fitted again when it holds so many times as many samples since the alarm."""
 _MOST_FAULTS: Final = 20
 """Faults of one flight at most."""
 _RESIDUALS: Final = STATISTICS.index("left_2s")
@@ -96,11 +98,17 @@ SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 
 
+LOOKS_S: Final = (0.0, 0.25, 0.5, 1.0, 1.75)
+"""After how long a monitor looks whether what windows raise is a fault,"""
+LOOKS_BACK_S: Final = 65.0
+"""and how far back: past the longest window, and past the earliest onset."""
+
+
 class Named(NamedTuple):
     """Hypotheses fitted to a window, the best one first."""
 
     known: int
-    """How many samples there were when they were."""
+    """How many samples there were since the alarm when they were."""
     window: Window
     guesses: list[Guess]
 
@@ -125,7 +133,7 @@ def named(
             window = since if since.count >= _FEWEST else window
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
-    before, count = names.get(alarm_s), window.count
+    before, count = names.get(alarm_s), int(np.sum(window.time_s[window.used] >= alarm_s))
     if before is not None and (
         count < _GROWN * before.known or _end_s(watched, before.guesses[0], alarm_s) is not None
     ):
@@ -345,6 +353,28 @@ def _alarm(
     fast = float(passed[(time_s >= at_s) & (time_s <= at_s + _SOON_AFTER_S)].max(initial=1.0))
     is_far = fast > 1.0 or soon[:, :_RESIDUALS].max(initial=0.0) >= 1.0
     return at_s, float(soon.max(initial=fast)), bool(is_far)
+
+
+def as_raised(flight: Watched, found: Found, look: Callable[[float, float], Found]) -> Found:
+    """What was found, each fault with the time at which the monitor raises its alarm.
+
+    A residual over its threshold raises one at once, windows with the first look that finds a fault; `look` tells what
+    one between two times [s] finds.
+    """
+    time_s, raised, over_s = flight.record.time_s, [], -np.inf
+    passed = flight.tested.triple / thresholds_of(flight.known)[0] if flight.passed is None else flight.passed
+    for fault in found.faults:
+        crossed_s = time_s[(passed >= 1.0) & (time_s >= fault.alarm_s)]
+        alarm_s = float(crossed_s[0]) if crossed_s.size else np.inf
+        for after_s in LOOKS_S if alarm_s > fault.alarm_s else ():
+            at_s = float(time_s[min(int(np.searchsorted(time_s, fault.alarm_s + after_s)), time_s.size - 1)])
+            if at_s >= alarm_s or any(each.alarm_s > over_s for each in look(at_s - LOOKS_BACK_S, at_s).faults):
+                break
+        else:
+            at_s = alarm_s
+        raised.append(replace(fault, alarm_s=min(at_s, alarm_s)) if np.isfinite(min(at_s, alarm_s)) else fault)
+        over_s = raised[-1].alarm_s if fault.end_s is None else fault.end_s
+    return found._replace(faults=tuple(raised))
 
 
 def judge_stretch(

@@ -29,7 +29,7 @@ from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
 from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
-from servofd.detection.faults import AGAIN_S
+from servofd.detection.faults import AGAIN_S, LOOKS_BACK_S, LOOKS_S
 from servofd.detection.residual import rhythm, thinned_rhythm
 from servofd.detection.stream import BY_WINDOWS, Remembered, stream_of
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 _NAMED_S = 2.0
 """A name follows its alarm within this time, or is not reported [s]."""
-_LOOKS_S = (0.25, 0.5, 1.0, 1.75, 6.0)
+_LOOKS_S = (*LOOKS_S[1:], 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
 """and how often after that."""
@@ -59,8 +59,6 @@ _LIKELY = 0.5
 """A name of this probability keeps until then."""
 _TOLD = 0.8
 """A name of this probability is reported with the first look, others from the second one on."""
-_BEFORE_S = 65.0
-"""A look goes back so long before the alarm: past the longest window, and past the earliest onset."""
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _STEADY_S = 2.0
@@ -119,6 +117,8 @@ class SurfaceMonitor:
     """The one that stands."""
     _doubtful: Alarm | None = None
     """One that windows alone have raised and no look has confirmed: it is not reported yet."""
+    _crossed: tuple[float, float, float] | None = None
+    """When the residual crossed its threshold [s], both then [deg], of an alarm that is not raised yet."""
     _finished: list[Fault] = field(default_factory=list)
     _from_s: float = -np.inf
     """Since when the last fault is over [s]: what was before is not judged again."""
@@ -250,6 +250,15 @@ class SurfaceMonitor:
         """Whether no alarm stands, and none is looked into."""
         return self._alarm is None and self._doubtful is None
 
+    def rests(self, for_s: float) -> bool:
+        """Whether nothing is looked into for so long [s]: no alarm stands, or a loud one of which no look is due."""
+        if self.is_calm or self.reading is None or self._alarm is None:
+            return self.is_calm
+        return (
+            not np.isfinite(self._alarm.quiet.since_s)
+            and min(self._looks_s, default=np.inf) - self.reading.time_s > for_s
+        )
+
     @property
     def was_judged(self) -> bool:
         """Whether any sample was ever judged."""
@@ -345,14 +354,15 @@ class SurfaceMonitor:
 
     def due(self) -> Look | None:
         """What the bank should look at now, if anything."""
-        latest_s = self._stream.history.last_s if self._stream else -np.inf
-        if not self._looks_s or not latest_s >= self._looks_s[0]:
+        history = self._stream.history if self._stream is not None else None
+        if history is None or not self._looks_s or not history.last_s >= self._looks_s[0]:
             return None
-        while self._looks_s and self._looks_s[0] <= latest_s:
+        at_s = history.first_from(self._looks_s[0])  # what has come since is for the next look
+        while self._looks_s and self._looks_s[0] <= at_s:
             last_s = self._looks_s.pop(0)
         if not self._looks_s and self.standing:
             self._looks_s.append(last_s + _LOOKS_AGAIN_S)
-        return self._look()
+        return self._look(at_s)
 
     def told(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
         """Take what the bank made of a look.
@@ -370,6 +380,8 @@ class SurfaceMonitor:
                 is_seen = True
         if alarm is not None and alarm is self._alarm:
             events += self._doubted(alarm, look) if not is_seen else []
+        if self._alarm is None:
+            events += self._raised()
         if self._stream is not None and self._stream.latched and self._alarm is None and not self._looks_s:
             self._over()
         return events
@@ -407,7 +419,7 @@ class SurfaceMonitor:
 
     def _over(self) -> None:
         """No alarm stands any more, and the tests begin anew."""
-        self._alarm = self._doubtful = None
+        self._alarm = self._doubtful = self._crossed = None
         self._looks_s.clear()
         if self._stream is not None:
             self._stream.again()
@@ -583,26 +595,18 @@ class SurfaceMonitor:
         if piece is None or self._stream is None:
             return []
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        events = []
         for k in np.flatnonzero(piece.alarm).tolist():
-            if self._alarm is not None:
-                break
             time_s = float(residuals.time_s[k])
-            if piece.alarm[k] == BY_WINDOWS:
-                self._doubtful, self._looks_s = (
-                    Alarm(time_s),
-                    [time_s, *(time_s + after_s for after_s in _LOOKS_S[:-1])],
-                )
-                continue
-            self._alarm, self._doubtful = Alarm(time_s), None
-            numbers = float(residuals.residual_deg[k]), float(level_deg[k])
-            events.append(Event(time_s, self.name, "alarm", "unknown", *numbers))
-            self._looks_s = [time_s + after_s for after_s in _LOOKS_S]
+            if piece.alarm[k] != BY_WINDOWS:
+                self._crossed = self._crossed or (time_s, float(residuals.residual_deg[k]), float(level_deg[k]))
+            elif self._alarm is None and self._crossed is None:
+                self._doubtful = Alarm(time_s)
+                self._looks_s = [time_s + after_s for after_s in LOOKS_S]
+        events = self._raised()
         if self._alarm is not None:
             self._alarm.quiet.follow(piece)
-            now_s = float(residuals.time_s[-1])
-            if self._alarm.quiet.is_due(now_s):
-                self._looks_s = sorted([*self._looks_s, now_s])
+            due_s = self._alarm.quiet.due_s(float(residuals.time_s[-1]))
+            self._looks_s = sorted([*self._looks_s, *due_s])
         valued = np.isfinite(residuals.measured_deg)
         if valued.any():
             valued_s = residuals.time_s[valued]
@@ -629,13 +633,24 @@ class SurfaceMonitor:
         )
         return events
 
-    def _look(self) -> Look | None:
+    def _raised(self) -> list[Event]:
+        """The alarm of a residual over its threshold, once all looks are made that were due before it."""
+        if self._crossed is None or (self._alarm is None and min(self._looks_s, default=np.inf) < self._crossed[0]):
+            return []
+        (time_s, residual_deg, level_deg), self._crossed = self._crossed, None
+        if self._alarm is not None:
+            return []
+        self._alarm, self._doubtful = Alarm(time_s), None
+        self._looks_s = [time_s + after_s for after_s in _LOOKS_S]
+        return [Event(time_s, self.name, "alarm", "unknown", residual_deg, level_deg)]
+
+    def _look(self, until_s: float = np.inf) -> Look | None:
         stream, alarm, from_s = self._stream, self._alarm or self._doubtful, self._from_s
         if stream is None or stream.history.size == 0:
             return None
         if alarm is not None:
-            from_s = max(from_s, alarm.raised_s - _BEFORE_S)
-        residuals, threshold = stream.history.snapshot(self.surface.threshold, stream.noise_gain, from_s)
+            from_s = max(from_s, alarm.raised_s - LOOKS_BACK_S)
+        residuals, threshold = stream.history.snapshot(self.surface.threshold, stream.noise_gain, from_s, until_s)
         residuals, commands = replace(residuals, context=self._context), stream.effective.copied(from_s)
         names = alarm.names if alarm is not None else {}
         find = partial(stream.found, Remembered(residuals, threshold, commands), names)

@@ -14,7 +14,7 @@ import numpy as np
 from servofd.core.errors import ServofdError
 from servofd.detection.changes import detectable, shown, thresholds_of
 from servofd.detection.evidence import passing, too_short
-from servofd.detection.faults import judged, watched_calibrated
+from servofd.detection.faults import as_raised, judged, watched_calibrated
 from servofd.detection.named import judge
 from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.residual import ResidualGenerator, prepared
@@ -121,7 +121,12 @@ def beside_good_flights(segment: Series, surface: Surface) -> Seen:
     if not known.airspeed_m_s and segment.context.airspeed_s.size:
         notes.append("its good flights hold no airspeed: calibrate it on logs that do, for fewer false alarms")
     like = f"{like} (largest residual {{largest}} deg{where})"
-    found = judged(flight)
+    time_s = segment.measured_s
+
+    def look(from_s: float, to_s: float) -> Found:
+        return judged(watched_calibrated(known, segment.at((time_s >= from_s) & (time_s <= to_s))))
+
+    found = as_raised(flight, judged(flight), look)
     return Seen(
         segment, residuals, threshold, flight, found, judged_s, like, tuple(notes), doubt=known.doubt, beyond=beyond
     )
@@ -138,6 +143,12 @@ def beside_its_model(segment: Series, surface: Surface, model: ServoModel, *, as
     if not np.isfinite(residuals.residual_deg[rows]).all():
         raise TooShortError("the residual is not a number: check model and units")
     threshold, flight, found = judge(generator, segment, residuals, surface, asked=asked)
+
+    def look(from_s: float, to_s: float) -> Found:
+        near = segment.at((segment.measured_s >= from_s) & (segment.measured_s <= to_s))
+        return judge(generator, near, generator.run(near), surface, asked=asked).found
+
+    found = as_raised(flight, found, look)
     notes = (*notes, *_reservations(model, segment, surface))
     level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
     if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:

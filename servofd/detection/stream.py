@@ -107,10 +107,17 @@ class History:
         rows = [getattr(residuals, name) for name in _OF_RESIDUALS] + [getattr(threshold, name) for name in _OF_LEVELS]
         return np.array(rows, dtype=float)
 
-    def snapshot(self, kind: ThresholdKind, noise_gain: float, from_s: float) -> tuple[Residuals, Threshold]:
-        """Residuals and threshold from then on [s], copied; models begin anew with them."""
-        first = min(int(np.searchsorted(self._rows[0, : self.size], from_s)), self.size - 1)
-        rows = self._rows[:, first : self.size].copy()
+    def first_from(self, time_s: float) -> float:
+        """Time of the first sample from then on [s], or of the latest."""
+        return float(self._rows[0, min(int(np.searchsorted(self._rows[0, : self.size], time_s)), self.size - 1)])
+
+    def snapshot(
+        self, kind: ThresholdKind, noise_gain: float, from_s: float, until_s: float
+    ) -> tuple[Residuals, Threshold]:
+        """Residuals and threshold from a time until another [s], copied; models begin anew with them."""
+        time_s = self._rows[0, : self.size]
+        last = int(np.searchsorted(time_s, until_s, side="right"))
+        rows = self._rows[:, min(int(np.searchsorted(time_s, from_s)), last - 1) : last].copy()
         known, levels = dict(zip(_OF_RESIDUALS, rows, strict=False)), rows[len(_OF_RESIDUALS) :]
         known |= {"settled": known["settled"] != 0.0, "restart": known["restart"].astype(np.int8)}
         known["restart"][0] = RESTART_ALL
@@ -269,7 +276,7 @@ class _Waiting:
         if len(statistics):
             self._before = statistics[-1]
         raised = np.zeros(time_s.size, dtype=np.int8)
-        for what, over_s in ((BY_LEVEL, time_s[passed >= 1.0]), (BY_WINDOWS, grid_s[ratios >= 1.0])):
+        for what, over_s in ((BY_WINDOWS, grid_s[ratios >= 1.0]), (BY_LEVEL, time_s[passed >= 1.0])):
             if over_s.size and self.latched < what:
                 raised[int(np.searchsorted(time_s, over_s[0]))] = self.latched = what
         return raised

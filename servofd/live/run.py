@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
 
-_STEP_S, _LONGEST_STEP_S, _CALM_STEP_S = 0.02, 0.1, 0.5
+_STEP_S, _LONGEST_STEP_S, _CALM_STEP_S = 0.02, 0.1, 1.0
 """Of a replay: data is evaluated in steps of this length; of a longer one where the difference cannot be seen, and of
 the longest while no alarm stands and every surface sends: a piece of any length raises the same alarms."""
 _TOGETHER_S = 0.003
@@ -57,7 +57,7 @@ class Pace:
         """Whether to evaluate what has come in so long [s]; looks at an alarm that stands have their times."""
         if since_s < self.step_s:
             return False
-        return self.speed > 0.0 or since_s >= _CALM_STEP_S or not session.may_wait
+        return self.speed > 0.0 or since_s >= _CALM_STEP_S or not session.rests(_CALM_STEP_S)
 
     def wait(self, at_s: float) -> None:
         """Wait until this instant of the log is due [s]."""

@@ -33,8 +33,15 @@ _GROUND_SYSTEM = 255
 """System id of ground stations, which are no vehicles."""
 _SYNC_S = 5.0
 """How often the delay of a link is asked for; ground stations ask every 10 s."""
+_SETTLED_S = 1.0
+"""When a vehicle has sent no new channel for so long, it is known what it sends: positions come five times a second."""
 _LATEST_US = 2**64 - 1
 """That a telemetry log can hold; read from a damaged one, seconds in a float come to one more."""
+
+
+def _positions(craft: Aircraft) -> set[str]:
+    """Channels of the positions that a file names."""
+    return {surface.measured.channel for surface in craft.surfaces.values() if surface.measured is not None}
 
 
 def stamped(arrival_s: float, frame: bytes) -> bytes:
@@ -65,7 +72,8 @@ class Session:
     codec: Codec
     """Takes frames apart; its own messages are made elsewhere."""
     aircraft: Mapping[int, Aircraft]
-    """By system id; with the key 0, of whichever vehicle speaks first."""
+    """By system id; with the key 0, of whichever vehicle speaks first, and with -1, -2, ... beside it of those whose
+    positions they name."""
     store: Callable[[bytes], None] = lambda _: None
     """Takes every frame with its arrival time, as a telemetry log has it."""
     send: Callable[[int, str, dict[str, Any]], None] | None = None
@@ -100,13 +108,20 @@ class Session:
     """Systems that were watched until another one sent the positions."""
     _wanted: dict[int, set[str]] = field(default_factory=dict)
     _tables: dict[int, ChannelTable] = field(default_factory=dict)
+    _first: int = 0
+    """The vehicle that has the one file without a system id."""
+    _open: dict[int, Aircraft] = field(default_factory=dict)
+    """Of several files without a system id, those that no vehicle has yet,"""
+    _sent: dict[int, dict[str, float]] = field(default_factory=dict)
+    """and when a vehicle without a file has first sent a position [s], by its channel."""
 
     def __post_init__(self) -> None:
-        for system, aircraft in self.aircraft.items():
-            vehicle = Vehicle(system, aircraft, is_stream=self.is_stream and not self.remote_log)
-            self._wanted[system] = vehicle.messages
-            if system:
-                self._adopt(system, vehicle)
+        for system in self.aircraft:
+            self._wanted[system] = self._adopt(system, system).messages
+            if system <= 0:
+                del self.vehicles[system]
+        if -1 in self.aircraft:
+            self._open = {number: craft for number, craft in self.aircraft.items() if number <= 0}
         if self.aside:
             self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="servofd bank")
             self._pool.submit(_load_bank)
@@ -128,7 +143,7 @@ class Session:
             if message is None:
                 continue
             self.frames += 1
-            vehicle = self.vehicles.get(message.system) or self._found(message)
+            vehicle = self.vehicles.get(message.system) or self._found(message, arrival_s)
             if vehicle is not None:
                 self.names.add(message.name)
                 reports = vehicle.receive(message, arrival_s)
@@ -151,6 +166,7 @@ class Session:
     def step(self, arrival_now_s: float, *, final: bool = False) -> list[Published]:
         """Evaluate what was taken, or of it what cannot wait for the next step, and do what is due."""
         events: list[Published] = []
+        self._match(arrival_now_s)
         for vehicle in tuple(self.vehicles.values()):
             for monitor in vehicle.monitors.values():
                 monitor.listener = self.listener
@@ -167,10 +183,9 @@ class Session:
         """Whether no surface of any vehicle is anywhere near an alarm."""
         return all(monitor.at_ease for vehicle in self.vehicles.values() for monitor in vehicle.monitors.values())
 
-    @property
-    def may_wait(self) -> bool:
-        """Whether no alarm stands, and of every surface something has come that is not evaluated."""
-        return all(vehicle.is_calm for vehicle in self.vehicles.values())
+    def rests(self, for_s: float) -> bool:
+        """Whether nothing is looked into for so long [s], and of every surface something has come to be evaluated."""
+        return all(vehicle.rests(for_s) for vehicle in self.vehicles.values())
 
     def finish(self, arrival_now_s: float) -> list[Published]:
         """End of the stream."""
@@ -193,22 +208,31 @@ class Session:
         """Those of every surface and every boot."""
         return [one for vehicle in self.vehicles.values() for one in (*vehicle.past, *vehicle.monitors.values())]
 
-    def _found(self, message: Received) -> Vehicle | None:
+    def _found(self, message: Received, arrival_s: float) -> Vehicle | None:
         """The first vehicle that speaks, if the aircraft file says of none which it is.
 
-        Whoever speaks first is asked for positions; the first that sends any is the one.
+        Whoever speaks first is asked for positions; the first that sends any is the one. Of several such files each
+        waits for a vehicle that sends what it names.
         """
         autopilot = message.name == "HEARTBEAT" and message.component == Component.AUTOPILOT1
         autopilot = autopilot and message.fields["autopilot"] != Autopilot.INVALID
         if 0 not in self.aircraft or message.system == _GROUND_SYSTEM:
             self._stranger(message.system, autopilot)
             return None
-        bound = next(iter(self.vehicles.values()), None)
+        if message.system not in self._tables:
+            channels = {channel for craft in self.aircraft.values() for channel in _positions(craft)}
+            self._tables[message.system] = ChannelTable(channels)
+        sent = self._tables[message.system].of(message)
+        if -1 in self.aircraft:
+            since_s = self._sent.setdefault(message.system, {})
+            for channel, _ in sent:
+                since_s.setdefault(channel, arrival_s)
+            if not self._open:
+                self._stranger(message.system, autopilot)
+            return None
+        bound = self.vehicles.get(self._first)
         if bound is not None:
-            if message.system not in self._tables:
-                channels = [s.measured.channel for s in self.aircraft[0].surfaces.values() if s.measured]
-                self._tables[message.system] = ChannelTable(channels)
-            if bound.has_positions or message.system in self._left or not self._tables[message.system].of(message):
+            if bound.has_positions or message.system in self._left or not sent:
                 self._stranger(message.system, autopilot)
                 return None
             self.notes.append(
@@ -219,9 +243,29 @@ class Session:
             self.strangers.add(bound.system)
         elif not autopilot and message.name not in self._wanted[0]:
             return None
-        vehicle = Vehicle(message.system, self.aircraft[0], is_stream=not self.remote_log)
-        self._adopt(message.system, vehicle)
-        return vehicle
+        self._first = message.system
+        return self._adopt(message.system, 0)
+
+    def _match(self, arrival_now_s: float) -> None:
+        """Give each of several files to the vehicle that sends the positions it names.
+
+        A vehicle has the file of which it sends the most. Where it may be one of two, the files belong to the vehicles
+        in the order of their numbers, once there are as many.
+        """
+        named = {number: _positions(craft) for number, craft in self._open.items()}
+        fits: dict[int, list[int]] = {}
+        for system, since_s in sorted(self._sent.items()):
+            if since_s and arrival_now_s - max(since_s.values()) >= _SETTLED_S:
+                most = max((len(names) for names in named.values() if names <= since_s.keys()), default=0)
+                fits[system] = [n for n, names in named.items() if len(names) == most and names <= since_s.keys()]
+        are_all_here = sum(map(bool, fits.values())) >= len(self._open)
+        for system, numbers in fits.items():
+            if numbers and (are_all_here or len(numbers) == 1):
+                surfaces = ", ".join(self._open.pop(numbers[0]).surfaces)
+                self.notes.append(f"vehicle {system} is watched with file {1 - numbers[0]}: it sends {surfaces}")
+                self._adopt(system, numbers[0])
+                del self._sent[system]
+                return
 
     def _stranger(self, system: int, is_vehicle: bool) -> None:
         """Name a vehicle that is not watched, once."""
@@ -230,19 +274,24 @@ class Session:
             if self.vehicles:
                 self.notes.append(f"vehicle {system} is not watched: -c {system}=FILE would")
 
-    def _adopt(self, system: int, vehicle: Vehicle) -> None:
+    def _adopt(self, system: int, file: int) -> Vehicle:
+        """Watch a vehicle with one of the files."""
+        vehicle = Vehicle(system, self.aircraft[file], is_stream=self.is_stream and not self.remote_log)
         self.vehicles[system] = vehicle
         vehicle.requests.component = self.component
         if self.remote_log:
             vehicle.log = RemoteLog(system)
+        return vehicle
 
     def _look(self, vehicle: Vehicle) -> list[Event]:
         events = self._finished_looks(vehicle)
+        if self._pool is None:
+            while looks := vehicle.due():
+                for monitor, look in looks:
+                    events += monitor.told(look, look.judge())
+            return events
         for monitor, look in vehicle.due():
-            if self._pool is None:
-                events += monitor.told(look, look.judge())
-            else:
-                self._looks.append((vehicle, monitor, look, self._pool.submit(look.judge)))
+            self._looks.append((vehicle, monitor, look, self._pool.submit(look.judge)))
         return events
 
     def _finished_looks(self, vehicle: Vehicle) -> list[Event]:
@@ -305,7 +354,7 @@ class Session:
 
     def unjudged(self) -> str:
         """Which surfaces were not judged to the end, or not for most of the flight, and why; empty if all were."""
-        if not self.watched:
+        if not self.watched or self._open:
             return self.waiting() or "no vehicle"
         reasons: dict[str, list[str]] = {}
         for vehicle, monitor in self.watched:
@@ -322,7 +371,7 @@ class Session:
         """What is still missing, in words; empty if every surface is watched."""
         if not self.vehicles:
             return self._nobody()
-        missing: dict[str, list[str]] = {}
+        missing = {f"file {1 - k} waits for its vehicle (-c ID=FILE)": list(c.surfaces) for k, c in self._open.items()}
         for vehicle in self.vehicles.values():
             why = vehicle.axes.waiting() if vehicle.axes is not None else ""
             if why:

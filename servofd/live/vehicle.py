@@ -338,11 +338,10 @@ class Vehicle:
             if self.axes is not None:
                 self.axes.add(channel, stamp_s, value)
 
-    @property
-    def is_calm(self) -> bool:
-        """Whether no alarm stands, and commands and positions of every surface wait to be evaluated."""
+    def rests(self, for_s: float) -> bool:
+        """Whether nothing is looked into for so long [s], and something of every surface waits to be evaluated."""
         waiting = [self._samples.get(name) for name in self.monitors]
-        return all(m.is_calm for m in self.monitors.values()) and all(
+        return all(m.rests(for_s) for m in self.monitors.values()) and all(
             each and each[0][0] and each[1][0] for each in waiting
         )
 

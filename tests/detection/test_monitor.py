@@ -127,30 +127,32 @@ class TestTheSameStepAsOffline:
         assert (events, monitor.has_fault, monitor.was_judged) == ([], False, True)
 
 
-def watched(entry: Surface, model: ServoModel, segment: Series) -> tuple[SurfaceMonitor, list[Event]]:
-    """Feed a monitor sample by sample, and let the bank look whenever it wants to."""
+def watched(entry: Surface, model: ServoModel, segment: Series, piece: int = 1) -> tuple[SurfaceMonitor, list[Event]]:
+    """Feed a monitor so many samples at a time, and let the bank look whenever it wants to."""
     monitor = SurfaceMonitor("x", entry, model)
     events: list[Event] = []
-    for time_s, role, value in in_order(segment):
-        sample = (np.array([time_s]), np.array([value]))
-        events += monitor.feed(*((NOTHING, NOTHING), sample) if role else (sample, (NOTHING, NOTHING)))
-        look = monitor.due()
-        if look is not None:
+    samples = in_order(segment)
+    for begin in range(0, len(samples), piece):
+        rows = np.array(samples[begin : begin + piece]).T
+        asked, seen = (rows[0][rows[1] == role] for role in (0, 1)), (rows[2][rows[1] == role] for role in (0, 1))
+        commands, positions = zip(asked, seen, strict=True)
+        events += monitor.feed(commands, positions)
+        while look := monitor.due():
             events += monitor.told(look, look.judge())
     return monitor, events + monitor.finish()
 
 
-def test_the_bank_looks_when_it_is_time_and_once_for_all_that_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
-    monitor = SurfaceMonitor("x", *surface())
-    looks: list[float] = []
-    history = SimpleNamespace(last_s=0.0)
-    monkeypatch.setattr(monitor, "_stream", SimpleNamespace(history=history))
-    monkeypatch.setattr(SurfaceMonitor, "_look", lambda _: looks.append(history.last_s))
-    monitor._looks_s.extend([5.0, 6.0, 9.0])
-    for history.last_s in (4.9, 5.0, 5.5, 7.0, 9.5, 20.0):
-        monitor.due()
-    assert looks == [5.0, 7.0, 9.5]
-    assert not monitor._looks_s
+@pytest.mark.parametrize("what", ["jam", "offset"])
+def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None:
+    entry, model = surface()
+    segment = flight(3)
+    measured_deg, at_fault = segment.measured_deg.copy(), (segment.measured_s >= 26.0) & (segment.measured_s < 32.0)
+    measured_deg[at_fault] = measured_deg[at_fault][0] if what == "jam" else measured_deg[at_fault] + 2.0
+    faulty = replace(segment, measured_deg=measured_deg)
+    told = [watched(entry, model, faulty, piece)[1] for piece in (1, 7, 50)]
+    seen = [[(event.time_s, event.event, event.kind) for event in events] for events in told]
+    assert [event for _, event, _ in seen[0] if event != "named"] == ["alarm", "clear"]
+    assert seen[1] == seen[0] == seen[2]
 
 
 class TestNoVerdictFromNoMeasurement:

@@ -12,6 +12,7 @@ from servofd.core.types import FloatArray
 from servofd.detection.event import Event, Quiet
 from servofd.detection.flights import Flight
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.seen import beside_good_flights
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0
@@ -96,6 +97,9 @@ def test_a_calibrated_servo_is_no_longer_at_fault_two_seconds_after_it(by_good_f
     assert BEGINS_S <= events[0].time_s < BEGINS_S + 1.0
     assert events[-1].event == "clear"
     assert ENDS_S - 1.5 <= events[-1].time_s <= ENDS_S + WITHIN_S
+    time_s, command_deg, measured_deg = faulty(kind, 6)
+    audited = beside_good_flights(Series("x", time_s, command_deg, time_s, measured_deg), by_good_flights.surfaces["x"])
+    assert audited.found.faults[0].alarm_s == pytest.approx(events[0].time_s, abs=0.05)
 
 
 def test_looks_in_vain_become_rarer() -> None:
@@ -104,7 +108,6 @@ def test_looks_in_vain_become_rarer() -> None:
         at_s = 0.1 * k
         if k % 30 == 0:
             quiet.since_s = at_s
-        if quiet.is_due(at_s):
-            looked_s.append(at_s)
+        looked_s += quiet.due_s(at_s)
     assert np.diff(looked_s)[:2].min() >= 0.4
     assert np.diff(looked_s)[4:].min() >= 1.5 - 1e-9

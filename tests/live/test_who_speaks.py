@@ -118,6 +118,66 @@ def test_another_aircraft_on_the_port_is_named_and_not_watched(aircraft: Aircraf
     ]
 
 
+@pytest.mark.parametrize(
+    ("files", "sent", "expected"),
+    [
+        ((("elevator", "rudder"), ("aileron",)), {7: (2, 4), 3: (1,)}, {7: 0, 3: -1}),
+        ((("aileron",), ("elevator", "aileron")), {3: (1, 2), 7: (1,)}, {3: -1, 7: 0}),
+        ((("elevator",), ("elevator", "rudder")), {3: (1,), 9: (2, 4)}, {9: -1}),
+        ((("elevator",), ("elevator",)), {7: (2,)}, {}),
+        ((("elevator",), ("elevator",)), {7: (2,), 3: (2,), 9: (2,)}, {3: 0, 7: -1}),
+    ],
+)
+def test_of_files_without_a_number_each_vehicle_has_that_of_its_positions(
+    files: tuple[tuple[str, ...], ...], sent: dict[int, tuple[int, ...]], expected: dict[int, int], tmp_path: Path
+) -> None:
+    """Where two would do, they go by the numbers of the vehicles; whoever is left over is named once."""
+    aircraft = {}
+    for place, names in enumerate(files):
+        path = tmp_path / f"{place}.toml"
+        path.write_text(plane_file(names))
+        aircraft[-place] = load_aircraft(path)
+    session, notes = Session(Codec(0, 191), aircraft), []
+    for now_s in (1.0, 1.5, 2.0, 2.5, 3.0, 3.5):
+        for system, numbers in sent.items():
+            codec = Codec(system, 1)
+            beat = codec.encode("HEARTBEAT", {"type": 1, "autopilot": 3, "mavlink_version": 3})
+            session.take(now_s, beat)
+            for number in numbers:
+                value = {"time_boot_ms": int(1e3 * now_s), "name": f"SRVP{number}", "value": 1.0}
+                session.take(now_s, codec.encode("NAMED_VALUE_FLOAT", value))
+        session.step(now_s)
+        notes += session.notes
+        session.notes.clear()
+    assert {system: vehicle.aircraft for system, vehicle in session.vehicles.items()} == {
+        system: aircraft[number] for system, number in expected.items()
+    }
+    left = [note for note in notes if "is not watched" in note]
+    assert len(left) == (len(expected) == len(files)) * (len(sent) - len(files))
+    assert ("waits for its vehicle" in session.waiting()) == (0 < len(expected) < len(files))
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["plane.toml", "plane.toml"], "given twice"),
+        (["plane.toml", "copy.toml"], "given twice"),
+        (["1=plane.toml", "1=copy.toml"], "vehicle 1 has two files"),
+        (["300=plane.toml"], "no system id"),
+    ],
+)
+def test_files_that_cannot_be_told_apart_are_refused_in_one_line(
+    words: list[str], why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("plane.toml", "copy.toml"):
+        (tmp_path / name).write_text(plane_file())
+    assert main(["monitor", "udpin:127.0.0.1:0", *(each for word in words for each in ("-c", word))]) == 2
+    error = capsys.readouterr().err
+    assert why in error
+    assert error.count("\n") == 1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("gone", ["", "NAMED_VALUE_FLOAT", "SERVO_OUTPUT_RAW"])
 def test_healthy_is_only_what_was_judged_to_the_end(
