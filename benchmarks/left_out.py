@@ -72,7 +72,6 @@ CONSTANTS = (
     Constant("own", "misfit for one of its own numbers", ((select, "_OCCAM_OWN"),), (10.0, select._OCCAM_OWN, 24.0)),
     Constant("gap", "share of the gap on top", ((select, "_OF_GAP"),), (3e-5, select._OF_GAP, 3e-4)),
     Constant("declared", "probability that is declared", ((select, "_DECLARED"),), (0.9, select._DECLARED, 0.99)),
-    Constant("predicted", "held-out misfit of an effect", ((select, "_HELPS"),), (2.0, select._HELPS, 8.0)),
     Constant("gain", "gain of an unknown servo", ((select, "_GAIN_SHARE"),), (0.02, select._GAIN_SHARE, 0.05), True),
     Constant(
         "model", "error of a model, of its misfit", ((select, "_MODEL_SHARE"),), (0.01, select._MODEL_SHARE, 0.04), True

@@ -69,7 +69,6 @@ second as chosen without the source; the error on data not fitted is over that o
 | misfit for a further name (20, 30, 45); share of the gap on top (3e-5, 1e-4, 3e-4) | a prototype on simulated servos | nothing on any source |
 | misfit for one of the servo's own numbers (10, 16, 24) | simulated servos, EMPS | 24 loses the offset of EMPS, whose error is then 1.7 times as large |
 | probability that is declared (0.9, 0.95, 0.99) | even seeds of `places.py` | 0.99: 0.25 names more for each on those 12 logs; nothing elsewhere |
-| held-out misfit of an effect (2, 4, 8) | simulated servos | nothing |
 | how rare effects are (half, as it is, twice) | simulated servos, bench | nothing |
 | gain of an unknown servo (0.02, 0.03, 0.05), error of a model (0.01, 0.02, 0.04), what effects may leave (0.35, 0.5, 0.7) | bench | nothing |
 | memory at rest (1.3, 1.6, 2) | simulated servos | nothing |

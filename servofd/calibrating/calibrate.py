@@ -14,7 +14,7 @@ from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
-from servofd.core.evidence import ModelOrigin
+from servofd.core.evidence import ModelOrigin, untold
 from servofd.core.statistics import Estimate
 from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
@@ -266,12 +266,20 @@ def calibrate_aircraft(
     if wrong:
         raise CalibrationError("; ".join(wrong))
     found = [result for result in results if not isinstance(result, CalibrationError)]
-    blind = {one.surface: _blind(one) for one in found if not force and is_blind(one.detectable)}
+    blind = {one.surface: reason for one in found if not force and (reason := _untold(one))}
     kept |= blind
     found = [one for one in found if one.surface not in blind]
     if not found:
         raise CalibrationError("; ".join(f"{name}: {reason}" for name, reason in kept.items()))
     return Calibration(_with(aircraft, found), tuple(found), kept)
+
+
+def _untold(one: CalibratedSurface) -> str:
+    """What these flights do not tell of a surface, and what to fly; nothing if they tell enough."""
+    what = untold(one.estimates["gain"], one.bandwidth_rad_s)
+    if what:
+        return f"these flights do not tell {what}; --force calibrates it all the same"
+    return _blind(one) if is_blind(one.detectable) else ""
 
 
 def _blind(one: CalibratedSurface) -> str:

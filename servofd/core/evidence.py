@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from servofd.core.statistics import Estimate
+
 Origin = Literal["calibrated", "named", "fitted", "none"]
 
 _SizeDeg = Annotated[float, Field(ge=0.0)]
@@ -89,3 +91,32 @@ class Detectable:
 
 
 NOTHING_DETECTABLE = Detectable()
+
+
+_MOST_APART = 3.0
+"""A bandwidth that may as well be three times as large is not known."""
+_SWEEP_TO = 4.0
+"""Times the bandwidth to which a sweep should go: those that tell an HS-225BB are coherent to 126 of its 28.5 rad/s."""
+
+
+def untold(gain: Estimate | None, bandwidth_rad_s: Estimate | None) -> str:
+    """What is not known of a servo whose gain and bandwidth may lie so far apart, and what would tell it; or nothing.
+
+    Examples
+    --------
+    >>> untold(Estimate(1.0, 0.9, 1.1), Estimate(30.0, 28.0, 32.0))
+    ''
+    >>> untold(Estimate(1.0, -0.9, 2.9), None)
+    'the gain (-0.9 to 2.9): ask for slow movements that are many times as large as the noise of the position'
+    """
+    if gain is not None and gain.low <= 0.0 <= gain.high:
+        return (
+            f"the gain ({gain.low:.2g} to {gain.high:.2g}): ask for slow movements that are many times as large as the "
+            "noise of the position"
+        )
+    if bandwidth_rad_s is not None and not bandwidth_rad_s.high <= _MOST_APART * bandwidth_rad_s.low:
+        return (
+            f"the bandwidth ({bandwidth_rad_s.low:.0f} to {bandwidth_rad_s.high:.0f} rad/s): sweep slowly up to "
+            f"{_SWEEP_TO * bandwidth_rad_s.value:.0f} rad/s, and log the position at 50 Hz or more"
+        )
+    return ""

@@ -36,6 +36,8 @@ _AT_BOUND: Final = 1e-9
 """Distance from a bound below which a number is at it."""
 _NO_CURVATURE: Final = 1e-12
 """Added to a curvature, so that a number without any influence divides by no zero."""
+_TWO, _SOON = 2, 3.0
+"""Steps that a descent has in any case, and how many steps like the last one it may still need."""
 _LEAST: Final = 1e-24
 """Mean square below which a simulation is exact."""
 
@@ -155,6 +157,8 @@ class Solution:
     misfit: float
     error: FloatArray
     """What they leave, shape (n,)."""
+    followed: FloatArray
+    """Derivatives of the errors that the last step followed, shape (n, k)."""
 
     @cached_property
     def slopes(self) -> FloatArray:
@@ -206,12 +210,13 @@ def fit(
     *,
     steps: int = 60,
     close: float = _CLOSE,
+    enough: float = np.inf,
     slopes: FloatArray | None = None,
 ) -> Solution:
     """Numbers at the foot of the slope on which a descent begins.
 
     It ends after so many `steps`, or where one with fresh slopes improves the misfit, or promises to, by no more than
-    `close`.
+    `close`; or where it is still worse than `enough`, and improves too slowly to become better.
     `slopes` (n, k) are those at the beginning, if they are known.
 
     Examples
@@ -227,7 +232,7 @@ def fit(
     error = problem.residual(x)
     slopes = problem.slopes(x, error) if slopes is None else slopes
     best, damping, is_fresh = problem.misfit(x, error), _DAMPING, True
-    for _ in range(steps):
+    for taken in range(steps):
         weighted = slopes * problem.noise.weights(error)[:, None]
         whole = weighted.T @ slopes + np.diag(problem.prior**2)
         curvature = whole + np.diag(damping * np.diag(whole) + _NO_CURVATURE)
@@ -247,16 +252,17 @@ def fit(
             else:
                 slopes = problem.derivatives(there)
             x, error, best, damping = there, left, misfit, max(damping / _BOLDER, _DAMPING)
+            if taken >= _TWO and best - _SOON * gained > enough:
+                break
         if gained > close:
             is_fresh = problem.derivatives is not None
         elif not is_fresh:
-            slopes = problem.slopes(x, error)
-            is_fresh = True
+            slopes, is_fresh, damping = problem.slopes(x, error), True, _DAMPING
         elif gained > 0.0 or damping >= _MOST_DAMPED:
             break
         else:
             damping *= _TIMIDER
-    return Solution(problem, x, best, error)
+    return Solution(problem, x, best, error, slopes)
 
 
 def bounded_step(curvature: FloatArray, down: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

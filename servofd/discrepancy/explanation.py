@@ -92,26 +92,14 @@ def run_errors(record: Record, fitter: Fitter, final: Fit) -> tuple[RunErrors, .
     """Fit the servo with its effects again without each run, and judge that run; empty for a single run."""
     if not record.runs:
         return ()
-    errors_deg = [_held_out_error_deg(fitter, fit) for fit in (fitter.nominal(), final)]
+    left_out = [fitter.record.run % _MOST_FOLDS == k for k in range(min(len(record.runs), _MOST_FOLDS))]
+    before, after = (fitter.without(fit, left_out) for fit in (fitter.nominal(), final))
     return tuple(
-        RunErrors(k, *(rms(error[(record.run == k) & record.counts]) for error in errors_deg))
+        RunErrors(
+            k, *(rms(fits[k % _MOST_FOLDS].error_deg[(record.run == k) & record.counts]) for fits in (before, after))
+        )
         for k in range(len(record.runs))
     )
-
-
-def _held_out_error_deg(fitter: Fitter, fit: Fit) -> FloatArray:
-    """Error of each run, with the servo fitted again to the others, shape (n,)."""
-    record = fitter.record
-    error_deg = np.full(record.time_s.size, np.nan)
-    for fold in range(min(len(record.runs), _MOST_FOLDS)):
-        left_out = record.run % _MOST_FOLDS == fold
-        physics = fit.physics
-        if fit.effects or record.free_poles:
-            physics = (
-                Fitter(replace(record, counts=record.counts & ~left_out)).descended(fit.effects, physics, 4).physics
-            )
-        error_deg[left_out] = fitter.judged(fit.effects, physics).error_deg[left_out]
-    return error_deg
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +132,8 @@ _MUCH_WORSE, _NO_NOISE = 4.0, 5.5
 model no noise is."""
 _SLOWLY_WORSE = 2.0
 """Times the variance of the healthy part, up to the first sample that is no noise: a drift, which has no beginning."""
-_AT_ONCE_S, _SOON_S, _FAR_WORSE, _NOT_BUSIER, _MOST_OF_IT = 5.0, 15.0, 25.0, 2.0, 0.25
-"""Where the healthy part is not explained to the noise either, a fault must stand out from what stays of it: at once,
-though no more is asked, or soon and nearly as large as the motion (variances). A gap that drifts, or grows with motion,
-is no fault."""
+_SOON_S = 15.0
+"""Time after a change in which an unknown servo must have stopped to follow its command."""
 _STILL_FOLLOWS = 0.2
 """Share of the position that the command tells, above which an unknown servo still follows it."""
 _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
@@ -320,7 +306,6 @@ def explain_gap(
     free_poles: bool = False,
     off: Sequence[Undriven] = (),
     conditions: Mapping[str, FloatArray] | None = None,
-    usual_deg: float = 0.0,
     progress: Callable[[str], None] = lambda _step: None,
 ) -> Explanation:
     """Find where a servo and its model disagree, name what is missing, and show how the gap shrinks.
@@ -340,8 +325,6 @@ def explain_gap(
         Where the log itself says that the servo was not driven.
     conditions : mapping of str to ndarray, shape (r,), optional
         Of each run: a load, a supply, a temperature, with which the size of an effect may go.
-    usual_deg : float
-        Error that the model is known to leave on good logs [deg rms].
     progress : callable
         Called with the name of each effect that was tried.
 
@@ -386,7 +369,7 @@ def explain_gap(
     ]
     fault_s = undriven[0].start_s if len(records) == 1 and undriven and not off else None
     if fault_s is None and selection.adequacy.reasons and not (record.runs or record.side is not None):
-        healthy = _healthy_part(record, selection, usual_deg, progress)
+        healthy = _healthy_part(record, selection, progress)
         if healthy is not None:
             record, selection, fault_s = healthy
             notes.append(
@@ -453,13 +436,12 @@ def _notes(record: Record, selection: Selection) -> list[str]:
 
 
 def _healthy_part(
-    record: Record, selection: Selection, known_deg: float, progress: Callable[[str], None]
+    record: Record, selection: Selection, progress: Callable[[str], None]
 ) -> tuple[Record, Selection, float] | None:
     """What comes before a fault, its explanation, and when the fault begins [s]; None if there is no such part."""
     change_s = fault_start_s(record, selection)
     if change_s is None:
         return None
-    rough = None  # taken if no margin leaves a part that is explained
     for margin_s in _MARGINS_S:
         before = replace(record, counts=record.counts & (record.time_s < change_s - margin_s))
         if int(before.counts.sum()) < 2 * _FEWEST_SAMPLES:
@@ -468,25 +450,21 @@ def _healthy_part(
         if record.free_poles and not _stands_out(before, later, selection.final):
             continue
         healthy = select(before, progress)
-        error = healthy.final.error_deg
-        explained = not healthy.adequacy.reasons
-        usual_deg = healthy.sigma_deg if explained else max(rms(error[before.counts]), known_deg)
+        if healthy.adequacy.reasons:
+            continue
+        error, usual_deg = healthy.final.error_deg, healthy.sigma_deg
         wrong = later & (np.abs(error) > _NO_NOISE * usual_deg)
         if not wrong.any():
             continue
         start_s = float(record.time_s[wrong][0])
         quiet = later & (record.time_s < start_s)
         slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
-        if explained and not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * healthy.sigma_deg**2:
+        if not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * usual_deg**2:
             # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault.
             if record.free_poles and _follows(record, start_s):
                 continue
             return before, healthy, start_s
-        # Of an unknown servo, what is left is the model's as likely as a fault's.
-        may_break = rough is None and not explained and not record.free_poles
-        if may_break and _breaks_off(record, error, before.counts, start_s, usual_deg):
-            rough = before, healthy, start_s
-    return rough
+    return None
 
 
 def _follows(record: Record, start_s: float) -> bool:
@@ -501,18 +479,6 @@ def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:
     for fit in (fitter.descended(final.effects, final.physics), fitter.linear()):
         error_deg = fitter.judged(fit.effects, fit.physics).error_deg
         if np.mean(error_deg[later] ** 2) > _MUCH_WORSE * np.mean(error_deg[before.counts] ** 2):
-            return True
-    return False
-
-
-def _breaks_off(record: Record, error_deg: FloatArray, before: BoolArray, start_s: float, usual_deg: float) -> bool:
-    """Whether an error becomes far larger, and not because more is asked of the servo."""
-    asked_deg = simulate(record, record.plant.neutral)
-    usual = float(np.var(asked_deg[before]))
-    for seconds, most in ((_AT_ONCE_S, _NOT_BUSIER * usual), (_SOON_S, 0.0)):
-        there = record.counts & (record.time_s >= start_s) & (record.time_s < start_s + seconds)
-        energy, asked = float(np.mean(error_deg[there] ** 2)), float(np.var(asked_deg[there]))
-        if energy > _FAR_WORSE * usual_deg**2 and (asked < most or energy > _MOST_OF_IT * asked):
             return True
     return False
 

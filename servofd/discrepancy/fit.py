@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.core.fitting import Noise, Problem, bounded_step, inverse
+from servofd.core.fitting import Noise, Problem, inverse
 from servofd.core.fitting import fit as minimum
 from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.noise import (
@@ -38,21 +38,18 @@ from servofd.servo.physics import Physics
 if TYPE_CHECKING:
     from servofd.servo.effect import Effect, Parameter
 
-_ITERATIONS, _GAIN_OVER = 8, 0.3
-"""A descent ends where a step improves the misfit by less."""
+SHORT, LONG, _CLOSE = 24, 60, 0.1
+"""Steps of a descent that shall show what a structure is worth, and of one to the end; and the misfit, of which one
+standard deviation of a number makes 1 or more, by which a step must improve."""
 _NEARBY, _FROM_ALL = 4, 4.0
-"""Steps of a fit to a fold, which begins where all samples lead, and how many of their standard deviations off a number
+"""Steps of a fit to a part, which begins where all samples lead, and how many of their standard deviations off a number
 may come to lie (of half the samples it is 1.4)."""
-_DAMPING, _MOST_DAMPED, _BOLDER, _TIMIDER, _TRIES = 1e-3, 1e4, 6.0, 12.0, 3
-"""Levenberg and Marquardt: share of each curvature, by how much it changes after a step, and how many are tried."""
 _STEP = 0.1
 """In units of what is common, or of a prior: what sticks answers to less with jumps."""
 _LOG_STEP, _DECADES = 0.2, 50.0
 """Numbers that range over decades are fitted by their logarithm, in such units."""
 _STRAIN, _STRAINED = 2.0, 3.0
 """Standard deviations at which one of the servo's own numbers may stand in for something else."""
-_LEAST_COLOUR, _WHITE = 0.2, 2.0
-"""Share that must stay from sample to sample, and correlation that may be left without it, for noise of one colour."""
 _SAME = 1e-9
 """Curvature below which the data say nothing about a number."""
 _FAR = 50.0
@@ -106,8 +103,8 @@ _COARSE = tuple(
     for pair, damping, slow in product((0.25, 0.5, 1.0, 2.0, 4.0, 8.0), (0.3, 0.7, 1.4), (0.05, 0.2, 1.0))
 )
 """Grid on which the search for an unknown servo begins: 1 to 40 Hz, loosely and well damped, its slow pole anywhere."""
-_ROOTS, LONG = 6, 30
-"""Points of it that are fitted, and iterations that this may take."""
+_ROOTS = 6
+"""Points of it that are fitted."""
 _STARTS: tuple[dict[str, float], ...] = (
     {"pair_scale": 0.8},
     {"pair_scale": 2.0},
@@ -183,8 +180,6 @@ class Fitter:
     """Samples that are fitted: all of them, or of a long record enough."""
     kappa: FloatArray = field(init=False)
     """Correlation factor of the errors, for each run."""
-    colour: float = field(default=0.0, init=False)
-    """Share of the noise that stays from one sample to the next (AR1)."""
     _where: IntArray = field(init=False)
     _run: IntArray = field(init=False)
     _count: FloatArray = field(init=False)
@@ -224,28 +219,10 @@ class Fitter:
         kappa = [long_run_factor(errors[self._run == r]) for r in range(self._count.size)]
         self.kappa = np.array(kappa)
 
-    def recolour(self, fit: Fit) -> bool:
-        """Take what a fit leaves for noise with a colour, if it has one that a single number tells.
-
-        What differs between two servos as fast as the noise changes tells them apart better than its mean square does.
-        """
-        if self.part.time_s.size != self.record.time_s.size:
-            return False
-        errors = self._seen_deg(fit.physics)
-        follows = self._where[1:] == self._where[:-1] + 1
-        self.colour = max(float(errors[1:][follows] @ errors[:-1][follows] / (errors @ errors)), 0.0)
-        self.remember(fit)
-        if self.colour > _LEAST_COLOUR and self.kappa.max() < _WHITE:
-            return True
-        self.colour = 0.0
-        self.remember(fit)
-        return False
-
     def reweighed(self, fit: Fit) -> Fit:
         """The same servo with the misfit that the correlation of the noise gives it now."""
-        squares = self._squares(self._seen_deg(fit.physics)) if self.colour else fit.run_deg2
-        misfit = float((self._count / self.kappa) @ np.log(squares + self._least)) + self.prior(fit)
-        return replace(fit, misfit=misfit, run_deg2=squares)
+        misfit = float((self._count / self.kappa) @ np.log(fit.run_deg2 + self._least)) + self.prior(fit)
+        return replace(fit, misfit=misfit)
 
     def physics(self, effects: Sequence[type[Effect]], values: Sequence[float] | FloatArray) -> Physics:
         """The servo as it is known, with these effects."""
@@ -264,7 +241,7 @@ class Fitter:
         starts = [neutral]
         if self.record.free_poles:
             coarse = [neutral._replace(**point) for point in _COARSE]
-            coarse.sort(key=lambda physics: self._misfit(self._seen_deg(physics), [], np.zeros(0)))
+            coarse.sort(key=lambda physics: self._noise.misfit(self._seen_deg(physics)))
             starts += [*coarse[:_ROOTS], *(neutral._replace(**start) for start in _STARTS)]
         return sorted((self.descended((), start, LONG) for start in starts), key=lambda fit: fit.misfit)
 
@@ -383,53 +360,16 @@ class Fitter:
         return np.vstack([self._slopes(numbers, x, fit.physics, error), [float(n.prior) for n in numbers]])
 
     def descended(
-        self,
-        effects: tuple[type[Effect], ...],
-        start: Physics,
-        iterations: int = _ITERATIONS,
-        enough: float = np.inf,
+        self, effects: tuple[type[Effect], ...], start: Physics, steps: int = SHORT, enough: float = np.inf
     ) -> Fit:
-        """All numbers fitted together from where a servo is (Gauss, Newton, Levenberg).
-
-        What is still worse than `enough` after two steps, and improves too slowly to become better, ends there. Slopes
-        of the own numbers hardly change, those of effects with kinks do: they are taken anew at every step.
-        """
+        """All numbers fitted together from where a servo is; given up where it does not come below `enough` soon."""
         numbers = self._numbers(effects, start)
-        x = self._x(numbers, start)
-        physics = self._servo(numbers, x, start)
-        error = self._seen_deg(physics)
-        best = self._misfit(error, numbers, x)
-        own = len([n for n in numbers if n.prior])
-        slopes = np.zeros((error.size, 0))
-        is_old, damping = False, _DAMPING
-        for k in range(iterations):
-            if not is_old:
-                slopes = self._slopes(numbers, x, physics, error)
-            else:
-                slopes[:, own:] = self._slopes(numbers[own:], x[own:], physics, error)
-            before = best
-            for _ in range(_TRIES):
-                trial = x + self._step(slopes, error, numbers, x, damping)
-                trial = np.array([n.x(n.value(v)) for n, v in zip(numbers, trial, strict=True)])
-                candidate = self._servo(numbers, trial, start)
-                error_there = self._seen_deg(candidate)
-                there = self._misfit(error_there, numbers, trial)
-                if there < best:
-                    x, physics, error, best = trial, candidate, error_there, there
-                    damping = max(damping / _BOLDER, _DAMPING)
-                    break
-                damping = min(damping * _TIMIDER, _MOST_DAMPED)
-            if before - best < _GAIN_OVER:
-                if not is_old or before - best > 0.0:
-                    break
-                is_old = False
-                continue
-            if k >= 1 and best - 3.0 * (before - best) > enough:
-                break
-            is_old = own > 0
+        problem = self._problem(numbers, start)
+        found = minimum(problem, self._x(numbers, start), steps=steps, close=_CLOSE, enough=enough)
+        physics = self._servo(numbers, found.x, start)
+        idle = _idle(effects, found.followed[:, sum(n.prior for n in numbers) :])
         fit = Fit(effects, self._values(effects, physics), physics, np.zeros(0), 0.0, 0.0, np.zeros(0))
-        idle = _idle(effects, slopes[:, own:])
-        return replace(fit, misfit=best, run_deg2=self._squares(error), idle=idle)
+        return replace(fit, misfit=found.misfit, run_deg2=self._squares(found.error), idle=idle)
 
     def _problem(self, numbers: list[_Number], start: Physics) -> Problem:
         x = self._x(numbers, start)
@@ -454,62 +394,51 @@ class Fitter:
         held_out = float(sum(each @ each for each in others))
         return replace(whole, train=float(error @ error), held_out=held_out, misfit=fit.misfit)
 
-    def held_out_misfit(self, fit: Fit) -> tuple[float, float]:
-        """Misfit that a servo fitted to one fold leaves on the other, and what its prior costs: means of both ways."""
-        misfits, prices = [], []
-        for held, judged in self._folds_predicted(fit):
-            error = self._whitened(self._beside_mean_reading(judged))
-            runs = self.record.run[held]
-            count = np.bincount(runs, minlength=self._count.size)
-            squares = np.bincount(runs, weights=error[held] ** 2, minlength=count.size) / np.maximum(count, 1)
-            weight = self._count.sum() * count / max(int(self.record.counts.sum()), 1) / self.kappa
-            misfits.append(float(weight @ np.log(squares + self._least)))
-            prices.append(self.prior(judged))
-        return float(np.mean(misfits)), float(np.mean(prices))
-
     def prior(self, fit: Fit) -> float:
         """What it costs that the servo's own numbers are not those of its type."""
         numbers = [n for n in self._numbers(fit.effects, fit.physics) if n.prior]
         return float(np.sum(self._x(numbers, fit.physics) ** 2))
 
     def _folds_predicted(self, fit: Fit) -> list[tuple[BoolArray, Fit]]:
-        """Each of two folds, and the servo fitted to the other one alone on the whole record.
-
-        Samples count for as much more as the fold has fewer, or the prior would have more of a say than in the fit.
-        """
-        key = fit.effects, fit.physics, self.colour, self.kappa.tobytes()
+        """Each of two folds, and the servo fitted to the other one alone on the whole record."""
+        key = fit.effects, fit.physics, self.kappa.tobytes()
         if key not in self._halves:
-            self._halves[key] = self._fitted_in_turn(fit)
+            folds = [self.record.counts & (self.record.fold % 2 == fold) for fold in (1, 0)]
+            self._halves[key] = list(zip(folds, self.without(fit, folds), strict=True))
         return self._halves[key]
 
-    def _fitted_in_turn(self, fit: Fit) -> list[tuple[BoolArray, Fit]]:
+    def without(self, fit: Fit, left_out: Sequence[BoolArray]) -> list[Fit]:
+        """The servo fitted without some of the samples (n,), each time to all others, on the whole record.
+
+        Samples count for as much more as there are fewer, or the prior would have more of a say than in the fit.
+        """
         record, physics = self.record, fit.physics
-        folds = [record.counts & (record.fold % 2 == fold) for fold in (1, 0)]
+        others = [record.counts & ~each for each in left_out]
         if (
             record.side is not None
             or not (fit.effects or physics != record.plant.neutral)
-            or not all(map(np.any, folds))
+            or not all(map(np.any, others))
         ):
-            return [(held, self.judged(fit.effects, physics)) for held in folds]
+            return [self.judged(fit.effects, physics)] * len(others)
         numbers = self._numbers(fit.effects, physics)
         x = self._x(numbers, physics)
         error = self._seen_deg(physics)
         slopes = self._slopes(numbers, x, physics, error)
         prior = np.array([float(n.prior) for n in numbers])
         curvature = (slopes * self._noise.weights(error)[:, None]).T @ slopes + np.diag(prior)
-        # What a fold does not tell stays as all samples tell it.
+        # What a part does not tell stays as all samples tell it.
         near = 1.0 / (_FROM_ALL * np.sqrt(np.diag(inverse(curvature))))
         prior, centre = np.where(prior > 0.0, prior, near), np.where(prior > 0.0, 0.0, x)
         found = []
-        for fold, held, others in zip((1, 0), folds, folds[::-1], strict=True):
-            half = Fitter(replace(record, counts=others))
-            half.kappa = self.kappa * float(others.sum() / record.counts.sum())
-            half._size, half.colour = self._size, self.colour
-            rows = self.part.fold[self._where] % 2 != fold
-            problem = replace(half._problem(numbers, physics), prior=prior, centre=centre)
+        for counts in others:
+            part = Fitter(replace(record, counts=counts))
+            part.kappa = self.kappa * float(counts.sum() / record.counts.sum())
+            part._size = self._size
+            problem = replace(part._problem(numbers, physics), prior=prior, centre=centre)
+            rows = part.part.counts[self._where]
             there = minimum(problem, x, steps=_NEARBY, close=1.0, slopes=slopes[rows])
-            self.simulations += half.simulations
-            found.append((held, self.judged(fit.effects, self._servo(numbers, there.x, physics))))
+            self.simulations += part.simulations
+            found.append(self.judged(fit.effects, self._servo(numbers, there.x, physics)))
         return found
 
     def covariance(self, fit: Fit) -> FloatArray:
@@ -585,18 +514,8 @@ class Fitter:
         return self.part.measured_deg - self._simulated_deg(physics)
 
     def _seen_deg(self, physics: Physics) -> FloatArray:
-        """Errors of the samples that count, without the colour of the noise."""
-        return self._whitened(self._error_deg(physics))[self._where]
-
-    def _whitened(self, error_deg: FloatArray) -> FloatArray:
-        """Errors of a colour as what each adds to the one before, as large as they are."""
-        if not self.colour:
-            return error_deg
-        new: FloatArray = error_deg.copy()
-        follows = np.isfinite(error_deg[:-1]) & (self.part.run[1:] == self.part.run[:-1])
-        new[1:][follows] -= self.colour * error_deg[:-1][follows]
-        new[1:][follows] /= np.sqrt(1.0 - self.colour**2)
-        return new
+        """Errors of the samples that count."""
+        return self._error_deg(physics)[self._where]
 
     def _simulated_deg(self, physics: Physics) -> FloatArray:
         """Simulated positions of the fitted part [deg]; of a converter with coarse steps its mean reading."""
@@ -621,23 +540,8 @@ class Fitter:
         """Mean square of each run."""
         return self._noise.squares(error)
 
-    def _misfit(self, error: FloatArray, numbers: list[_Number], x: FloatArray) -> float:
-        prior = sum(float(v) ** 2 for n, v in zip(numbers, x, strict=True) if n.prior)
-        return self._noise.misfit(error) + prior
-
     def _slopes(self, numbers: list[_Number], x: FloatArray, physics: Physics, error: FloatArray) -> FloatArray:
         return self._problem(numbers, physics).slopes(x, error)
-
-    def _step(
-        self, slopes: FloatArray, error: FloatArray, numbers: list[_Number], x: FloatArray, damping: float
-    ) -> FloatArray:
-        weighted = slopes * self._noise.weights(error)[:, None]
-        prior = np.array([float(n.prior) for n in numbers])
-        curvature = slopes.T @ weighted + np.diag(prior)
-        curvature += np.diag(damping * np.diag(curvature) + 1e-12)
-        down = -(weighted.T @ error + prior * x)
-        low, high = np.array([n.x(n.low) for n in numbers]), np.array([n.x(n.high) for n in numbers])
-        return bounded_step(curvature, down, low - x, high - x)
 
     def _given_way(self, error: FloatArray, slopes: FloatArray) -> float:
         """Misfit after a step of the numbers that are fitted already."""

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.record import Record
 
@@ -205,21 +203,9 @@ def coherent_to_hz(found: Spectrum) -> float | None:
     return float(found.frequency_hz[lost[0]]) if lost.size else None
 
 
-LINEAR, ODD, EVEN = "linear filter of the command", "odd distortion of the command", "even distortion of the command"
-"""The second is the same up and down (a limit, friction, dead band), the third is not (a curved linkage)."""
 _BINS_OF_MAP, _FEWEST_IN_MAP = 12, 30
 """Bins of a quantity in a map, and samples in each at least."""
-_LAGS, _MEMORY_S = 25, 0.25
-"""Lags of a linear filter of the command, and their total length [s]."""
-_FEWER_LAGS = 12
-"""Lags of each of two distorted commands."""
 _FOLDS = 2
-_CHUNK = 20_000
-"""Samples that are predicted at once, to save memory."""
-_DRAWS, _MOST_GROUPS = 2000, 300
-"""Draws of the block bootstrap, and blocks at most."""
-_FALSE_ALARMS = 0.01
-"""Share of healthy logs in which any of the quantities may seem to matter, however many there are."""
 
 
 class Map(NamedTuple):
@@ -229,10 +215,6 @@ class Map(NamedTuple):
     unit: str
     share: float
     """Of the variance above the noise floor, predicted for samples that were not used: 1 is all of it."""
-    low: float
-    """What chance would make of the share lies between this and the next, in all but one of a hundred logs for all
-    quantities together (block bootstrap)."""
-    high: float
     above: float
     """The quantity's size that 20 % of the samples exceed."""
     concentration: float
@@ -249,21 +231,16 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
     """
     where = record.counts
     error = error_deg[where]
-    excess = max(float(np.mean(error**2)) - sigma_deg**2, 1e-12)
+    total = max(float(np.mean(error**2)) - sigma_deg**2, 1e-12) * error.size
     found = []
     for name, unit, values, signed in _quantities(record, error_deg):
         size = np.abs(values) if signed else values
         above = float(np.quantile(size, FAST))
         top = size > above
-        share = float(np.sum(error[top] ** 2 - sigma_deg**2)) / (excess * error.size) if top.any() else 0.0
-        found.append((name, unit, _binned(values, error, record.block[where]), above, share))
-    found += [(name, "", saved, 0.0, 0.0) for name, saved in _filtered(record, error_deg)]
-    total, drawn = excess * error.size, _Drawn(record.block[where], _FALSE_ALARMS / len(found))
-    result = [
-        Map(name, unit, max(float(saved.sum()) / total, 0.0), *drawn.bounds(saved / total), above, concentration)
-        for name, unit, saved, above, concentration in found
-    ]
-    return tuple(sorted(result, key=lambda m: -m.share))
+        concentration = float(np.sum(error[top] ** 2 - sigma_deg**2)) / total if top.any() else 0.0
+        share = max(float(_binned(values, error, record.block[where]).sum()) / total, 0.0)
+        found.append(Map(name, unit, share, above, concentration))
+    return tuple(sorted(found, key=lambda each: -each.share))
 
 
 def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:
@@ -336,86 +313,16 @@ def _binned(values: FloatArray, error: FloatArray, block: IntArray) -> FloatArra
     return saved
 
 
-def _filtered(record: Record, error_deg: FloatArray) -> list[tuple[str, FloatArray]]:
-    """The same for a finite response to the last quarter of a second of commands, and to distorted ones beside them."""
-    command = record.commands.at(record.time_s)
-    command = command - float(np.mean(command[record.counts]))
-    rate = np.gradient(smooth(command), record.time_s)
-    linear = _response([(command, _LAGS)], record, error_deg)
-    distorted = {
-        ODD: (command * np.abs(command), np.sign(rate)),
-        EVEN: (np.abs(command), np.abs(rate)),
-    }
-    return [
-        (LINEAR, linear),
-        *(
-            (name, _response([(command, _LAGS), *((s, _FEWER_LAGS) for s in signals)], record, error_deg) - linear)
-            for name, signals in distorted.items()
-        ),
-    ]
-
-
-def _response(signals: Sequence[tuple[FloatArray, int]], record: Record, error_deg: FloatArray) -> FloatArray:
-    """Squared error that a finite response to signals saves, in blocks that it was not fitted to, shape (m,)."""
-    places = np.flatnonzero(record.counts)
-    step = max(1, round(_MEMORY_S / _LAGS / record.period_s))
-    scaled = [(signal / max(float(np.std(signal[places])), 1e-9), lags) for signal, lags in signals]
-    # With so few lags of a signal, each as much further apart.
-    shifts = [(signal, step * k * (_LAGS // lags)) for signal, lags in scaled for k in range(lags)]
-    error, fold = error_deg[places], record.block[places] % _FOLDS
-
-    def features(rows: IntArray) -> FloatArray:
-        return np.column_stack([signal[np.maximum(rows - shift, 0)] for signal, shift in shifts])
-
-    size = len(shifts)
-    normal, right = np.zeros((_FOLDS, size, size)), np.zeros((_FOLDS, size))
-    chunks = [slice(k, k + _CHUNK) for k in range(0, places.size, _CHUNK)]
-    for chunk in chunks:
-        x = features(places[chunk])
-        for k in range(_FOLDS):
-            mine = fold[chunk] == k
-            normal[k] += np.einsum("ni,nj->ij", x[mine], x[mine])  # too small for threads
-            right[k] += x[mine].T @ error[chunk][mine]
-    ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) / size + 1e-9
-    weights = np.linalg.solve(normal + ridge[:, None, None] * np.eye(size), right[..., None])[..., 0]
-    saved = np.empty(error.size)
-    for chunk in chunks:
-        predicted = np.sum(features(places[chunk]) * weights[1 - fold[chunk]], axis=1)
-        saved[chunk] = error[chunk] ** 2 - (error[chunk] - predicted) ** 2
-    return saved
-
-
-class _Drawn:
-    """Blocks of a record, neighbours together, drawn anew again and again: what chance makes of a sum over them."""
-
-    def __init__(self, block: IntArray, chance: float) -> None:
-        number = np.cumsum(np.diff(block, prepend=block[:1]) != 0)
-        self._group = number // max(1, -(-int(number[-1] + 1) // _MOST_GROUPS))
-        count = int(self._group[-1]) + 1
-        # The same draws each time: the same log gives the same words.
-        self._times = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
-        self._chance = chance
-
-    def bounds(self, values: FloatArray) -> tuple[float, float]:
-        """Bounds of the sum of values of shape (m,), each passed with half of the chance."""
-        sums = self._times @ np.bincount(self._group, weights=values)
-        low, high = np.quantile(sums, [0.5 * self._chance, 1.0 - 0.5 * self._chance])
-        return float(low), float(high)
-
-
 _FALSE_DISCOVERIES = 0.01
 """Share of the bad seconds that chance alone may have made (Benjamini and Hochberg)."""
-_SHOWN_SHARE, _NO_SHARE = 0.25, 0.05
-"""Share of the disagreement from which on a quantity is named, and below which it is said to play no part."""
-_HARDLY = 0.15
-"""What chance may make of a share that is said to be none."""
+_SHOWN_SHARE = 0.25
+"""Share of the disagreement, in blocks from which it was not learnt, from which on a quantity is named."""
 _EXCESS = 0.03
 """Relative excess over the noise floor's energy that is still noise."""
 _REVERSAL_DEG, _REVERSAL_OF_NOISE = 2.0, 6.0
 """Motion before a reversal that counts [deg], or in noise floors if that is more."""
 _DENSE, _DENSER = 0.5, 1.5
 """Share of the excess from which on a part of the log is reported, and how many times that of its samples."""
-_NOT_SILENT = ("time", "direction of motion")
 _SURROUNDS = ("V", "°C")
 """Units of what acts on a servo from outside, which has no sign."""
 _NARROW = 0.5
@@ -494,17 +401,13 @@ def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[s
         *_after_reversals(record, error_deg, sigma_deg),
         *_at_frequencies(record, error_deg, sigma_deg),
     ]
-    telling = [m for m in found if m.share > _SHOWN_SHARE and m.low > 0.0]
-    if telling:
-        texts.append("of the excess, " + ", ".join(f"{_percent(m.share)} follows {_article(m)}" for m in telling[:3]))
-    else:
-        texts.append(
-            "hardly any of the excess follows command, speed, deflection or time: a disturbance, correlated noise, or "
-            "an effect with a state of its own"
-        )
-    silent = [_article(m) for m in found if m.share < _NO_SHARE and m.high < _HARDLY and m.quantity not in _NOT_SILENT]
-    if silent and telling:
-        texts.append(f"none of it follows {' or '.join(silent[:3])}")
+    telling = [f"{_percent(m.share)} follows the {m.quantity}" for m in found[:3] if m.share > _SHOWN_SHARE]
+    texts.append(
+        f"of the excess, {', '.join(telling)}"
+        if telling
+        else "hardly any of the excess follows command, speed, deflection or time: a disturbance, correlated noise, or "
+        "an effect with a state of its own"
+    )
     return texts
 
 
@@ -552,8 +455,3 @@ def _at_frequencies(record: Record, error_deg: FloatArray, sigma_deg: float) -> 
 
 def _percent(share: float) -> str:
     return f"{min(share, 1.0):.0%}"
-
-
-def _article(found: Map) -> str:
-    article = {LINEAR: "a", ODD: "an", EVEN: "an"}.get(found.quantity, "the")
-    return f"{article} {found.quantity}"

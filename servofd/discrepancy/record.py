@@ -97,8 +97,6 @@ _SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
 FEW_RUNS = 6
 """Of fewer, half move as the others never do, and to fit those alone leads astray: of four with an XL330 of low gain,
 the three slower ones are then predicted to 3.1 to 3.5 deg, and to 1.0 to 1.6 deg if blocks of all four are fitted."""
-_PLACES = np.linspace(-1.0, 1.0, 5)
-"""Within a dead band, from one end to the other."""
 _PART_S, _SETTLED_S, _FEW_PARTS = 18.0, 0.3, 8
 """Enough for a dozen manoeuvres, and runs enough, to tell which effects come into question."""
 _ENOUGH, _FASTEST_HZ = 6000, 100.0
@@ -421,15 +419,20 @@ def _around(record: Record, late_s: float) -> FloatArray:
 def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArray:
     """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
 
-    Where that was is not logged; of a few places the one that agrees best with the run is taken.
+    Where that was is not logged. Once the servo has moved, it only shifts the readings: by what agrees best.
     """
-    places_deg = physics.loose_deg * _PLACES
-    begins_deg = _first_deg(run) + places_deg
-    moved = np.array([_moved_from(run, physics, finer, begin_deg) for begin_deg in begins_deg.tolist()])
-    readings = moved - places_deg[:, None]
-    errors = (run.measured_deg - readings)[:, run.counts]
-    best_deg: FloatArray = readings[int(np.argmin(np.sum(errors * errors, axis=1)))]
-    return best_deg
+    first_deg = _first_deg(run)
+    moved_deg = _moved_from(run, physics, finer, first_deg)
+    there = run.counts & np.logical_or.accumulate(np.abs(moved_deg - first_deg) > _MOVED_DEG)
+    if not there.any():
+        return moved_deg
+    shift_deg = float(np.mean((moved_deg - run.measured_deg)[there]))
+    lay_deg = min(max(shift_deg, -physics.loose_deg), physics.loose_deg)
+    return _moved_from(run, physics, finer, first_deg + lay_deg) - lay_deg
+
+
+_MOVED_DEG = 1e-3
+"""By which a simulated servo has left its place [deg]: more than rounding."""
 
 
 _OFF_COMB, _FEWEST_VALUES = 0.1, 3

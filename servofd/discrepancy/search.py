@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.detection.residual import Commands
-from servofd.discrepancy.fit import OWN_FIELDS, Fit, Fitter
+from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import liveliest, only, simulate
 from servofd.servo.catalogue import installed
@@ -252,7 +252,7 @@ OCCAM = 30.0
 """By how much a further name must improve the misfit."""
 _POSSIBLE = 6.0
 """Improvement on the screen below which a candidate is not fitted."""
-NAMES, FITS = 8, 16
+NAMES, FITS = 8, 10
 """Names and structures that are fitted from one base."""
 _CLOSE, _SHARE = 60.0, 0.3
 """How far behind the best of its name a structure may be: so much, or that share of what it improves."""
@@ -262,8 +262,8 @@ LIMITS = ("rate_limit", "voltage_rate")
 """Effects that limit the speed."""
 _PER_V, _SLOWEST = ("deg_s_per_v", "speed_deg_s_per_v"), 0.2
 """Rate limits per volt, and the least share of a rate limit that a start keeps."""
-_LATE, _LATE_S = (Delay, SensorLag, SlowDynamics), 0.02
-"""Effects that make a servo late, and a delay in the middle of what servos and links add [s]."""
+_LATE = (Delay, SensorLag, SlowDynamics)
+"""Effects that make a servo late."""
 
 
 @dataclass(slots=True, eq=False)
@@ -405,28 +405,6 @@ class Search:
                 for place in (common_places((*rest, other)) or (INSIDE,)) if is_placed and is_loose else (fit.place,):
                     start = installed(without._replace(slow_place=place), [other], into)
                     self._fitted((*rest, other), self._as_fast(start, fit.physics), enough)
-
-    def delayed(self, base: Fit, enough: float) -> None:
-        """A servo whose speed is limited with a longer delay, the limit in each form and at each place.
-
-        What a slow pole elsewhere does to a limited speed looks much like a delay: the place that came first without
-        one is no better than the others, and its own numbers have given way.
-        """
-        record = self.fitter.record
-        limit = next((effect for effect in base.effects if effect.name in LIMITS), None)
-        if limit is None or Delay in base.effects or ClockOffset in base.effects:
-            return
-        rest = tuple(effect for effect in base.effects if effect is not limit)
-        usual = base.physics._replace(**{name: getattr(record.plant.neutral, name) for name in OWN_FIELDS})
-        without = usual._replace(**{name: getattr(record.plant.neutral, name) for name in fields_of(limit)})
-        value = float(base.values[sum(len(e.parameters) for e in base.effects[: base.effects.index(limit)])])
-        late_s = record.plant.neutral.delay_s + _LATE_S
-        for form in self.able:
-            if form.name == limit.name and len(form.parameters) == 1:
-                effects = (*rest, form, Delay)
-                for place in common_places(effects) or (base.place,):
-                    start = installed(without._replace(slow_place=place), [form, Delay], [value, late_s])
-                    self._fitted(effects, start, enough)
 
     def _as_fast(self, start: Physics, fitted: Physics) -> Physics:
         """A start that is as fast as what was fitted: a motor at its limit loses what friction takes."""

@@ -9,7 +9,6 @@ probability of a name is the sum over its places and forms.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,9 +16,8 @@ import numpy as np
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
-from servofd.discrepancy.ladder import BETTER, Step, climbed, prefix
+from servofd.discrepancy.ladder import BETTER, Step, climbed
 from servofd.discrepancy.search import (
-    FITS,
     LIMITS,
     OCCAM,
     Search,
@@ -29,7 +27,7 @@ from servofd.discrepancy.search import (
     load_slope,
     step_size_deg,
 )
-from servofd.servo.catalogue import by_condition, installed, is_law, plain
+from servofd.servo.catalogue import by_condition, is_law, plain
 from servofd.servo.effects.linkage import Gain
 from servofd.servo.effects.motor import MotorRate
 from servofd.servo.effects.own import SlowDynamics
@@ -51,7 +49,7 @@ _BEAM = 3
 _OCCAM_OWN, _OF_GAP, _OF_SAMPLES = 16.0, 1e-4, 0.02
 """By how much one more of the servo's own numbers, which the prior has held back, must improve the misfit; and the
 share of what was there (as chi-squared) on top, at most that share of the samples."""
-_POLISHED, _PAIRED, _VARIED, _LAW = 6, 3, 2, 16.0
+_POLISHED, _PAIRED, _VARIED, _LAW = 2, 1, 2, 16.0
 """Structures that are fitted to the end, that are so from a servo of two poles, too, and that are tried with a size
 that goes with a condition of the runs; minus twice the logarithm of how rarely it does."""
 _NO_GAIN, _GAIN_SHARE = 40.0, 0.03
@@ -59,9 +57,6 @@ _NO_GAIN, _GAIN_SHARE = 40.0, 0.03
 some percent of its horn and sensor (standard deviation)."""
 _USUAL_GAINS = 3.0
 """So many of these deviations a servo may be off before its gain stands for something that is missing."""
-_HELPS, _SIBLING = 4.0, 0.3
-"""By how much an effect must improve the misfit of what was not fitted; and the share of what is left beyond the noise
-that a second way to stick, to be dead or loose must take away."""
 _NO_WORSE, _MOST_LEFT = 0.95, 0.5
 """Of the held-out mean square of what was found, that of a linear servo which is better; and the share of what that one
 leaves beyond the noise that effects may leave and still be an answer."""
@@ -78,16 +73,18 @@ _DECLARED = 0.95
 they hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
 
 
+Rivals = dict[str, dict[str, Fit]]
+"""For each effect of a servo what may stand in its place, and the servos that have it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
     """What was found in one record."""
 
     nominal: Fit
     steps: tuple[Step, ...]
-    ties: tuple[tuple[str, ...], ...]
-    """Effects that the data cannot tell apart, the named one first."""
-    tied: tuple[tuple[Fit, ...], ...]
-    """For each of these the fits with another effect in the place of the named one, in the same order."""
+    rivals: Rivals
+    """What the data cannot tell from an effect, and the servos that have it instead; only of those of which some is."""
     sigma_deg: float
     """Noise floor."""
     unjudged: tuple[type[Effect], ...]
@@ -101,6 +98,11 @@ class Selection:
     """What of its errors is not noise."""
     probability: float = 1.0
     """Of the names, among all structures that were fitted."""
+
+    @property
+    def ties(self) -> tuple[tuple[str, ...], ...]:
+        """Effects that the data cannot tell apart, the named one first."""
+        return tuple((name, *others) for name, others in self.rivals.items())
 
     @property
     def simulations(self) -> int:
@@ -127,13 +129,11 @@ def concluded(search: Search) -> Selection:
     """What a search comes to."""
     fitter = search.fitter
     record = fitter.record
-    _grown_again(search)
     best = _chosen(search)
     fitter.remember(best)
     search.look_again()
     _reweighed(search)
-    _recoloured(search, _chosen(search))
-    best = _without_useless(search, _chosen(search))
+    best = _chosen(search)
     nominal = fitter.nominal()
     names, sets = _shares(search, best, fitter.reweighed(nominal))
     linear = _better_linear(search, names[0])
@@ -142,16 +142,14 @@ def concluded(search: Search) -> Selection:
     steps = climbed(search, names[0])
     final = steps[-1].fit if steps else fitter.halved(search.root)
     found = adequacy(record, final)
-    ties, tied = _ties(final, [fit for fit in names if set(fit.names) != set(final.names)])
-    ties, tied = _or_rivals(steps, ties, tied)
+    rivals = _ties(final, [fit for fit in names if set(fit.names) != set(final.names)], steps)
     step_deg = step_size_deg(record)
     if step_deg is not None:
-        ties, tied = _or_slow(search, final, ties, tied, step_deg)
+        _or_slow(search, final, rivals, step_deg)
     return Selection(
         nominal,
         steps,
-        ties,
-        tied,
+        {name: each for name, each in rivals.items() if each},
         found.floor_deg,
         tuple(judgeable(record)[1]),
         fitter.covariance(final),
@@ -162,21 +160,6 @@ def concluded(search: Search) -> Selection:
     )
 
 
-def _grown_again(search: Search) -> None:
-    """What is better than the best but no servo, for an effect shrank to nothing, from usual sizes of its effects.
-
-    Two numbers may have slid along together: a limit of the speed, and friction that nearly stops a motor.
-    """
-    fit = min(search.visited.values(), key=partial(_cost, search))
-    if search.is_physical(fit):
-        return
-    grids = [p.grid for effect in fit.effects for p in effect.parameters]
-    middle = [grid[len(grid) // 2] for grid in grids]
-    for size in grids[0]:
-        start = installed(fit.physics, fit.effects, [size, *middle[1:]])
-        search.keep(search.fitter.descended(fit.effects, start))
-
-
 def _widened(search: Search, root: Fit) -> None:
     """Forward with a beam, and back: what came first may stand in for what is found later."""
     record = search.fitter.record
@@ -185,8 +168,6 @@ def _widened(search: Search, root: Fit) -> None:
         for base in beam:
             least = min(f.misfit for f in search.visited.values())
             search.grow(base, least + 40.0, framed=base is beam[0])
-            if base is best and not record.free_poles:
-                search.delayed(base, least + 40.0)
             if base is best and _suffices(search, best, size + 1):
                 break
         if not record.free_poles:
@@ -206,9 +187,8 @@ def _widened(search: Search, root: Fit) -> None:
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
         best = best if record.free_poles else search.visited[best.key]
         longer = _best_of_size(search, size + 1)
-        if not longer:  # what stands at its bound alone may be driven there by what comes next
-            beam = _beyond_bounds(search, size + 1)
-            continue
+        if not longer:
+            return
         if _needed(search, best, longer):
             best = longer[0]
         elif record.runs or not record.free_poles or _beyond_noise(search, longer[0]) == 0.0:
@@ -308,13 +288,6 @@ def _best_of_size(search: Search, size: int) -> list[Fit]:
     return sorted(best.values(), key=lambda fit: _cost(search, fit))
 
 
-def _beyond_bounds(search: Search, size: int) -> list[Fit]:
-    """Of the fits of a size with a number at its bound the likeliest, if it takes away most of what is there."""
-    most_deg2 = _MOST_LEFT * search.root.run_deg2.sum()
-    there = [fit for fit in search.visited.values() if len(fit.effects) == size and fit.run_deg2.sum() < most_deg2]
-    return sorted(there, key=lambda fit: _cost(search, fit))[:_BEAM]
-
-
 def _cost(search: Search, fit: Fit) -> float:
     """BIC, and how surprising its names are."""
     count = sum(len(effect.parameters) for effect in fit.effects)
@@ -375,30 +348,6 @@ def _chosen(search: Search) -> Fit:
     return best
 
 
-def _without_useless(search: Search, best: Fit) -> Fit:
-    """The structure without the effects that do not help to predict what was not fitted."""
-    if search.fitter.record.side is not None:
-        return best
-    while best.effects:
-        left, price = search.fitter.held_out_misfit(best)
-        fewer = [prefix(search, best, tuple(e for e in best.effects if e is not effect)) for effect in best.effects]
-        worse = []
-        for fit, effect in zip(fewer, best.effects, strict=True):
-            left_there, price_there = search.fitter.held_out_misfit(fit)
-            # Of an unknown servo, its prior says little against numbers that stand in for an effect.
-            counts = search.fitter.is_own(effect) or not search.fitter.record.free_poles
-            worse.append(left_there - left + (price_there - price if counts else 0.0))
-        for k, effect in enumerate(best.effects):
-            like = [e for e in best.effects if e is not effect and e.family and e.family == effect.family]
-            if like and _share_of_excess(search, fewer[k], best) < _SIBLING:
-                worse[k] = -np.inf
-        k = int(np.argmin(worse))
-        if worse[k] > _HELPS:
-            break
-        best = fewer[k]
-    return best
-
-
 def _better_linear(search: Search, best: Fit) -> Fit | None:
     """Of an unknown servo, the linear one with any gain and zero, if it predicts more than what was found.
 
@@ -442,21 +391,6 @@ def _reweighed(search: Search) -> None:
         search.visited[key] = search.fitter.reweighed(fit)
 
 
-def _recoloured(search: Search, best: Fit) -> None:
-    """All that comes into question, judged by the colour of the noise where the best leaves nothing else."""
-    fitter = search.fitter
-    whole = fitter.judged(best.effects, best.physics)
-    if adequacy(fitter.record, whole).reasons:
-        return
-    near = [fit for fit in search.visited.values() if _cost(search, fit) < _cost(search, best) + OCCAM]
-    if not fitter.recolour(best):
-        return
-    _reweighed(search)
-    for fit in sorted(near, key=lambda fit: fit.misfit)[:FITS]:
-        search.keep(fitter.descended(fit.effects, fit.physics))
-    search.keep(fitter.descended((), search.root.physics))
-
-
 def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
     """Fits of each set of names that belongs to those that share 95 % of the probability, likeliest first."""
     size = len(best.effects)
@@ -498,8 +432,6 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
 def _beyond_noise(search: Search, best: Fit) -> float:
     """Share of what the best leaves that is no noise but its own error."""
     record = search.fitter.record
-    if search.fitter.colour:
-        return 0.0
     whole = search.fitter.judged(best.effects, best.physics)
     left = whole.train / max(float(record.counts.sum()), 1.0)
     return max(0.0, 1.0 - (_MODEL_RATIO * floor_of(record, whole)) ** 2 / max(left, 1e-30))
@@ -521,55 +453,32 @@ def _forms(search: Search, fit: Fit) -> float:
     return float(most)
 
 
-def _ties(best: Fit, others: list[Fit]) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
-    """For each effect of the best what may stand in its place, and the servos that have it."""
-    rivals: dict[str, dict[str, Fit]] = {}
+def _ties(best: Fit, others: list[Fit], steps: tuple[Step, ...]) -> Rivals:
+    """What the data cannot tell from the effects of the best.
+
+    Those of structures as likely; and what would have been the better step by itself but is not with those that follow.
+    """
+    rivals: Rivals = {name: {} for name in best.names}
+    families = {effect.name: effect.family for effect in best.effects}
     for other in others:
         mine = [name for name in best.names if name not in other.names]
-        theirs = [effect for effect in other.effects if effect.name not in best.names]
-        families = {effect.name: effect.family for effect in best.effects}
-        for effect in theirs:
-            if not mine:
-                break
+        for effect in [effect for effect in other.effects if effect.name not in best.names][: len(mine)]:
             like = next((name for name in mine if effect.family and families[name] == effect.family), mine[0])
             mine.remove(like)
-            rivals.setdefault(like, {}).setdefault(effect.name, other)
-    named = [name for name in best.names if name in rivals]
-    return (
-        tuple((name, *rivals[name]) for name in named),
-        tuple(tuple(rivals[name].values()) for name in named),
-    )
-
-
-def _or_rivals(
-    steps: tuple[Step, ...], ties: tuple[tuple[str, ...], ...], tied: tuple[tuple[Fit, ...], ...]
-) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
-    """The ties, and what would have been the better step by itself but is not with those that follow."""
-    found = {names[0]: (list(names), list(fits)) for names, fits in zip(ties, tied, strict=True)}
+            rivals[like].setdefault(effect.name, other)
     for step in steps:
-        name = step.fit.names[-1]
-        names, fits = found.get(name, ([name], []))
         for rival in step.rivals:
-            if rival.held_out < BETTER * step.fit.held_out and rival.names[-1] not in names:
-                names.append(rival.names[-1])
-                fits.append(rival)
-        if fits:
-            found[name] = names, fits
-    return tuple(tuple(names) for names, _ in found.values()), tuple(tuple(fits) for _, fits in found.values())
+            if rival.held_out < BETTER * step.fit.held_out:
+                rivals[step.fit.names[-1]].setdefault(rival.names[-1], rival)
+    return rivals
 
 
-def _or_slow(
-    search: Search,
-    best: Fit,
-    ties: tuple[tuple[str, ...], ...],
-    tied: tuple[tuple[Fit, ...], ...],
-    step_deg: float,
-) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[Fit, ...], ...]]:
-    """The ties of steps of one size: a slow servo and one whose speed is limited, unless one is far worse."""
+def _or_slow(search: Search, best: Fit, rivals: Rivals, step_deg: float) -> None:
+    """Add what steps of one size do not tell: a slow servo and one whose speed is limited, unless one is far worse."""
     slow = SlowDynamics.name
     mine = next((effect for effect in best.effects if effect.name in (*LIMITS, slow)), None)
-    if mine is None or any(mine.name == tie[0] and {slow, *LIMITS} & set(tie[1:]) for tie in ties):
-        return ties, tied
+    if mine is None or {slow, *LIMITS} & set(rivals[mine.name]):
+        return
     rest = tuple(effect for effect in best.effects if effect is not mine)
     if mine.name == slow:
         theirs, effects = MotorRate.name, (*rest, MotorRate)
@@ -583,13 +492,9 @@ def _or_slow(
         starts = (start, search.root.physics)
         rival = min((search.fitter.descended(effects, s, LONG) for s in starts), key=lambda fit: fit.misfit)
     if rival is None:
-        return ties, tied
+        return
     halves = (search.fitter.halved(fit).held_out for fit in (rival, best))
     there, here = (half / max(float(search.fitter.record.counts.sum()), 1.0) for half in halves)
     by_shape_deg = float(np.sqrt(max(there - here, 0.0)))
-    if by_shape_deg > _OF_STEP * step_deg and _share_of_excess(search, rival, best) > _FAR_WORSE:
-        return ties, tied
-    old = dict(zip((tie[0] for tie in ties), zip(ties, tied, strict=True), strict=True))
-    names, fits = old.get(mine.name, ((mine.name,), ()))
-    old[mine.name] = (*names, theirs), (*fits, rival)
-    return tuple(names for names, _ in old.values()), tuple(fits for _, fits in old.values())
+    if by_shape_deg <= _OF_STEP * step_deg or _share_of_excess(search, rival, best) <= _FAR_WORSE:
+        rivals[mine.name][theirs] = rival

@@ -139,9 +139,9 @@ def separations(selection: Selection) -> tuple[Separation, ...]:
     """
     sigma_deg = selection.sigma_deg
     return tuple(
-        _separation(selection.fitter, (tie[0], name), selection.final, rival, sigma_deg)
-        for tie, rivals in zip(selection.ties, selection.tied, strict=True)
-        for name, rival in zip(tie[1:], rivals, strict=True)
+        _separation(selection.fitter, (name, other), selection.final, rival, sigma_deg)
+        for name, rivals in selection.rivals.items()
+        for other, rival in rivals.items()
     )
 
 

@@ -32,6 +32,10 @@ For one that is too slow for its command (25 to 70 deg/s, 200 logs) it is 0.7 at
 _GAINS, _LATE_GAINS = (0.3, 1.7), (0.15, 3.4)
 """A servo of low gain that lags behind a large command moves by 0.29 of it (a smart servo under a weight)."""
 _SWAPPED = 0.5
+_NOWHERE_NEAR_DEG, _UNLIKE, _LATEST_S = 180.0, 0.3, 1.5
+"""Half a turn; and the correlation below which a position that moves follows nothing, for so long after [s]. A servo of
+10 deg/s keeps 0.63 or more (six flights of each style of `servofd simulate`), of commands of another surface in the
+same style, but for chirps and doublets, half have less than 0.3."""
 _STANDS_STILL, _FOLLOWS, _CLEARLY_DEG = 0.12, 0.05, 0.5
 """Swing of a servo that stands (that of its noise) and the share that it follows, both over what it was asked, which
 must be so much [deg]."""
@@ -56,6 +60,11 @@ def check(record: Record) -> None:
     simulated = simulate(record, record.plant.neutral)
     error = record.measured_deg - simulated
     asked, measured = simulated[record.counts], record.measured_deg[record.counts]
+    apart_deg = abs(float(np.median(measured) - np.median(asked)))
+    if apart_deg > _NOWHERE_NEAR_DEG:
+        raise NoMeasurement(
+            f"this position does not belong to this command: it lies {apart_deg:.0f} deg from it; check channel, unit"
+        )
     # First, for noise that is scaled, too, hides the motion that was asked for.
     _check_scale(asked, measured, round(_SHIFT_S / record.period_s))
     if record.side is not None:
@@ -67,6 +76,7 @@ def check(record: Record) -> None:
             "fly doublets of several degrees"
         )
     _check_motion(asked, measured)
+    _check_belongs(asked, measured, record.period_s)
     _check_order(record, error)
 
 
@@ -99,6 +109,19 @@ def _likeness(one: FloatArray, other: FloatArray) -> float:
     """Correlation; 0 where either stands still."""
     spread = np.cov(one, other)
     return float(spread[0, 1] / np.sqrt(max(spread[0, 0] * spread[1, 1], LEAST_DIVISOR)))
+
+
+def _check_belongs(asked: FloatArray, measured: FloatArray, period_s: float) -> None:
+    """Refuse a position that moves without having anything to do with its command."""
+    latest = min(round(_LATEST_S / period_s), asked.size // 4)
+    like = max(
+        abs(_likeness(asked[: asked.size - k], measured[k:])) for k in range(0, latest + 1, max(latest // 50, 1))
+    )
+    if like < _UNLIKE and float(np.std(measured)) > _MOVES_SHARE * float(np.std(asked)):
+        raise NoMeasurement(
+            "this position does not belong to this command: it moves, but does not follow within "
+            f"{_LATEST_S:g} s (correlation {like:.2f}); check which channel is which"
+        )
 
 
 def _check_order(record: Record, error_deg: FloatArray) -> None:

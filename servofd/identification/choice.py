@@ -11,14 +11,12 @@ import numpy as np
 
 from servofd.core.errors import IdentificationError
 from servofd.core.statistics import Estimate
-from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, fit_motion
+from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.records import Run
-from servofd.identification.response import FAR_POLES, fit_response, with_second_pole
 from servofd.servo.library import second_order
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.identification.response import FrequencyResponse
 
 _FROM, _TO = 0.2, 0.8
 """Part of the travel that is straight. The largest slope of any 40 ms would be noise: 384 instead of 370 deg/s."""
@@ -179,23 +177,21 @@ class Choice:
     further: MotionFit | None = None
 
 
-def choose_linear(runs: Sequence[Run], response: FrequencyResponse | None, order: int | None) -> Choice:
+def choose_linear(runs: Sequence[Run], order: int | None) -> Choice:
     """Fit 1 to 3 poles, or as many as asked for; each must pay for itself.
 
     A pole too few shifts the bandwidth (2 % for an S9256), one too many hardly matters: so the price is the smaller of
     BIC's and that of a test at 1 %.
     """
-    orders = range(1, HIGHEST_ORDER + 1) if order is None else (order,)
     fits: dict[int, MotionFit] = {}
-    for n in orders:
-        if response is not None:
-            starts = [fit_response(response, n)]
-            if n == 2 and 1 in fits:
-                # The response of a far pole hardly differs from that of a delay: motion is asked for a near one, too.
-                starts.append(with_second_pole(fits[1].servo.linear, FAR_POLES[0]))
-            fits[n] = min((fit_motion(runs, ServoCandidate(each)) for each in starts), key=lambda fit: fit.rms_deg)
-        else:
-            fits[n] = _best_of(runs, [ServoCandidate(start) for start in _grid(n)])
+    for n in range(1, HIGHEST_ORDER + 1) if order is None else (order,):
+        fits[n] = _best_of(
+            runs, [ServoCandidate(replace(each, gain=sign)) for each in _grid(n) for sign in (1.0, -1.0)]
+        )
+        if n == 2 and 1 in fits:
+            # A far pole hardly differs from a delay: a near one is asked for, too.
+            near = fit_motion(runs, ServoCandidate(_with_second_pole(fits[1].servo.linear)))
+            fits[n] = min(fits[n], near, key=lambda fit: fit.rms_deg)
     best = min(fits, key=lambda n: _criterion(runs, fits[n]))
     if not np.isfinite(fits[best].rms_deg):
         raise IdentificationError("no servo model comes near this motion")
@@ -276,8 +272,7 @@ def _best_of(runs: Sequence[Run], starts: Sequence[ServoCandidate]) -> MotionFit
 
 
 def _score(runs: Sequence[Run], start: ServoCandidate) -> float:
-    errors = [run.measured_deg - start.simulate(run) for run in runs]
-    return float(sum(error @ error for error in errors))
+    return float(sum(error @ error for error in evaluated(runs, start)[0]))
 
 
 def _grid(order: int) -> list[LinearServo]:
@@ -292,6 +287,12 @@ def _grid(order: int) -> list[LinearServo]:
         pole, pair = 2.0 * np.pi * hz, 2.5 * 2.0 * np.pi * hz
         shapes.append(LinearServo((np.log(pole), 2.0 * np.log(pair), np.log(1.4 * damping * pair)), delay_s))
     return shapes
+
+
+def _with_second_pole(one: LinearServo) -> LinearServo:
+    """A servo of one pole with another, three times as fast."""
+    pole = float(np.exp(one.shape[0]))
+    return LinearServo((np.log(3.0 * pole**2), np.log(4.0 * pole)), one.delay_s, one.gain)
 
 
 def _reordered(servo: LinearServo, order: int) -> LinearServo:

@@ -110,10 +110,10 @@ def identify(
     sets = records if isinstance(records, Sequence) else [[records]]
     names = labels or [segments[0].surface for segments in sets]
     tests = _Tests.of(sets, names, _MAGNITUDE_LAGS_S if method == "magnitude" else LAGS_S)
-    spread_notes = notes_on_spread(tests.responses, order or _MAGNITUDE_ORDER, tests.swept)
+    spread_notes = notes_on_spread(tests.small, order, tests.names)
     if method == "magnitude":
         return _by_magnitude(tests, order or _MAGNITUDE_ORDER, sets)
-    choice = choose_linear(tests.small or tests.runs, tests.nominal_in_band, order)
+    choice = choose_linear(tests.small or tests.runs, order)
     free, notes = choice.fit, list(tests.notes)
     progress("linear servo")
     _check_follows(free, tests)
@@ -128,7 +128,7 @@ def identify(
     final = _with_rates(fit.servo, limits, notes)
     parts, offsets = evaluated(tests.runs, final)
     choice = Choice(free, choice.further if free is choice.fit else None)
-    intervals = intervals_of(tests.fitted(free), choice, final, limits)
+    intervals = intervals_of(choice, final, limits)
     progress("intervals")
     notes += notes_on_servo(choice, tests.fitted(free), intervals, tests.span_rad_s)
     result = Identification(
@@ -165,8 +165,6 @@ class _Tests:
     nominal: FrequencyResponse | None
     band_rad_s: tuple[float, float] | None
     notes: tuple[str, ...]
-    swept: tuple[str, ...] = ()
-    """Names of the servos that have a response."""
 
     @classmethod
     def of(cls, sets: Sequence[Sequence[Series]], names: Sequence[str], lags_s: float) -> _Tests:
@@ -201,12 +199,7 @@ class _Tests:
         band = nominal.band_rad_s()
         _check_phase(nominal, band, labels[0])
         small = tuple(run for run, _, _ in sweeps)
-        swept = tuple(names[servo] for servo in sorted({run.servo for run in small}))
-        return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes), swept)
-
-    @property
-    def nominal_in_band(self) -> FrequencyResponse | None:
-        return self.nominal.within(self.band_rad_s) if self.nominal is not None and self.band_rad_s else None
+        return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes))
 
     @property
     def span_rad_s(self) -> float | None:
@@ -332,10 +325,10 @@ def _with_rates(servo: ServoCandidate, limits: RateLimits, notes: list[str]) -> 
 
 def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Series]]) -> Identification:
     """The thesis' fit; no intervals, for the method gives none."""
-    response, notes = tests.nominal_in_band, list(tests.notes)
-    if response is None:
+    notes = list(tests.notes)
+    if tests.nominal is None or tests.band_rad_s is None:
         raise IdentificationError(f"{tests.names[0]}: --method magnitude needs a sweep; --method response does without")
-    linear = fit_magnitude(response, order)
+    linear = fit_magnitude(tests.nominal.within(tests.band_rad_s), order)
     if linear.delay_s < 0.0:
         notes.append(f"phase asks for a delay of {MS_PER_S * linear.delay_s:.2f} ms: set to 0")
         linear = replace(linear, delay_s=0.0)

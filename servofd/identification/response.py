@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import IdentificationError
-from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.series import stretches
-from servofd.identification.motion import LARGEST_LOG_GAIN, LONGEST_DELAY_S, LinearServo, shape_bounds
+from servofd.identification.motion import LinearServo
 from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
@@ -192,112 +190,6 @@ def _longest_run(flags: BoolArray) -> tuple[int, int]:
         else:
             merged.append((first, last))
     return max(merged, key=lambda run: run[1] - run[0], default=(0, -1))
-
-
-_DELAY_STEP_S, _LONGEST_DELAY_S = 1e-3, 0.08
-"""Step and end of the delays that are tried [s]."""
-_ITERATIONS = 8
-"""Iterations of the fit of a fraction."""
-_LARGEST_WEIGHT = 10.0
-"""Largest weight of a frequency: that of a coherence of 0.99."""
-_STEP = 1e-6
-"""Of derivatives, in logarithms and milliseconds."""
-FAR_POLES = (3.0, 8.0, 20.0)
-"""Starts for a second pole, in multiples of the first: far poles and delay trade off, one start is not enough."""
-
-
-def start_value(response: FrequencyResponse, order: int) -> LinearServo:
-    """All-pole servo near a response.
-
-    The hold is divided out, then for delays of 0, 1, 2 ... ms the linear least-squares problem of Sanathanan and
-    Koerner is iterated; the delay with the smallest error wins. Free zeros would eat the delay, so there are none.
-    """
-    w, half = response.frequency_rad_s, 0.5 * response.sample_time_s
-    plain = response.response / (np.sinc(w * half / np.pi) * np.exp(-1j * w * half))
-    scale = float(np.sqrt(w[0] * w[-1]))
-    s, weight = np.asarray(1j * w / scale, dtype=complex), _weights(response)
-    best, smallest = None, np.inf
-    for delay_s in np.arange(0.0, _LONGEST_DELAY_S, _DELAY_STEP_S):
-        denominator, gain, error = _all_pole(s, plain * np.exp(1j * w * delay_s), weight, order)
-        if error < smallest:
-            best, smallest = (float(delay_s), denominator, gain), error
-    if best is None:
-        return LinearServo(tuple([np.log(scale)] * order), 0.0)
-    delay_s, denominator, gain = best
-    denominator = denominator * scale ** np.arange(order + 1)
-    return LinearServo.of(TransferFunction((gain * denominator[-1],), tuple(denominator.tolist())), delay_s)
-
-
-def fit_response(response: FrequencyResponse, order: int) -> LinearServo:
-    """Fit an all-pole servo, with the hold and the fractional delay exact.
-
-    Least squares on the logarithm of the ratio of response and model, which weighs magnitude and phase alike at all
-    frequencies, with weights sqrt(c / (1 - c)) from the coherence c.
-    """
-    starts = [start_value(response, order)]
-    if order == 2:
-        starts += [with_second_pole(start_value(response, 1), far) for far in FAR_POLES]
-    fits = [_refine(response, start) for start in starts]
-    return min(fits, key=lambda pair: pair[1])[0]
-
-
-def with_second_pole(one: LinearServo, far: float) -> LinearServo:
-    """A servo of one pole with another, so many times as fast."""
-    pole = float(np.exp(one.shape[0]))
-    return LinearServo((np.log(far * pole**2), np.log((1.0 + far) * pole)), one.delay_s, one.gain)
-
-
-def _refine(response: FrequencyResponse, start: LinearServo) -> tuple[LinearServo, float]:
-    """The servo at the foot of the slope, and its robust cost."""
-    sign = np.sign(start.gain) or 1.0
-    weight = _weights(response)
-
-    def servo(x: FloatArray) -> LinearServo:
-        return LinearServo(tuple(x[:-2]), float(x[-2]) * S_PER_MS, float(sign * np.exp(x[-1])))
-
-    def residual(x: FloatArray) -> FloatArray:
-        model = servo(x).sampled_response(response.frequency_rad_s, response.sample_time_s)
-        ratio = np.log(response.response / model) * weight
-        return np.concatenate([ratio.real, ratio.imag])
-
-    x0 = np.array([*start.shape, MS_PER_S * start.delay_s, np.log(abs(start.gain))])
-    slowest, fastest = shape_bounds(start.order, response.sample_time_s)
-    lower = np.array([*slowest, 0.0, -LARGEST_LOG_GAIN])
-    upper = np.array([*fastest, 1e3 * LONGEST_DELAY_S, LARGEST_LOG_GAIN])
-    x0 = np.clip(x0, lower + 1e-3, upper - 1e-3)
-    with np.errstate(all="ignore"):
-        if not np.all(np.isfinite(residual(x0))):
-            return start, np.inf
-        found = fit(Problem.free(residual, (lower, upper), Noise(huber=1.0), _STEP), x0, steps=100)
-        return servo(found.x), found.misfit
-
-
-def _weights(response: FrequencyResponse) -> FloatArray:
-    coherence = np.clip(response.coherence, 0.0, 1.0 - 1e-9)
-    weights: FloatArray = np.minimum(np.sqrt(coherence / (1.0 - coherence)), _LARGEST_WEIGHT)
-    return weights
-
-
-def _all_pole(
-    s: ComplexArray, response: ComplexArray, weight: FloatArray, order: int
-) -> tuple[FloatArray, float, float]:
-    """Denominator, dc gain and error of one iteration sequence, on scaled frequencies."""
-    powers = s[:, np.newaxis] ** np.arange(order - 1, -1, -1)
-    size, denominator, error = np.ones(s.size), np.zeros(order + 1), np.inf
-    for _ in range(_ITERATIONS):
-        factor = (weight / size / np.abs(response))[:, np.newaxis]
-        matrix = np.hstack([response[:, np.newaxis] * powers, -np.ones((s.size, 1))]) * factor
-        target = -(response * s**order) * factor[:, 0]
-        solution = np.linalg.lstsq(
-            np.vstack([matrix.real, matrix.imag]), np.concatenate([target.real, target.imag]), rcond=None
-        )[0]
-        denominator = np.concatenate([[1.0], solution[:-1]])
-        values = np.polyval(denominator, s)
-        size = np.maximum(np.abs(values), 1e-12)
-        error = float(np.sum(np.abs(weight * (solution[-1] / values / response - 1.0)) ** 2))
-    stable = bool(np.all(np.roots(denominator).real < 0.0))
-    gain = float(solution[-1] / denominator[-1]) if denominator[-1] else 1.0
-    return denominator, gain, error if stable else np.inf
 
 
 _LARGEST_RIPPLE = 3.0

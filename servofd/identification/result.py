@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.core.evidence import untold
+
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
     from servofd.core.statistics import Estimate
@@ -15,11 +17,6 @@ if TYPE_CHECKING:
     from servofd.identification.motion import ServoCandidate
     from servofd.identification.records import Run
     from servofd.identification.response import FrequencyResponse, Spread
-
-_MOST_APART = 3.0
-"""A bandwidth that may as well be three times as large is not known."""
-_SWEEP_TO = 4.0
-"""Times the bandwidth to which a sweep should go: those that tell an HS-225BB are coherent to 126 of its 28.5 rad/s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,19 +62,8 @@ class Identification:
     @property
     def not_told(self) -> str:
         """What these tests do not tell of the servo, and which would; empty if they tell all of it."""
-        gain, bandwidth = self.intervals.get("dc_gain"), self.intervals.get("bandwidth_rad_s")
-        if gain is not None and gain.low <= 0.0 <= gain.high:
-            return (
-                f"this test does not tell the gain ({gain.low:.2g} to {gain.high:.2g}): ask for slow movements that "
-                "are many times as large as the noise of the position"
-            )
-        if bandwidth is not None and not bandwidth.high <= _MOST_APART * bandwidth.low:
-            up_to_rad_s = _SWEEP_TO * self.servo.linear.transfer.bandwidth_rad_s
-            return (
-                f"this test does not tell the bandwidth ({bandwidth.low:.0f} to {bandwidth.high:.0f} rad/s): sweep "
-                f"slowly up to {up_to_rad_s:.0f} rad/s, and log the position at 50 Hz or more"
-            )
-        return ""
+        what = untold(self.intervals.get("dc_gain"), self.intervals.get("bandwidth_rad_s"))
+        return what and f"this test does not tell {what}"
 
     @property
     def rms_deg(self) -> float:

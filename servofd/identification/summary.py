@@ -9,25 +9,20 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from logparsers.units import MS_PER_S, S_PER_MS
+from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.core.statistics import Estimate
+from servofd.identification.choice import choose_linear
 from servofd.identification.motion import (
-    HIGHEST_ORDER,
     LONGEST_DELAY_S,
-    LinearServo,
     MotionFit,
     ServoCandidate,
-    evaluated,
     fit_motion,
 )
-from servofd.identification.response import fit_response
 
 if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
     from servofd.identification.choice import Choice, RateLimits
     from servofd.identification.records import Run
-    from servofd.identification.response import FrequencyResponse
 
 _UNIDENTIFIABLE = 1.0
 """Standard deviation of the logarithm of a pole: a factor of e either way is no knowledge."""
@@ -44,7 +39,7 @@ _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s"
 """What servos of any order have."""
 
 
-def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Estimate]:
+def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Estimate]:
     """95 % intervals of everything that is reported, about the values of `servo`.
 
     Where one more pole fits as well, either model may be true: the intervals embrace both.
@@ -71,10 +66,6 @@ def intervals_of(runs: Sequence[Run], choice: Choice, servo: ServoCandidate, lim
         if choice.further is not None and name in _COMMON:
             other = choice.further.interval(quantity)
             interval = Estimate(interval.value, min(interval.low, other.low), max(interval.high, other.high))
-        if choice.further is not None and name == "delay_s":
-            # As much below the smallest delay that a far pole leaves possible.
-            lowest = lowest_delay_s(runs, fit) - (interval.value - interval.low)
-            interval = Estimate(interval.value, min(interval.low, lowest), interval.high)
         if name == "delay_s":
             interval = interval._replace(high=min(interval.high, LONGEST_DELAY_S))
         found[name] = _bounded(interval, quantity(servo), positive="pole" not in name and name != "dc_gain")
@@ -147,14 +138,14 @@ def _early_s(runs: Sequence[Run], fit: MotionFit) -> float:
     return max(0.0, _LATER_S - shifted.servo.linear.delay_s) if gained else 0.0
 
 
-def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: Sequence[str]) -> tuple[str, ...]:
-    """How far several servos differ, from a fit to the response of each."""
-    if len(responses) < 2:
+def notes_on_spread(sweeps: Sequence[Run], order: int | None, names: Sequence[str]) -> tuple[str, ...]:
+    """How far several servos differ, from a fit to the sweeps of each."""
+    servos = sorted({run.servo for run in sweeps})
+    if len(servos) < 2:
         return ()
-    bands = [response.band_rad_s() for response in responses]
-    linear = [fit_response(r.within(band), order) for r, band in zip(responses, bands, strict=True) if band]
-    if len(linear) < 2:
-        return ()
+    names = [names[servo] for servo in servos]
+    each = ([replace(run, servo=0) for run in sweeps if run.servo == servo] for servo in servos)
+    linear = [choose_linear(runs, order).fit.servo.linear for runs in each]
     bandwidths = np.array([one.transfer.bandwidth_rad_s for one in linear])
     delays, gains = np.array([one.delay_s for one in linear]), np.array([one.gain for one in linear])
     lags = np.array([one.lag_s for one in linear])
@@ -174,57 +165,3 @@ def notes_on_spread(responses: Sequence[FrequencyResponse], order: int, names: S
 def _log_deviation(fit: MotionFit, index: int) -> float:
     """Standard deviation of the logarithm of a real pole."""
     return fit.interval(lambda servo: float(np.log(abs(servo.linear.poles_rad_s[index].real)))).deviation
-
-
-_NOT_REJECTED = 3.84
-"""Quantile of chi squared with one degree of freedom: twice the logarithm of the likelihood may fall by so much."""
-_NEAREST, _FARTHEST, _POLES = 1.5, 300.0, 24
-"""Further poles that are tried, in multiples of the largest pole found, and how many."""
-_STEP = 1e-4
-"""Step of the derivatives."""
-
-
-def lowest_delay_s(runs: Sequence[Run], fit: MotionFit) -> float:
-    """Smallest delay that the data allow if a pole beyond those of the fit takes the rest of the lag.
-
-    For each of many positions of that pole the other numbers are corrected by one Gauss-Newton step; those that raise
-    the squared error by more than chance would are rejected.
-    """
-    linear = fit.servo.linear
-    if linear.order >= HIGHEST_ORDER:
-        return linear.delay_s
-    largest = float(np.max(np.abs(linear.poles_rad_s)))
-    count = sum(error.size for error in fit.errors_deg)
-    allowed = count * fit.rms_deg**2 * (1.0 + _NOT_REJECTED / count)
-    delays = [linear.delay_s]
-    for far_rad_s in largest * np.geomspace(_NEAREST, _FARTHEST, _POLES):
-        delay_s, squared = _with_pole(runs, fit, float(far_rad_s))
-        if squared <= allowed:
-            delays.append(max(0.0, delay_s))
-    return min(delays)
-
-
-def _with_pole(runs: Sequence[Run], fit: MotionFit, far_rad_s: float) -> tuple[float, float]:
-    """Delay and squared error of the nearest servo that has one more pole, at a given place."""
-    place = fit.servo.linear.order
-
-    def errors(x: FloatArray) -> FloatArray:
-        servo = fit.servo.with_vector(x)
-        return np.concatenate(evaluated(runs, replace(servo, linear=_extended(servo.linear, far_rad_s)))[0])
-
-    x = fit.servo.vector()
-    x[place] = max(x[place] - 1e3 / far_rad_s, _STEP)
-    here = errors(x)
-    slopes = np.column_stack([(errors(x + _STEP * unit) - here) / _STEP for unit in np.eye(x.size)])
-    step = np.linalg.lstsq(slopes, -here, rcond=None)[0]
-    rest = here + slopes @ step
-    return S_PER_MS * float(x[place] + step[place]), float(rest @ rest)
-
-
-def _extended(linear: LinearServo, far_rad_s: float) -> LinearServo:
-    """The same servo with one more real pole."""
-    if linear.order == 1:
-        near_rad_s = float(np.exp(linear.shape[0]))
-        shape = (float(np.log(near_rad_s * far_rad_s)), float(np.log(near_rad_s + far_rad_s)))
-        return replace(linear, shape=shape)
-    return replace(linear, shape=(float(np.log(far_rad_s)), *linear.shape))

@@ -208,7 +208,6 @@ def _surface(
         free_poles=name in flown.unnamed,
         off=off,
         conditions=conditions,
-        usual_deg=aircraft.surfaces[name].model.held_out_rms_deg or 0.0,
         progress=progress,
     )
     found = replace(found, notes=(*found.notes, *list(said)[:_MOST_SAID]))

@@ -161,7 +161,7 @@ def _varying(each: Varying) -> Chart:
 
 _MOST_RIVALS = 5
 """Rivals of an effect that are listed at most."""
-_SHARES = ("quantity", "share of the gap", "99% interval")
+_SHARES = ("quantity", "share of the gap")
 _STATUS = {"nothing_missing": "healthy", "explained": "unknown", "partly_explained": "suspect", "unexplained": "fault"}
 _METHOD = (
     "The servo is simulated with its model as it is known, and with each effect of a catalogue added to it. All "
@@ -250,7 +250,7 @@ def _shares(found: Explanation) -> list[tuple[str, ...]]:
         for one in maps(found.record, found.selection.nominal.error_deg, found.selection.sigma_deg)
         if one.quantity != "time"
     ]
-    return [(one.quantity, f"{one.share:.0%}", f"{one.low:.0%} to {one.high:.0%}") for one in shares]
+    return [(one.quantity, f"{one.share:.0%}") for one in shares]
 
 
 def _numbers(document: dict[str, Any]) -> str:

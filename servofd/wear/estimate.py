@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -27,9 +27,8 @@ from servofd.core.statistics import MAD_TO_SIGMA, Estimate, correlation_factor, 
 from servofd.detection.flights import Flight, busiest
 from servofd.detection.residual import ResidualGenerator, Simulator, noise_deg, prepared
 from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.servo.effects.commands import Delay
-from servofd.servo.effects.linkage import PositionLimit, RateLimit
-from servofd.servo.library import Servo, second_order
+from servofd.servo.effects.linkage import RateLimit
+from servofd.servo.library import Servo
 from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 
@@ -41,104 +40,38 @@ if TYPE_CHECKING:
     from servofd.core.fitting import Solution
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import Residuals
-    from servofd.servo.transfer import TransferFunction
-
-NUMBERS = ("bandwidth_hz", "damping", "delay_s", "rate_limit_deg_s")
-"""What is fitted beside scale and offset of the position, in this order."""
 
 _POLE_RAD_S = 30.0
 """Of a filter that only serves to find gaps and starts: gaps beyond 0.17 s, blanking of 0.27 s."""
-_LONGEST_DELAY_S = 0.5
-_BANDWIDTHS_HZ, _DAMPINGS, _RATES_DEG_S = (0.1, 200.0), (0.2, 10.0), (5.0, 1e4)
-"""Ends of what a fit may reach: bandwidth [Hz], damping, rate limit [deg/s]."""
+_RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "bandwidth_hz": (0.1, 200.0),
+        "damping_scale": (0.2, 5.0),
+        "delay_s": (0.0, 0.5),
+        "rate_limit_deg_s": (5.0, 1e4),
+    }
+)
+"""What is fitted beside scale and offset of the position, in this order, and what no servo is beyond."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlownServo:
-    """A servo of an aircraft file, with numbers of its own.
+def _x(name: str, value: float) -> float:
+    """A number as it is fitted: the logarithm of what must stay positive, delays in milliseconds."""
+    return value / S_PER_MS if name == "delay_s" else float(np.log(value))
 
-    Parameters
-    ----------
-    prior : Servo
-        As the aircraft file describes it.
-    bandwidth_hz : float
-        3.00 dB below dc [Hz]; a servo given by polynomials has its poles and zeros scaled.
-    damping : float or None
-        Of a servo given by bandwidth and damping; None for one given by polynomials.
-    delay_s : float
-        Transport delay [s].
-    rate_limit_deg_s : float or None
-        [deg/s]; None if it has none.
-    stops_deg : tuple of float, optional
-        Of the linkage [deg].
-    """
 
-    prior: Servo
-    bandwidth_hz: float
-    damping: float | None
-    delay_s: float
-    rate_limit_deg_s: float | None
-    stops_deg: tuple[float, float] | None = None
+def _flown(model: ServoModel, x: Mapping[str, float]) -> ServoModel:
+    """A servo with other numbers of `_RANGES`, given as they are fitted."""
+    values = {name: S_PER_MS * each if name == "delay_s" else float(np.exp(each)) for name, each in x.items()}
+    changes = {"delay_s": values["delay_s"]}
+    if "rate_limit_deg_s" in values:
+        changes |= dict.fromkeys(_LIMITS, values["rate_limit_deg_s"])
+    model = model.with_physics(model.physics._replace(damping_scale=values.get("damping_scale", 1.0), **changes))
+    scale = 2.0 * np.pi * values["bandwidth_hz"] / model.transfer.bandwidth_rad_s
+    return model.with_physics(model.physics._replace(bandwidth_scale=scale))
 
-    @classmethod
-    def of(cls, servo: Servo, stops_deg: tuple[float, float] | None = None) -> FlownServo:
-        """The servo as described."""
-        return cls(
-            servo,
-            servo.transfer.bandwidth_rad_s / (2.0 * np.pi),
-            servo.damping,
-            servo.transport_delay_s,
-            servo.rate_limit_deg_s,
-            stops_deg,
-        )
 
-    @classmethod
-    def on(cls, aircraft: Aircraft, surface: str) -> FlownServo:
-        """The servo that turns a surface."""
-        return cls.of(aircraft.servo(surface), aircraft.surfaces[surface].position_limit_deg)
-
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        """Names of the numbers that this servo has, of `NUMBERS`."""
-        return tuple(name for name in NUMBERS if getattr(self, name) is not None)
-
-    @property
-    def transfer(self) -> TransferFunction:
-        """Linear dynamics."""
-        if self.damping is not None:
-            return second_order(2.0 * np.pi * self.bandwidth_hz, self.damping)
-        return self.prior.transfer.with_bandwidth_scaled(self.bandwidth_scale)
-
-    @property
-    def bandwidth_scale(self) -> float:
-        """Bandwidth over that of the description."""
-        return 2.0 * np.pi * self.bandwidth_hz / self.prior.transfer.bandwidth_rad_s
-
-    @property
-    def model(self) -> ServoModel:
-        """Healthy model with these numbers."""
-        model = ServoModel(self.transfer) + Delay(self.delay_s)
-        if self.rate_limit_deg_s is not None:
-            model += RateLimit(self.rate_limit_deg_s)
-        if self.stops_deg is not None:
-            model += PositionLimit(*self.stops_deg)
-        return model
-
-    def vector(self, names: tuple[str, ...]) -> FloatArray:
-        """Some numbers as they are fitted: logarithms of what must stay positive, delays in milliseconds."""
-        values = {name: float(getattr(self, name)) for name in names}
-        return np.array([v / S_PER_MS if name == "delay_s" else np.log(v) for name, v in values.items()])
-
-    def with_vector(self, names: tuple[str, ...], x: FloatArray) -> FlownServo:
-        """The same servo with other numbers; those beyond any servo are brought back."""
-        limits = {"bandwidth_hz": _BANDWIDTHS_HZ, "damping": _DAMPINGS, "rate_limit_deg_s": _RATES_DEG_S}
-        changed: dict[str, Any] = {
-            name: float(np.clip(S_PER_MS * value, 0.0, _LONGEST_DELAY_S))
-            if name == "delay_s"
-            else float(np.exp(np.clip(value, *np.log(limits[name]))))
-            for name, value in zip(names, x.tolist(), strict=True)
-        }
-        return replace(self, **changed)
+_LIMITS = RateLimit.parameters[0].fields
+"""Sizes of a limit of the speed that is the same both ways."""
 
 
 _FORGOTTEN_S = 1.0
@@ -160,9 +93,9 @@ class Motion:
     """Rows of each flight with a position that a simulation can be held against."""
 
     @classmethod
-    def of(cls, flights: Sequence[Flight], servo: FlownServo) -> Motion:
+    def of(cls, flights: Sequence[Flight], model: ServoModel) -> Motion:
         """Find the rows; they do not depend on the numbers of the servo."""
-        generator = ResidualGenerator(servo.model, _POLE_RAD_S)
+        generator = ResidualGenerator(model, _POLE_RAD_S)
         simulators = tuple(Simulator.of(generator, flight.segment) for flight in flights)
         return cls(simulators, tuple(_usable(each) for each in simulators))
 
@@ -175,18 +108,18 @@ class Motion:
         """The same flights with commands [deg] that a function has changed."""
         return replace(self, simulators=tuple(r.with_commands(changed(r.segment.command_deg)) for r in self.simulators))
 
-    def simulated_deg(self, servo: FlownServo) -> FloatArray:
+    def simulated_deg(self, model: ServoModel) -> FloatArray:
         """Deflection of a servo in all used rows [deg], shape (n,)."""
-        model = servo.model
         return np.concatenate([each.simulated_deg(model)[rows] for each, rows in self._pairs()])
 
     def split(self, values: FloatArray) -> list[FloatArray]:
         """What belongs to each flight of an array of shape (n,)."""
         return np.split(values, np.cumsum([np.count_nonzero(rows) for rows in self.used])[:-1])
 
-    def top_speed_deg_s(self, servo: FlownServo) -> float:
+    def top_speed_deg_s(self, model: ServoModel) -> float:
         """Largest speed that a servo without its rate limit would have [deg/s], single samples left out."""
-        parts = self.split(self.simulated_deg(replace(servo, rate_limit_deg_s=None)))
+        unlimited = model.physics._replace(**dict.fromkeys(_LIMITS, np.inf))
+        parts = self.split(self.simulated_deg(model.with_physics(unlimited)))
         speeds = [
             np.abs(np.diff(part) / np.diff(each.segment.measured_s[rows]))
             for part, (each, rows) in zip(parts, self._pairs(), strict=True)
@@ -301,8 +234,9 @@ _LEAST_MOTION_NOISES = 10.0
 """Less motion than ten times the noise tells nothing of delay and bandwidth."""
 _WIDTHS_DEG = (0.0, 0.5, 1.0, 2.0, 4.0)
 """Widths of dead band and play at which fits begin [deg]."""
+_ANYTHING = (-np.inf, np.inf)
 _WIDTH_STEP_DEG, _STEP = 0.02, 0.01
-"""For slopes, in degrees and in the units of `FlownServo.vector`."""
+"""For slopes, in degrees and in the units of `_x`."""
 _ORDINARY, _CLOSE = 3.0, 0.1
 """Standard deviations beyond which an error counts by its size: a glitch bends nothing; and the misfit, of which one
 standard deviation of a number makes 1 or more, by which a step must improve."""
@@ -315,14 +249,13 @@ _SURE_SHARE, _BLOCKS = 0.999, 10
 _KNOWN: Mapping[str, float] = MappingProxyType(
     {"delay_s": 1e3 * SIGMAS["delay_s"], "bandwidth_hz": SIGMAS["ln_bandwidth"]}
 )
-"""How far any servo may differ from the usual one, in the units of `FlownServo.vector`: a flight that tells no more
+"""How far any servo may differ from the usual one, in the units of `_x`: a flight that tells no more
 tells nothing."""
 _NOT_SHOWN = "its motion shows no more of it than is known of any servo"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    servo: FlownServo
     names: tuple[str, ...]
     found: Solution
     """Of width, the numbers of the servo, gain and offset."""
@@ -362,15 +295,15 @@ def estimate_flight(
     if surface.threshold == "constant":
         threshold = constant_threshold(threshold, surface.threshold_deg)
     values = _of_residual(residuals, threshold.level_deg)
-    prior = FlownServo.on(aircraft, segment.surface)
-    motion = Motion.of(busiest(Flight("", segment), _MOST_SAMPLES), prior)
+    servo, model = aircraft.servo(segment.surface), generator.model
+    motion = Motion.of(busiest(Flight("", segment), _MOST_SAMPLES), model)
     problem = unfit or _too_calm(motion)
     if problem:
         of_servo = (name for name, what in QUANTITIES.items() if not what.of_axis)
         return ServoEstimate(values, {name: problem for name in of_servo if name not in values}, {}, 0.0)
-    dead_band = _fitted(motion, prior)
+    dead_band = _fitted(motion, servo, model)
     sigma_deg = float(dead_band.found.problem.noise.sigma)
-    backlash = _descended(motion, prior, dead_band.names, dead_band.found.x, sigma_deg, behind=True)
+    backlash = _descended(motion, model, dead_band.names, dead_band.found.x, sigma_deg, behind=True)
     values |= _of_fit(dead_band, motion, voltage_v)
     missing = {name: _NOT_SHOWN for name in _KNOWN if name not in values}
     if "rate_limit_deg_s" not in values:
@@ -410,45 +343,50 @@ def _too_calm(motion: Motion) -> str:
     return ""
 
 
-def _fitted(motion: Motion, prior: FlownServo) -> _Fit:
+def _fitted(motion: Motion, servo: Servo, model: ServoModel) -> _Fit:
     """Downhill from the width that fits best with the servo as it is known."""
-    names = tuple(name for name in prior.numbers if name != "rate_limit_deg_s")
-    if prior.rate_limit_deg_s is not None and motion.top_speed_deg_s(prior) > _LIMIT_REACHED * prior.rate_limit_deg_s:
-        names = (*names, "rate_limit_deg_s")
+    known = {"bandwidth_hz": model.transfer.bandwidth_rad_s / (2.0 * np.pi), "delay_s": model.delay_s}
+    if servo.damping is not None:
+        known["damping_scale"] = 1.0
+    limit_deg_s = servo.rate_limit_deg_s
+    if limit_deg_s is not None and motion.top_speed_deg_s(model) > _LIMIT_REACHED * limit_deg_s:
+        known["rate_limit_deg_s"] = limit_deg_s
+    names = tuple(name for name in _RANGES if name in known)
     measured_deg = motion.measured_deg
     starts = []
     for width_deg in _WIDTHS_DEG:
-        simulated_deg = _simulated(motion, prior, width_deg, behind=False)
+        simulated_deg = _simulated(motion, model, width_deg, behind=False)
         gain, offset_deg = line(simulated_deg, measured_deg)
         left_deg = float(np.median(np.abs(measured_deg - gain * simulated_deg - offset_deg)))
         starts.append((left_deg, width_deg, gain, offset_deg))
     left_deg, width_deg, gain, offset_deg = min(starts)
-    begin = np.array([width_deg, *prior.vector(names), gain, offset_deg])
-    return _descended(motion, prior, names, begin, MAD_TO_SIGMA * max(left_deg, 1e-6), behind=False)
+    begin = np.array([width_deg, *(_x(name, known[name]) for name in names), gain, offset_deg])
+    return _descended(motion, model, names, begin, MAD_TO_SIGMA * max(left_deg, 1e-6), behind=False)
 
 
 def _descended(
-    motion: Motion, prior: FlownServo, names: tuple[str, ...], begin: FloatArray, sigma_deg: float, *, behind: bool
+    motion: Motion, model: ServoModel, names: tuple[str, ...], begin: FloatArray, sigma_deg: float, *, behind: bool
 ) -> _Fit:
     """Least squares from one starting point, of the zone of rest before or behind the servo."""
     measured_deg = motion.measured_deg
 
     def error(x: FloatArray) -> FloatArray:
-        simulated_deg = _simulated(motion, prior.with_vector(names, x[1:-2]), float(x[0]), behind=behind)
+        flown = _flown(model, dict(zip(names, x[1:-2].tolist(), strict=True)))
+        simulated_deg = _simulated(motion, flown, float(x[0]), behind=behind)
         left_deg: FloatArray = measured_deg - x[-2] * simulated_deg - x[-1]
         return left_deg
 
-    # A delay cannot be negative, but a start at zero must lie within.
-    least = np.array([-np.inf, *(-1e-9 if name == "delay_s" else -np.inf for name in names), -np.inf, -np.inf])
+    inside = [tuple(_x(name, end) for end in _RANGES[name]) for name in names]
+    low, high = np.array([_ANYTHING, *inside, _ANYTHING, _ANYTHING]).T
     steps = np.array([_WIDTH_STEP_DEG, *(_STEP for _ in names), _STEP, _STEP])
     noise = Noise(huber=_ORDINARY, sigma=sigma_deg)
-    found = fit(Problem.free(error, (least, np.full(begin.size, np.inf)), noise, steps), begin, close=_CLOSE)
+    found = fit(Problem.free(error, (low, high), noise, steps), begin, close=_CLOSE)
     remembered = motion.correlation_factor(found.error)
     deviation = np.sqrt(np.diag(found.covariance(remembered)))
-    return _Fit(prior.with_vector(names, found.x[1:-2]), names, found, deviation, remembered)
+    return _Fit(names, found, deviation, remembered)
 
 
-def _simulated(motion: Motion, servo: FlownServo, width_deg: float, *, behind: bool) -> FloatArray:
+def _simulated(motion: Motion, servo: ServoModel, width_deg: float, *, behind: bool) -> FloatArray:
     """Deflection of a servo with a zone of rest, in all used rows [deg], shape (n,)."""
     if behind:
         return np.concatenate([_rested(part, width_deg) for part in motion.split(motion.simulated_deg(servo))])

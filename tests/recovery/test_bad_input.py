@@ -12,6 +12,7 @@ import pytest
 
 from servofd.cli import main
 from servofd.core.types import FloatArray
+from servofd.simulation.commands import hand_flown
 
 STEP_S, FRICTION_DEG, RUN = 0.01, 0.6, 750
 KNOWN = ("--servo", "hs225bb-eq31")
@@ -144,3 +145,18 @@ def test_percent_for_the_command_alone(
     assert "check the scale of the calibration" in refused(
         table(tmp_path / "log.csv", gains=(12.5, 1.0)), capsys, *options
     )
+
+
+@pytest.mark.parametrize(("seed", "shift_deg", "words"), [(2, 0.0, "does not follow"), (1, 550.0, "550 deg from it")])
+def test_a_position_of_another_surface_belongs_to_no_command(
+    seed: int, shift_deg: float, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is said before any effect is tried."""
+    time_s = np.arange(0.0, 30.0, STEP_S)
+    asked_deg, flown_deg = (hand_flown(time_s, np.random.default_rng(each)) for each in (1, seed))
+    rows = [f"{t:.2f},{u:.3f},{y + shift_deg:.3f}" for t, u, y in zip(time_s, asked_deg, flown_deg, strict=True)]
+    path = tmp_path / "swapped.csv"
+    path.write_text("\n".join(["time_s,x_cmd_deg,x_pos_deg", *rows]) + "\n")
+    said = refused(path, capsys, *KNOWN)
+    assert "this position does not belong to this command" in said
+    assert words in said

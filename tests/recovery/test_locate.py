@@ -11,10 +11,6 @@ from scipy.signal import lfilter
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.locate import (
-    EVEN,
-    LINEAR,
-    ODD,
-    Map,
     coherent_to_hz,
     excess_band_hz,
     maps,
@@ -54,10 +50,6 @@ def noise_deg(seed: int, memory: float = 0.0) -> FloatArray:
     return coloured
 
 
-def named(found: tuple[Map, ...]) -> dict[str, Map]:
-    return {each.quantity: each for each in found}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_chance_tells_nothing(memory: float) -> None:
@@ -65,22 +57,8 @@ def test_chance_tells_nothing(memory: float) -> None:
     wrong = 0
     for seed in range(12):
         made, error_deg = record(noise_deg(seed, memory), seed)
-        wrong += any(each.low > 0.0 for each in maps(made, error_deg, 0.5 * NOISE_DEG))
+        wrong += any(each.share > 0.25 for each in maps(made, error_deg, 0.5 * NOISE_DEG))
     assert wrong <= 1
-
-
-@pytest.mark.slow
-def test_a_distortion_is_told_by_its_symmetry() -> None:
-    command_deg, moved_deg = flown()
-    signed = command_deg - command_deg.mean()
-    cases = {ODD: (0.3 * np.tanh(signed), EVEN), EVEN: (0.02 * signed**2, ODD)}
-    for name, (wrong_deg, other) in cases.items():
-        found = named(maps(*record(wrong_deg + noise_deg(1)), NOISE_DEG))
-        assert found[name].share > 3.0 * found[other].share, name
-        assert 0.0 < found[name].low < found[name].share < found[name].high
-    found = named(maps(*record(0.2 * moved_deg + noise_deg(1)), NOISE_DEG))
-    assert found[LINEAR].share > 0.9
-    assert max(found[ODD].share, found[EVEN].share) < 0.02
 
 
 def test_a_gap_that_grows_with_the_temperature_is_told() -> None:

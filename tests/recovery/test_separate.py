@@ -32,7 +32,15 @@ def tied(record: Record, *fits: Fit) -> Selection:
     names = tuple(fit.names[0] for fit in fits)
     steps, found = (Step(fits[0], ()),), adequacy(record, fits[0])
     return Selection(
-        fitter.nominal(), steps, (names,), (fits[1:],), NOISE_DEG, (), np.zeros((1, 1)), fitter, fits[0], found
+        fitter.nominal(),
+        steps,
+        {names[0]: dict(zip(names[1:], fits[1:], strict=True))},
+        NOISE_DEG,
+        (),
+        np.zeros((1, 1)),
+        fitter,
+        fits[0],
+        found,
     )
 
 
