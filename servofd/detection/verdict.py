@@ -211,7 +211,7 @@ class LogAudit:
             return "not cleared: " + "; ".join(f"{name}: {reason}" for name, reason in suspects)
         if any(s.is_judged for s in self.surfaces):
             missing = self.unjudged
-            return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in missing) if missing else ""
+            return f"could not judge {_by_reason(missing)}" if missing else ""
         if self.axes:
             dark = [axis for axis in self.axes if axis.is_expected and axis.status != "healthy"]
             known = any(axis.is_expected for axis in self.axes)
@@ -220,7 +220,15 @@ class LogAudit:
         silent = self.unjudged or self.surfaces
         if silent and all(s.status == "no_data" for s in silent):
             return f"no measured deflection to judge: {silent[0].surface}: {silent[0].reason}"
-        return "could not judge " + "; ".join(f"{s.surface}: {s.reason}" for s in silent)
+        return f"could not judge {_by_reason(silent)}"
+
+
+def _by_reason(surfaces: Sequence[SurfaceAudit]) -> str:
+    """Each reason once, after the surfaces it is that of."""
+    named: dict[str, list[str]] = {}
+    for one in surfaces:
+        named.setdefault(one.reason, []).append(one.surface)
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in named.items())
 
 
 _SAMPLES_PER_PERIOD = 4.0

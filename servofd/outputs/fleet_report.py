@@ -31,7 +31,6 @@ _MOST_ROWS = 200
 """Rows of a table on the page at most: logs that were not judged, and faults."""
 _MOST_FLIGHTS = 2000
 """Flights on the page at most."""
-_STATUSES = ("healthy", "suspect", "fault", "not judged")
 FLIGHTS_HEAD = ("flight", "verdict", "begun (UTC)", "length", "residual", "what")
 _FAULTS_HEAD = ("log", "begun (UTC)", "surface", "kind", "onset [s]", "end [s]", "parameters", "probability")
 _LINE = (
@@ -64,7 +63,6 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
         page = flight["page"] if flight["page"] in pages else ""
         said_of_it = flight["sentence"].replace(flight["path"], name)
         rows.append(flight_row(name, status, flight | {"sentence": said_of_it}, page, rank))
-    of_surfaces, of_axes = ("surface", "servo", *_STATUSES), ("axis", "surfaces", *_STATUSES)
     lost = [(flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in not_judged[:_MOST_ROWS]]
     parts_of_faults = [
         Table("Each fault, in s after the beginning", _FAULTS_HEAD, [_fault(one) for one in faults[:_MOST_ROWS]]),
@@ -80,12 +78,12 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
             *([Figures(lambda: [_chart(flights)])] if len(flights) >= _FEWEST_DRAWN else []),
             Table(
                 "Surfaces",
-                (*of_surfaces, "kinds of faults", "largest residual / threshold, where no fault"),
+                ("surface", "flights", "faults", "residual / threshold", "servo"),
                 [_surface(surface) for surface in document["surfaces"]],
             ),
             Table(
                 "Axes, judged by the motion of the aircraft",
-                (*of_axes, "effect left, where healthy"),
+                ("axis", "flights", "effect left", "surfaces"),
                 [_axis(axis) for axis in document["axes"]],
             ),
         ],
@@ -150,30 +148,27 @@ def flight_name(one: Mapping[str, Any]) -> str:
     return PurePosixPath(one["path"].replace("\\", "/")).name + (f" (run {one['run']})" if one.get("run") else "")
 
 
-def _by_status(logs: Mapping[str, int]) -> list[str]:
-    """How many logs were healthy, suspect, at fault and not judged."""
-    return [
-        *(str(logs.get(status, 0)) for status in _STATUSES[:3]),
-        str(logs.get("unknown", 0) + logs.get("no_data", 0)),
-    ]
+def _by_status(logs: Mapping[str, int]) -> Cell:
+    """How many logs were at fault, suspect, not judged and healthy; sorted by the first two."""
+    counts = {status: logs.get(status, 0) for status in ("fault", "suspect", "healthy")}
+    counts["not judged"] = logs.get("unknown", 0) + logs.get("no_data", 0)
+    words = ", ".join(f"{number} {status}" for status, number in counts.items() if number)
+    return Cell(words, order=-(counts["fault"] + counts["suspect"] / (1.0 + sum(counts.values()))))
 
 
-def _axis(axis: dict[str, Any]) -> tuple[str, ...]:
+def _axis(axis: dict[str, Any]) -> tuple[str | Cell, ...]:
     """With the smallest and largest effect in the flights in which it was healthy."""
     members, left = ", ".join(spoken(member) for member in axis["members"]), axis["effect_left"]
     effect = "" if left is None else f"{100.0 * left[0]:.0f} to {100.0 * left[1]:.0f}%"
-    return axis["axis"], members, *_by_status(axis["logs"]), effect
+    return axis["axis"], _by_status(axis["logs"]), effect, members
 
 
-def _surface(surface: dict[str, Any]) -> tuple[str, ...]:
+def _surface(surface: dict[str, Any]) -> tuple[str | Cell, ...]:
+    """With its largest share of the threshold in the flights without a fault of it."""
     share = surface["largest_share"]
-    return (
-        surface["surface"],
-        ", ".join(surface["servos"]),
-        *_by_status(surface["logs"]),
-        ", ".join(f"{kind.replace('_', ' ')} {number}" for kind, number in surface["kinds"].items()) or "none",
-        "" if share is None else f"{share:.0%}",
-    )
+    kinds = ", ".join(f"{kind.replace('_', ' ')} {number}" for kind, number in surface["kinds"].items())
+    flights, nearest = _by_status(surface["logs"]), "" if share is None else f"{share:.0%}"
+    return surface["surface"], flights, kinds or "none", nearest, ", ".join(surface["servos"])
 
 
 def _fault(fault: dict[str, Any]) -> tuple[str, ...]:
