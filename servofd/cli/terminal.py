@@ -25,8 +25,8 @@ _WIDEST = 100
 """Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
 _PIPED = 80
 """Columns of a table of one line a row, where there is no terminal."""
-_NARROWEST = 64
-"""Below this a table of sentences becomes a list."""
+_NARROWEST, _BETWEEN = 64, 3
+"""Columns of a terminal below which a table becomes a list, and those between two of a table."""
 
 
 def say(text: str = "", *, end: str = "\n") -> None:
@@ -110,15 +110,20 @@ def worst(codes: Iterable[int]) -> int:
 def print_table(
     headings: Sequence[str], rows: Sequence[Sequence[str]], title: str = "", shown: Console | None = None
 ) -> None:
-    """Print rows under headings as a table, on a narrow terminal as a list; coloured by status where a cell is one."""
+    """Print rows as a table, or as a list where its words are wider than the terminal; a status has its colour."""
     from rich import box
+    from rich.cells import cell_len
     from rich.padding import Padding
+    from rich.table import Column
     from rich.table import Table as Grid
     from rich.text import Text
 
     shown = shown or _console()
-    if shown.width >= _NARROWEST:
-        table = Grid(*headings, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    columns = [" ".join(cells).split() for cells in zip(headings, *rows, strict=True)]
+    longest = [max(map(cell_len, words)) for words in columns]  # of the words of each column
+    if shown.width >= max(_NARROWEST, sum(longest) + _BETWEEN * len(longest)):
+        heads = [Column(name, min_width=width) for name, width in zip(headings, longest, strict=True)]
+        table = Grid(*heads, title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
         for row in rows:
             table.add_row(*(Text(cell, style=_style(cell)) for cell in row))
         shown.print(table)
@@ -169,8 +174,8 @@ def write_page(document: Document, path: str | Path) -> None:
 def print_document(document: Document) -> None:
     """Print facts, tables and words, what they come to last; pictures, and what is folded, are for pages.
 
-    Of a table of sentences at most 100 columns of a terminal are used; in less than 64 every table becomes a list. A
-    file or a pipe has no width: there no line is folded.
+    Of a table of sentences at most 100 columns of a terminal are used; in less than 64, or than its words need, a table
+    becomes a list. A file or a pipe has no width: there no line is folded.
     """
     from rich.text import Text
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from servofd.aircraft.schema import Aircraft
+    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
 
 _CONTEXT_HZ: Final = 10.0
@@ -29,7 +30,30 @@ _GPS_EPOCH_US: Final = 315_964_800_000_000 - 18_000_000
 """6 January 1980 in Unix time, less the 18 leap seconds since [us]: GPS time begins then."""
 _WEEK_US: Final = 7 * 86_400_000_000
 """A week of GPS time [us]."""
-_CSRV: Final = ["TimeUS", "Id", "Pos", "Force", "Speed", "Pow", "PosCmd", "V", "A", "MotT", "PCBT", "Err"]
+_EACH_OUTPUT: Final = tuple(f"C{n}" for n in range(1, MOST_OUTPUTS + 1))
+_MESSAGES: Final[Mapping[str, tuple[str, str, str, str]]] = {
+    "PARM": ("TimeUS Name Value Default", "QNff", "s---", "F---"),
+    "MSG": ("TimeUS Message", "QZ", "s-", "F-"),
+    "RCOU": (
+        f"TimeUS {' '.join(_EACH_OUTPUT)}",
+        f"Q{'H' * MOST_OUTPUTS}", f"s{'Y' * MOST_OUTPUTS}", f"F{'-' * MOST_OUTPUTS}",
+    ),
+    "CSRV": ("TimeUS Id Pos Force Speed Pow PosCmd V A MotT PCBT Err", "QBfffBfffffB", "", ""),
+    "IMU": (
+        "TimeUS I GyrX GyrY GyrZ AccX AccY AccZ EG EA T GH AH GHz AHz",
+        "QBffffffIIfBBHH", "s#EEEooo--O--zz", "F-000000-----00",
+    ),
+    "ARSP": (
+        "TimeUS I Airspeed DiffPress Temp RawPress Offset U H Hp TR Pri", "QBffcffBBffB", "s#nPOPP-----", "F-00B00-----"
+    ),
+    "ATT": ("TimeUS DesRoll Roll DesPitch Pitch DesYaw Yaw AEKF", "QffffffB", "sddddhh-", "F000000-"),
+    "POWR": ("TimeUS Vcc VServo Flags AccFlags Safety", "QffHHB", "svv---", "F00---"),
+    "GPS": (
+        "TimeUS I Status GMS GWk NSats HDop Lat Lng Alt Spd GCrs VZ Yaw U",
+        "QBBIHBcLLeffffB", "s#-s-S-DUmnhnh-", "F--C-0BGGB000--",
+    ),
+}  # fmt: skip
+"""Of each message its columns, their formats, units and multipliers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,30 +101,34 @@ def dataflash_messages(
     """
     outputs_needed(flight)
     known = parameters(flight, aircraft, generation.name) if settings is None else settings
-    return [*_words(flight, known, generation), _rcou(flight), *_csrv(flight, aircraft, generation), *_air(flight)]
+    stamps_us = microseconds(flight.time_s)
+    sent = {THROTTLE: THROTTLE_US} | {o.number: flight.pulse_us[:, i] for i, o in enumerate(flight.outputs)}
+    return [
+        *words(stamps_us[:1], known, banner(generation.version), "Throttle armed"),
+        pulses(stamps_us, sent),
+        *_csrv(flight, aircraft, generation),
+        *_air(flight),
+    ]
 
 
-def _words(flight: SimulatedFlight, known: Mapping[str, float], generation: Generation) -> list[Message]:
+def rows(name: str, stamps_us: IntArray, **given: ArrayLike) -> Message:
+    """Rows of a message; what is not given is 0."""
+    columns, kinds, units, multipliers = _MESSAGES[name]
+    known = {"TimeUS": stamps_us} | given
+    whole = {column: np.broadcast_to(known.get(column, 0), stamps_us.shape) for column in columns.split()}
+    return Message(name, kinds, whole, units, multipliers)
+
+
+def words(start_us: IntArray, known: Mapping[str, float], *said: str) -> list[Message]:
     """Parameters and what the autopilot says, all at the beginning."""
-    start_us = int(microseconds(flight.time_s[:1])[0])
     values = list(known.values())
-    parm: Mapping[str, ArrayLike] = {
-        "TimeUS": [start_us] * len(known),
-        "Name": list(known),
-        "Value": values,
-        "Default": values,
-    }
-    said = [banner(generation.version), "Throttle armed"]
-    spoken: Mapping[str, ArrayLike] = {"TimeUS": [start_us] * len(said), "Message": said}
-    return [Message("PARM", "QNff", parm, "s---", "F---"), Message("MSG", "QZ", spoken, "s-", "F-")]
+    parm = rows("PARM", np.repeat(start_us, len(known)), Name=list(known), Value=values, Default=values)
+    return [parm, rows("MSG", np.repeat(start_us, len(said)), Message=said)]
 
 
-def _rcou(flight: SimulatedFlight) -> Message:
-    columns: dict[str, ArrayLike] = {"TimeUS": microseconds(flight.time_s)}
-    columns |= {f"C{n}": np.zeros(flight.time_s.size, np.int64) for n in range(1, MOST_OUTPUTS + 1)}
-    columns[f"C{THROTTLE}"] = np.full(flight.time_s.size, THROTTLE_US)
-    columns |= {f"C{o.number}": flight.pulse_us[:, i] for i, o in enumerate(flight.outputs)}
-    return Message("RCOU", "Q" + "H" * MOST_OUTPUTS, columns, "s" + "Y" * MOST_OUTPUTS, "F" + "-" * MOST_OUTPUTS)
+def pulses(stamps_us: IntArray, pulses_us: Mapping[int, ArrayLike]) -> Message:
+    """Pulses of outputs, by their numbers."""
+    return rows("RCOU", stamps_us, **{_EACH_OUTPUT[number - 1]: values for number, values in pulses_us.items()})
 
 
 def _csrv(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation) -> list[Message]:
@@ -113,21 +141,18 @@ def _csrv(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation) -
         rng = np.random.default_rng([flight.seed, i, 1001])
         state = servo_state(flight.time_s, flight.command_deg[:, i], flight.measured_deg[:, i], rng)
         arm_deg = output.arm_deg(flight.measured_deg[:, i])
-        rows: dict[str, ArrayLike] = dict.fromkeys(_CSRV, np.zeros(flight.time_s.size))
-        rows["TimeUS"] = microseconds(flight.time_s)
-        rows["Id"] = np.full(flight.time_s.size, output.number - 1 + generation.first_id)
+        servo: dict[str, ArrayLike] = {"Id": output.number - 1 + generation.first_id}
         if generation is VOLZ:  # what the driver does not know is NaN, or 0 in a whole number
-            unknown = np.full(flight.time_s.size, np.nan)
-            rows |= {"Force": unknown, "Speed": unknown}
-            rows["Pos"] = _VOLZ_STEP_DEG * np.round(arm_deg / _VOLZ_STEP_DEG)
-            rows["PosCmd"] = output.arm_deg(flight.command_deg[:, i])
-            rows |= {"V": state.voltage_v, "A": state.current_a, "MotT": state.motor_degc, "PCBT": state.board_degc}
+            servo |= {"Force": np.nan, "Speed": np.nan, "PosCmd": output.arm_deg(flight.command_deg[:, i])}
+            servo |= {"V": state.voltage_v, "A": state.current_a, "MotT": state.motor_degc, "PCBT": state.board_degc}
+            servo["Pos"] = _VOLZ_STEP_DEG * np.round(arm_deg / _VOLZ_STEP_DEG)
         else:  # what actuator.Status does not hold is 0
-            rows["Pos"] = np.radians(arm_deg).astype(np.float16)
-            rows["Force"] = (0.4 * state.current_a).astype(np.float16)
-            rows["Speed"] = np.radians(output.arm_deg(state.speed_deg_s)).astype(np.float16)
-            rows["Pow"] = np.round(np.clip(60.0 * state.current_a, 0.0, 100.0))
-        found.append(Message("CSRV", "QBfffBfffffB", rows, generation.units, generation.multipliers))
+            servo["Pos"] = np.radians(arm_deg).astype(np.float16)
+            servo["Force"] = (0.4 * state.current_a).astype(np.float16)
+            servo["Speed"] = np.radians(output.arm_deg(state.speed_deg_s)).astype(np.float16)
+            servo["Pow"] = np.round(np.clip(60.0 * state.current_a, 0.0, 100.0))
+        made = rows("CSRV", microseconds(flight.time_s), **servo)
+        found.append(replace(made, units=generation.units, multipliers=generation.multipliers))
     return [_joined(found)] if found else []
 
 
@@ -136,45 +161,29 @@ def _joined(messages: list[Message]) -> Message:
     first = messages[0]
     columns = {name: np.concatenate([np.asarray(m.columns[name]) for m in messages]) for name in first.columns}
     order = np.argsort(columns["TimeUS"], kind="stable")
-    rows = {name: values[order] for name, values in columns.items()}
-    return Message(first.name, first.format, rows, first.units, first.multipliers)
+    return replace(first, columns={name: values[order] for name, values in columns.items()})
 
 
 def _air(flight: SimulatedFlight) -> list[Message]:
     """Context, seldom."""
     at_s = flight.time_s[sparse(flight.time_s, _CONTEXT_HZ)]
     air = surroundings(at_s, flight.seed)
-    stamps, ones, zeros = microseconds(at_s), np.ones(at_s.size), np.zeros(at_s.size)
-    pressure_pa = 0.5 * AIR_KG_M3 * air.airspeed_m_s**2
-    arsp: Mapping[str, ArrayLike] = {
-        "TimeUS": stamps, "I": zeros, "Airspeed": air.airspeed_m_s, "DiffPress": pressure_pa,
-        "Temp": np.full(at_s.size, 18.5), "RawPress": pressure_pa + 2.0, "Offset": np.full(at_s.size, 2.0),
-        "U": ones, "H": ones, "Hp": ones, "TR": zeros, "Pri": zeros,
-    }  # fmt: skip
-    att: Mapping[str, ArrayLike] = {
-        "TimeUS": stamps, "DesRoll": 28.0 * ones, "Roll": air.roll_deg, "DesPitch": 3.0 * ones,
-        "Pitch": air.pitch_deg, "DesYaw": air.yaw_deg, "Yaw": air.yaw_deg, "AEKF": 3 * ones,
-    }  # fmt: skip
-    powr: Mapping[str, ArrayLike] = {
-        "TimeUS": stamps, "Vcc": air.board_v, "VServo": air.rail_v, "Flags": 3 * ones, "AccFlags": 3 * ones,
-        "Safety": 2 * ones,
-    }  # fmt: skip
+    stamps, pressure_pa = microseconds(at_s), 0.5 * AIR_KG_M3 * air.airspeed_m_s**2
+    pitot = {"Airspeed": air.airspeed_m_s, "DiffPress": pressure_pa, "RawPress": pressure_pa + 2.0}
+    turned = {"Roll": air.roll_deg, "Pitch": air.pitch_deg, "DesYaw": air.yaw_deg, "Yaw": air.yaw_deg}
     return [
-        Message("ARSP", "QBffcffBBffB", arsp, "s#nPOPP-----", "F-00B00-----"),
-        Message("ATT", "QffffffB", att, "sddddhh-", "F000000-"),
-        Message("POWR", "QffHHB", powr, "svv---", "F00---"),
+        rows("ARSP", stamps, **pitot, Temp=18.5, Offset=2.0, U=1, H=1, Hp=1),
+        rows("ATT", stamps, **turned, DesRoll=28.0, DesPitch=3.0, AEKF=3),
+        rows("POWR", stamps, Vcc=air.board_v, VServo=air.rail_v, Flags=3, AccFlags=3, Safety=2),
         _gps(flight),
     ]
 
 
 def _gps(flight: SimulatedFlight) -> Message:
     at_s = flight.time_s[sparse(flight.time_s, _GPS_HZ)]
-    air = surroundings(at_s, flight.seed)
-    stamps, ones, zeros = microseconds(at_s), np.ones(at_s.size), np.zeros(at_s.size)
+    air, stamps = surroundings(at_s, flight.seed), microseconds(at_s)
     gps_us = EPOCH_US - _GPS_EPOCH_US + stamps
-    gps: Mapping[str, ArrayLike] = {
-        "TimeUS": stamps, "I": zeros, "Status": 3 * ones, "GMS": gps_us % _WEEK_US // 1000, "GWk": gps_us // _WEEK_US,
-        "NSats": 14 * ones, "HDop": 0.8 * ones, "Lat": air.latitude_deg, "Lng": air.longitude_deg,
-        "Alt": air.altitude_m, "Spd": air.airspeed_m_s, "GCrs": air.yaw_deg, "VZ": zeros, "Yaw": zeros, "U": ones,
-    }  # fmt: skip
-    return Message("GPS", "QBBIHBcLLeffffB", gps, "s#-s-S-DUmnhnh-", "F--C-0BGGB000--")
+    place = {"Lat": air.latitude_deg, "Lng": air.longitude_deg, "Alt": air.altitude_m}
+    way = {"Spd": air.airspeed_m_s, "GCrs": air.yaw_deg}
+    week = {"GMS": gps_us % _WEEK_US // 1000, "GWk": gps_us // _WEEK_US}
+    return rows("GPS", stamps, Status=3, NSats=14, HDop=0.8, U=1, **week, **place, **way)
