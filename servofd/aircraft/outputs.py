@@ -91,6 +91,12 @@ SURFACE_FUNCTIONS = {
     110: "airbrake",
 }
 """ArduPilot's SERVOn_FUNCTION numbers of outputs that turn something."""
+_OF_PX4 = (
+    "aileron_left aileron_right elevator rudder elevon_left elevon_right vtail_left vtail_right flap_left flap_right "
+    "airbrake any atail_left atail_right aileron steering spoiler_left spoiler_right"
+)
+PX4_TYPES = dict(enumerate(_OF_PX4.split(), start=1))
+"""PX4's CA_SV_CSk_TYPE of surfaces."""
 
 _FULL_TRAVEL_DEG = 45.0
 """ArduPilot scales angle outputs to +-4500 centidegrees at full travel."""

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.outputs import PX4_TYPES
 from servofd.axes.motion import LARGEST_GAP_S, Motion, Series, day_of, grid_rate, present_on
 from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from logparsers.records import FlightLog
     from servofd.core.types import FloatArray
 
@@ -24,17 +23,19 @@ _MEMBERS = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
 _CONTROLS = {"roll": 0, "pitch": 1, "yaw": 2}
 _THROTTLE_CONTROL = 3
 """Place of the throttle among the controls of actuator_controls."""
-_TYPES: Mapping[int, Mapping[str, float]] = {
-    1: {"roll": -1.0}, 2: {"roll": 1.0}, 3: {"pitch": 1.0}, 4: {"yaw": 1.0}, 5: {"roll": -1.0, "pitch": 1.0},
-    6: {"roll": 1.0, "pitch": 1.0}, 7: {"pitch": 1.0, "yaw": 1.0}, 8: {"pitch": 1.0, "yaw": -1.0},
-}  # fmt: skip
-"""CA_SV_CSk_TYPE to what a surface does, where no CA_SV_CSk_TRQ_* says it (ActuatorEffectivenessControlSurfaces)."""
-_NAMES = {
-    1: "aileron_left", 2: "aileron_right", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right",
-    7: "vtail_left", 8: "vtail_right",
-}  # fmt: skip
+_MOVES = {"aileron": ("roll",), "elevator": ("pitch",), "rudder": ("yaw",), "elevon": ("roll", "pitch")}
+_MOVES |= {"vtail": ("pitch", "yaw")}
+"""Axes of a surface where no CA_SV_CSk_TRQ_* says them (ActuatorEffectivenessControlSurfaces)."""
+_AGAINST = {"roll": "left", "yaw": "right"}
+"""Side whose surface turns the aircraft the other way."""
 _FORWARD, _FASTEST_HZ = 4, 25.0
 """vehicle_vtol_state of a VTOL that flies as a fixed wing."""
+
+
+def _shares(name: str) -> dict[str, float]:
+    """What a surface of this name does to each axis."""
+    word, _, side = name.partition("_")
+    return {axis: -1.0 if _AGAINST.get(axis) == side else 1.0 for axis in _MOVES.get(word, ())}
 
 
 def motion_of_px4(log: FlightLog, rate_hz: float | None = None) -> Motion:
@@ -97,9 +98,10 @@ def _commands(log: FlightLog) -> tuple[dict[str, Series], dict[str, tuple[str, .
         if series is None or kind == 0:
             continue
         given = {axis: log.parameters.get(f"CA_SV_CS{k}_TRQ_{letter}", 0.0) for axis, letter in _AXES.items()}
-        shares = {axis: float(np.sign(torque)) for axis, torque in given.items() if torque} or _TYPES.get(kind, {})
+        name = PX4_TYPES.get(kind, "any").replace("any", f"servo_{k + 1}")
+        shares = {axis: float(np.sign(torque)) for axis, torque in given.items() if torque} or _shares(name)
         for axis, sign in shares.items():
-            found.setdefault(axis, []).append((series, sign, _NAMES.get(kind, f"servo_{k + 1}")))
+            found.setdefault(axis, []).append((series, sign, name))
     if found:
         commands = {
             axis: Series(

@@ -9,6 +9,7 @@ import numpy as np
 from logparsers.protocol import Kind
 from logparsers.records import Text
 from logparsers.ulog.encode import Topic, encode
+from servofd.aircraft.outputs import PX4_TYPES, SURFACE_FUNCTIONS
 from servofd.core.errors import ConfigError
 from servofd.simulation.ardupilot import outputs_needed
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US
@@ -32,13 +33,8 @@ _SERVO_1, _MOTOR_1 = 201, 101
 """Functions of the first servo and the first motor (PX4, PWM_MAIN_FUNCn)."""
 _DEBUG_SLOTS, _OUTPUT_SLOTS = 58, 16
 """Numbers of a debug_array, and outputs of actuator_outputs."""
-_CUSTOM: Final = 12
-"""Type of a surface that PX4 has no name for (CA_SV_CSn_TYPE)."""
-_TYPES: Final = {  # of ArduPilot's functions in CA_SV_CSk_TYPE
-    4: 15, 19: 3, 21: 4, 77: 5, 78: 6, 79: 7, 80: 8, 24: 1, 25: 2, 2: 9, 110: 11, 16: 17, 17: 18,
-}  # fmt: skip
-_ON_THE_RIGHT: Final = {15: 2, 9: 10}
-_ON_THE_LEFT: Final = {15: 1}
+_TYPE_OF: Final = {name: kind for kind, name in PX4_TYPES.items()}
+"""CA_SV_CSk_TYPE by what it turns."""
 
 
 def ulog_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
@@ -102,11 +98,12 @@ def ulog_parameters(flight: SimulatedFlight) -> dict[str, int | float]:
 
 def _type(output: Output) -> int:
     """CA_SV_CSk_TYPE; ailerons and flaps have sides that ArduPilot does not tell apart."""
-    kind = _TYPES.get(output.function, _CUSTOM)
-    name = output.surface.lower()
-    if "right" in name or name.endswith("_r"):
-        return _ON_THE_RIGHT.get(kind, kind)
-    return _ON_THE_LEFT.get(kind, kind) if "left" in name or name.endswith("_l") else kind
+    kind, name = SURFACE_FUNCTIONS.get(output.function, "any"), output.surface.lower()
+    side = "right" if "right" in name or name.endswith("_r") else "left"
+    has_side = side == "right" or "left" in name or name.endswith("_l")
+    word = {"flap": "flap_left", "flaperon_left": "aileron_left", "flaperon_right": "aileron_right"}.get(kind, kind)
+    sided = f"{word.partition('_')[0]}_{side}"
+    return _TYPE_OF.get(sided if has_side else word, _TYPE_OF.get(word, _TYPE_OF["any"]))
 
 
 def _pulses(flight: SimulatedFlight) -> Topic:
