@@ -40,34 +40,21 @@ _GUST_M, _GUST_M_S = 20.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Mixer:
-    """Outputs of an airframe: SERVOn_FUNCTION, name, and what roll, pitch and yaw ask of it."""
+    """Outputs of an airframe: by their number the name, and what roll, pitch and yaw ask of it."""
 
-    outputs: Mapping[int, tuple[int, str, tuple[float, float, float]]]
+    outputs: Mapping[int, tuple[str, tuple[float, float, float]]]
 
     @property
     def names(self) -> list[str]:
         """Of its surfaces, in the order of the outputs."""
-        return [name for _, name, _ in self.outputs.values()]
+        return [name for name, _ in self.outputs.values()]
 
 
+_LEFT, _RIGHT = (("aileron_left", (1.0, 0.0, 0.0)), ("aileron_right", (1.0, 0.0, 0.0)))
 MIXERS: Final[Mapping[str, Mixer]] = {
-    "plain": Mixer(
-        {
-            1: (4, "aileron_left", (1.0, 0.0, 0.0)),
-            2: (19, "elevator", (0.0, 1.0, 0.0)),
-            4: (21, "rudder", (0.0, 0.0, 1.0)),
-            5: (4, "aileron_right", (1.0, 0.0, 0.0)),
-        }
-    ),
-    "elevon": Mixer({1: (77, "elevon_left", (-1.0, 1.0, 0.0)), 2: (78, "elevon_right", (1.0, 1.0, 0.0))}),
-    "vtail": Mixer(
-        {
-            1: (4, "aileron_left", (1.0, 0.0, 0.0)),
-            2: (79, "vtail_left", (0.0, 1.0, -1.0)),
-            4: (80, "vtail_right", (0.0, 1.0, 1.0)),
-            5: (4, "aileron_right", (1.0, 0.0, 0.0)),
-        }
-    ),
+    "plain": Mixer({1: _LEFT, 2: ("elevator", (0.0, 1.0, 0.0)), 4: ("rudder", (0.0, 0.0, 1.0)), 5: _RIGHT}),
+    "elevon": Mixer({1: ("elevon_left", (-1.0, 1.0, 0.0)), 2: ("elevon_right", (1.0, 1.0, 0.0))}),
+    "vtail": Mixer({1: _LEFT, 2: ("vtail_left", (0.0, 1.0, -1.0)), 4: ("vtail_right", (0.0, 1.0, 1.0)), 5: _RIGHT}),
 }
 """By name."""
 
@@ -155,7 +142,7 @@ def fly_airframe(
     load = 1.0 + 0.03 * of_day.standard_normal(6)
     trims_us = 6.0 * of_day.standard_normal(3)
     steps = round(duration_s / _STEP_S)
-    mix = np.array([weights for _, _, weights in wing.outputs.values()])
+    mix = np.array([weights for _, weights in wing.outputs.values()])
     table = np.array([[np.inf, 0.0, 0.0, np.inf]] * len(wing.names))
     for fault in faults:
         table[wing.names.index(fault.surface)] = (fault.start_s, _KINDS.index(fault.kind), fault.value, fault.end_s)

@@ -11,7 +11,7 @@ from logparsers.units import US_PER_S
 from servofd.servo.context import AIR_KG_M3
 from servofd.simulation.ardupilot import banner
 from servofd.simulation.dataflash_writer import pulses, rows, words
-from servofd.simulation.pulses import THROTTLE
+from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
 
 if TYPE_CHECKING:
     from servofd.simulation.airframe import AirframeFlight
@@ -21,11 +21,16 @@ _VERSION: Final = "4.6.0"
 
 def airframe_parameters(flight: AirframeFlight) -> dict[str, float]:
     """What the autopilot knows of its outputs."""
-    functions = {number: float(function) for number, (function, _, _) in flight.mixer.outputs.items()}
+    functions = functions_of(flight.mixer.names)
+    turned: dict[int, int] = {number: functions[name] for number, (name, _) in flight.mixer.outputs.items()}
     found: dict[str, float] = {}
-    for number, function in sorted((functions | {THROTTLE: 70.0}).items()):
+    for number, function in sorted((turned | {THROTTLE: THROTTLE_FUNCTION}).items()):
         low, high = (1000.0, 2000.0) if number == THROTTLE else (1050.0, 1950.0)
-        found |= {f"SERVO{number}_FUNCTION": function, f"SERVO{number}_TRIM": 1500.0, f"SERVO{number}_REVERSED": 0.0}
+        found |= {
+            f"SERVO{number}_FUNCTION": float(function),
+            f"SERVO{number}_TRIM": 1500.0,
+            f"SERVO{number}_REVERSED": 0.0,
+        }
         found |= {f"SERVO{number}_MIN": low, f"SERVO{number}_MAX": high}
     return found
 

@@ -135,7 +135,7 @@ def outputs_of(aircraft: Aircraft) -> tuple[Output, ...]:
     taken = {number for number in claimed.values() if number}
     if len(taken) < sum(number is not None for number in claimed.values()) or max(taken, default=0) > MOST_OUTPUTS:
         raise ConfigError(f"each command needs an output of its own from 1 to {MOST_OUTPUTS}, not {claimed}")
-    functions = _functions(aircraft.surfaces)
+    functions = functions_of(aircraft.surfaces)
     found = []
     for name, surface in aircraft.surfaces.items():
         number = claimed[name] or _free(functions[name], taken)
@@ -172,7 +172,7 @@ def _free(function: int, taken: Collection[int]) -> int:
     return next(number for number in candidates if number not in taken)
 
 
-def _functions(surfaces: Collection[str]) -> dict[str, int]:
+def functions_of(surfaces: Collection[str]) -> dict[str, int]:
     """SERVOn_FUNCTION by the names of surfaces; of two without a side the first is the left one."""
     functions: dict[str, int] = {}
     unknown = 0
