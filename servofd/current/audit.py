@@ -171,7 +171,7 @@ def _judged(
         and aircraft.surfaces[name].healthy_current is None
         and found.suspicions + found.faults
     ):
-        # Nobody knows what this servo draws, and a servo that is blocked or has no power does not follow.
+        # What this servo draws when well is not known, and one that is blocked or has no power does not follow.
         return replace(found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=())
     still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]
     if still and not found.faults:

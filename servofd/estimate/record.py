@@ -130,7 +130,7 @@ _RHYTHM = 101
 _RARELY = 0.98
 """Intervals between commands of which fewer than one in fifty is longer are the rhythm, and no gap."""
 _APART_S = 2.0 * LONGEST_PAUSE_S
-"""Between records that are simulated as one [s]: after such a pause each begins anew."""
+"""Between records that are simulated as one [s]: after that pause each begins anew."""
 _LEAST_SUPPLY_V = 2.0
 _POWERS = (0.6, 1.4)
 """Supply over its usual value, at which it is cut off."""
