@@ -14,7 +14,7 @@ from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, Pul
 from servofd.aircraft.schema import plain_channels
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from logparsers.records import Channel, FlightLog
     from servofd.aircraft.calibration import Calibration

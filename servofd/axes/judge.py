@@ -36,7 +36,6 @@ from servofd.core.statistics import LEAST_DIVISOR, Z_95, Estimate
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, MotionModel
-    from servofd.axes.model import Inputs
     from servofd.axes.motion import Motion
     from servofd.core.types import BoolArray, FloatArray
 

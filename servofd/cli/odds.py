@@ -21,7 +21,7 @@ from servofd.servo.library import servo_named
 if TYPE_CHECKING:
     from servofd.cli.options import Options
     from servofd.detection.probability import SurfaceOdds
-    from servofd.jobs.odds import LeftOut, Part
+    from servofd.jobs.odds import Part
 
 _PLAIN_SURFACE = "surface"
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 def run(options: Options) -> int:
     """Open the viewer, after an audit if need be."""
     path = Path(options.file)
-    check_display()
     recorded, whole = is_recording(path), str(path.resolve())
+    check_display()
     if recorded and shown(whole) == whole:
         open_viewer(path)
         return 0

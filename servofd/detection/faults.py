@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.detection.changes import Watched
     from servofd.detection.residual import Commands
-    from servofd.detection.verdict import Fault
 
 _SETTLING_S: Final = 0.5
 """Time after an alarm before which a window that explains it does not begin [s]."""

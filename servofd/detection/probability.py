@@ -18,7 +18,6 @@ from servofd.core.types import FloatArray
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.core.types import FloatArray
     from servofd.detection.pulse import PulseFilter
 
 _NODES = 120

@@ -34,7 +34,7 @@ from servofd.servo.loops import compiled, fixed, inner
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
-    from servofd.core.types import BoolArray, FloatArray, IntArray
+    from servofd.core.types import IntArray
     from servofd.servo.motion import AnyServo, Motion
     from servofd.servo.servo_model import ServoModel
 

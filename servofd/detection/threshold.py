@@ -31,11 +31,8 @@ from servofd.detection.residual import CURVATURE_TO_SIGMA, RESTART_ALL, unmodell
 from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from servofd.aircraft.series import Series
     from servofd.core.tolerance import Tolerance
-    from servofd.core.types import FloatArray
     from servofd.detection.residual import ResidualGenerator, Residuals
 
 _PEAK_HOLD_S = 0.15

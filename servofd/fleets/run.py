@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.batch.find import LogSource
-    from servofd.batch.key import Job
     from servofd.detection.verdict import LogAudit
 
 

@@ -16,7 +16,6 @@ from servofd.servo.context import NO_CONTEXT, Context
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from logparsers.records import FlightLog
     from servofd.aircraft.series import LeftOut, Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.verdict import LogAudit, SurfaceAudit

@@ -7,12 +7,8 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from servofd.core.errors import RecordingError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _WITH_ITS_EXIT_CODE = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """``python -m rerun_cli`` always ends with 0."""
