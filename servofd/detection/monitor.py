@@ -391,11 +391,13 @@ class SurfaceMonitor:
         events, alarm = [], self._alarm
         if alarm is None:
             alarm = self._alarm = self._doubtful or Alarm(fault.alarm_s)
-            alarm.kind, self._doubtful = fault.kind, None
+            self._doubtful = None
+            if not self._is_told(look, alarm, fault):
+                return [replace(self._event(look, "alarm", fault), kind="unknown", fault=None)]
             events.append(self._event(look, "alarm", fault))
         elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
-            if not (fault.probability >= _TOLD or look.at_s - alarm.raised_s >= _LOOKS_S[1]):
-                return events  # a quarter of a second admits several: a moment later it is known which
+            if not self._is_told(look, alarm, fault):
+                return events
             events.append(self._event(look, "named", fault))
         alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
         self._look_later(look, fault)
@@ -405,6 +407,12 @@ class SurfaceMonitor:
             self._over(look.at_s)
             events.append(self._event(look, "clear", fault))
         return events
+
+    @staticmethod
+    def _is_told(look: Look, alarm: Alarm, fault: Fault) -> bool:
+        """Whether its name is reported: a quarter of a second admits several, and a moment later it is known which."""
+        age_s = look.at_s - alarm.raised_s
+        return age_s >= _LOOKS_S[1] or fault.end_s is not None or (age_s > 0.0 and fault.probability >= _TOLD)
 
     def _doubted(self, alarm: Alarm, look: Look) -> list[Event]:
         """What a look changes that finds no fault: the alarm is over, or its name is checked once more."""
