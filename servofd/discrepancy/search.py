@@ -17,8 +17,7 @@ from servofd.servo.effects.commands import ClockOffset, CommandSteps, Delay, Pwm
 from servofd.servo.effects.own import Damping, SlowDynamics
 from servofd.servo.effects.sensor import Quantization, SensorLag
 from servofd.servo.effects.shaft import ExternalLoad, TiltedLoad
-from servofd.servo.loop import AFTER, BEFORE, INSIDE, loop_of
-from servofd.servo.physics import rate_fields
+from servofd.servo.loop import AFTER, BEFORE, INSIDE
 from servofd.servo.registry import catalogue, everything
 
 if TYPE_CHECKING:
@@ -260,8 +259,6 @@ _STEEP = 0.9
 """A load that pulls back more steeply where the servo works is a lost gain and an offset."""
 LIMITS = ("rate_limit", "voltage_rate")
 """Effects that limit the speed."""
-_PER_V, _SLOWEST = ("deg_s_per_v", "speed_deg_s_per_v"), 0.2
-"""Rate limits per volt, and the least share of a rate limit that a start keeps."""
 _LATE = (Delay, SensorLag, SlowDynamics)
 """Effects that make a servo late."""
 
@@ -404,16 +401,7 @@ class Search:
                     into = [size] * len(other.parameters)
                 for place in (common_places((*rest, other)) or (INSIDE,)) if is_placed and is_loose else (fit.place,):
                     start = installed(without._replace(slow_place=place), [other], into)
-                    self._fitted((*rest, other), self._as_fast(start, fit.physics), enough)
-
-    def _as_fast(self, start: Physics, fitted: Physics) -> Physics:
-        """A start that is as fast as what was fitted: a motor at its limit loses what friction takes."""
-        record = self.fitter.record
-        more_deg_s = _lost_deg_s(record, start) - _lost_deg_s(record, fitted)
-        supply_v = 1.0 if record.voltage_v is None else float(np.nanmean(record.voltage_v))
-        limits = {name: getattr(start, name) for name in rate_fields()}
-        more = {name: more_deg_s / (supply_v if name in _PER_V else 1.0) for name in limits}
-        return start._replace(**{n: max(v + more[n], _SLOWEST * v) for n, v in limits.items() if v < np.inf})
+                    self._fitted((*rest, other), start, enough)
 
     def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
         """The base with pulse frames, if a delay or what passes for one helps it."""
@@ -447,16 +435,6 @@ def without_idle(fit: Fit, neutral: Physics) -> Fit:
 def fields_of(effect: type[Effect]) -> tuple[str, ...]:
     """Of `Physics`, those that an effect sets."""
     return (*(name for p in effect.parameters for name in p.fields), *effect.fixed)
-
-
-def _lost_deg_s(record: Record, physics: Physics) -> float:
-    """Speed that friction takes from a motor at its limit."""
-    limits = (physics.rate_up_deg_s, physics.rate_down_deg_s, physics.deg_s_per_v)
-    is_limited = physics.friction_deg > 0.0 and min(limits) < np.inf
-    if not is_limited:
-        return 0.0
-    loop = loop_of(record.plant.transfer, physics.scales)
-    return physics.friction_deg / (loop.error_s * loop.gain)
 
 
 def _half(effect: type[Effect]) -> float:
