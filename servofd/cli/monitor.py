@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
-    from servofd.live.session import Session
-    from servofd.live.threads import Speaker, signature_of
 
 _ON_THE_CARD, _HEAD_BYTES = b"CSRV", 16_000_000
 """A log that holds what ArduPilot writes on its card names this message in its beginning."""

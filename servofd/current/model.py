@@ -225,6 +225,8 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
         raise CalibrationError(f"fewer than {_LEAST_ROWS} readings of its current with commands around them")
     period_s = float(np.median([part.period_s for part in parts]))
     drawn = np.concatenate([part.current_a[each] for part, each in zip(parts, rows, strict=True)])
+    if not np.ptp(drawn) > 0.0:
+        raise CalibrationError("its current never changes: not a measurement")
     best = np.inf
     chosen = draft
     some = slice(None, None, 1 + drawn.size // _MOST_ROWS)

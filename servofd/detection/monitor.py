@@ -383,7 +383,7 @@ class SurfaceMonitor:
         if self._alarm is None:
             events += self._raised()
         if self._stream is not None and self._stream.latched and self._alarm is None and not self._looks_s:
-            self._over()
+            self._over(look.at_s)
         return events
 
     def _seen(self, look: Look, fault: Fault) -> list[Event]:
@@ -391,37 +391,45 @@ class SurfaceMonitor:
         events, alarm = [], self._alarm
         if alarm is None:
             alarm = self._alarm = self._doubtful or Alarm(fault.alarm_s)
-            alarm.kind, self._doubtful = fault.kind, None
+            self._doubtful = None
+            if not self._is_told(look, alarm, fault):
+                return [replace(self._event(look, "alarm", fault), kind="unknown", fault=None)]
             events.append(self._event(look, "alarm", fault))
         elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
-            if not (fault.probability >= _TOLD or look.at_s - alarm.raised_s >= _LOOKS_S[1]):
-                return events  # a quarter of a second admits several: a moment later it is known which
+            if not self._is_told(look, alarm, fault):
+                return events
             events.append(self._event(look, "named", fault))
         alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
         self._look_later(look, fault)
         if fault.end_s is not None:
             self._finished.append(fault)
             self._from_s = max(fault.end_s, fault.alarm_s) + AGAIN_S
-            self._over()
+            self._over(look.at_s)
             events.append(self._event(look, "clear", fault))
         return events
+
+    @staticmethod
+    def _is_told(look: Look, alarm: Alarm, fault: Fault) -> bool:
+        """Whether its name is reported: a quarter of a second admits several, and a moment later it is known which."""
+        age_s = look.at_s - alarm.raised_s
+        return age_s >= _LOOKS_S[1] or fault.end_s is not None or (age_s > 0.0 and fault.probability >= _TOLD)
 
     def _doubted(self, alarm: Alarm, look: Look) -> list[Event]:
         """What a look changes that finds no fault: the alarm is over, or its name is checked once more."""
         alarm.in_vain += 1
         if self._is_explained(alarm, look.at_s):
-            self._over()
+            self._over(look.at_s)
             kind, text = ("unknown", self.problem) if self.problem else ("healthy", EXPLAINED)
             return [Event(look.at_s, self.name, "clear", kind, text=text)]
         if alarm.fault is not None and alarm.in_vain == 1:
             self._looks_s = sorted([*self._looks_s, look.at_s + _AGAIN_S])
         return []
 
-    def _over(self) -> None:
-        """No alarm stands any more, and the tests begin anew."""
+    def _over(self, now_s: float) -> None:
+        """No alarm stands any more, and the tests begin anew; where they mean nothing, a look tells when they do."""
         self._alarm = self._doubtful = self._crossed = None
-        self._looks_s.clear()
-        if self._stream is not None:
+        self._looks_s = [now_s + _LOOKS_AGAIN_S] if self.problem else []
+        if self._stream is not None and not self.problem:
             self._stream.again()
 
     def _is_explained(self, alarm: Alarm, now_s: float) -> bool:
@@ -465,7 +473,8 @@ class SurfaceMonitor:
         events = self.finish()
         if self._alarm is not None and self._alarm.fault is not None:
             self._finished.append(self._alarm.fault)
-        self._over()
+        self.problem = ""
+        self._over(np.nan)
         self._stream, self._waiting = None, ([], [])
         self._watch, self._asked_last = Watch(), (float("nan"), float("nan"))
         self._latest_seen, self._moved = float("nan"), False

@@ -8,7 +8,7 @@ has ended does not return.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Final
 
 from logparsers.protocol import Severity
@@ -215,17 +215,5 @@ class Alarms:
         alarm.severity = severity_of(event.kind, event.fault, event.residual_deg, travel)
 
     def _published(self, event: Event, alarm: str, severity: Severity, what: EventKind | None = None) -> Published:
-        return Published(
-            event.time_s,
-            event.surface,
-            what or event.event,
-            event.kind,
-            event.residual_deg,
-            event.threshold_deg,
-            event.text,
-            event.fault,
-            alarm,
-            severity,
-            self.vehicle,
-            self.boot,
-        )
+        known = {each.name: getattr(event, each.name) for each in fields(Event)} | {"event": what or event.event}
+        return Published(**known, id=alarm, severity=severity, vehicle=self.vehicle, boot=self.boot)

@@ -14,6 +14,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
 from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
+from servofd.detection.kinds import KINDS, filled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -84,17 +85,6 @@ _NAME_LONGEST: Final = 10
 """Characters of the name of a NAMED_VALUE_FLOAT (MAVLink)."""
 _LEAST_ROOM: Final = 12
 """For a surface's name, however long the rest of a text would like to be."""
-_KINDS: Final = {"deadband": "dead band", "loss_of_effectiveness": "loss of effectiveness", "unknown": "at fault"}
-_SHOWN: Final = (
-    "position_deg",
-    "bias_deg",
-    "amplitude_deg",
-    "width_deg",
-    "rate_limit_deg_s",
-    "bandwidth_scale",
-    "gain",
-)
-_UNITS: Final = {"bandwidth_scale": "x", "gain": "x", "rate_limit_deg_s": " deg/s"}
 _PERIOD_S: Final = 1.0
 _AGAIN_S: Final = 1.0
 """An urgent text is said twice: of a link that loses 30 %, one in eleven is lost and not three in ten."""
@@ -230,7 +220,8 @@ def _words(event: Published) -> str:
         known = f"off by {abs(event.residual_deg):.1f} deg" if math.isfinite(event.residual_deg) else ""
         grave = "ALARM" if event.severity < Severity.NOTICE or not known else ""
         return ", ".join(filter(None, (grave, known)))
+    if event.kind == "unknown":
+        return "at fault"
     sizes = event.fault.parameters if event.fault is not None else {}
-    known = next((name for name in _SHOWN if name in sizes), "")
-    size = f" {sizes[known].value:.2g}{_UNITS.get(known, ' deg')}" if known else ""
-    return _KINDS.get(event.kind, event.kind) + size
+    values = {name: estimate.value for name, estimate in sizes.items()}
+    return filled(KINDS[event.kind].clause, values).replace("±", "+-")

@@ -177,7 +177,7 @@ class VehicleClock:
         stamp = stamp_of(message.name)
         raw = int(message.fields[stamp.field]) if stamp else 0
         if stamp is None or raw == 0:
-            return self.from_arrival(arrival_s)
+            return self._around(arrival_s) if math.isfinite(self._newest_s) else None
         if self.is_reference(message) or not math.isfinite(self._newest_s):
             return self._reference(raw * stamp.tick_s, arrival_s)
         expected_s = self._around(arrival_s)
@@ -192,14 +192,6 @@ class VehicleClock:
         if stamp.bits < 64 and message.component == Component.AUTOPILOT1:
             return None
         return own_s + self._foreign.setdefault(key, _Shift()).of(expected_s - own_s, arrival_s)
-
-    def from_arrival(self, arrival_s: float) -> float | None:
-        """About when a message was made that carries no stamp [s]."""
-        return self._around(arrival_s) if math.isfinite(self._newest_s) else None
-
-    def answered(self, number: int, stamp_s: float, arrival_s: float) -> None:
-        """Take an answer to TIMESYNC."""
-        self.latency.answered(number, stamp_s, arrival_s)
 
     def _around(self, arrival_s: float) -> float:
         return self._newest_s + min(max(arrival_s - self._arrived_s, 0.0), _STAMPED_EVERY_S)

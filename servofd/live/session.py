@@ -155,7 +155,7 @@ class Session:
                     and message.component == Component.AUTOPILOT1
                     and message.fields["tc1"] > 0
                 ):
-                    vehicle.clock.answered(message.fields["ts1"], message.fields["tc1"] * S_PER_NS, arrival_s)
+                    vehicle.clock.latency.answered(message.fields["ts1"], message.fields["tc1"] * S_PER_NS, arrival_s)
                 self._note(vehicle.requests.receive(message))
         return events
 

@@ -142,11 +142,7 @@ class Speaker:
     @contextmanager
     def to(self, link: Link) -> Iterator[Callable[[int, str, dict[str, Any]], None]]:
         """Sender of messages on a link, which works in a thread of its own."""
-
-        def write(data: bytes) -> None:
-            link.send(data)
-
-        worker = Worker(write, lambda: None, _ROOM)
+        worker = Worker(link.send, lambda: None, _ROOM)
         codecs: dict[int, Codec] = {}
 
         def send(vehicle: int, name: str, fields: dict[str, Any]) -> None:

@@ -114,6 +114,13 @@ def test_bad_currents_end_in_one_line(tmp_path: Path, change: object, said: str)
     assert found["aileron"].status in ("no_data", "unknown")
 
 
+def test_a_current_that_stands_still_for_a_part_of_the_log_ends_in_a_verdict(tmp_path: Path) -> None:
+    """A part of it that never changes tells nothing of the servo, and the others do."""
+    path, kept = tmp_path / "flight.csv", iter(range(10**6))
+    path.write_text(_current(flown(10, 10.0, seconds=60.0).csv("aileron"), lambda a: a * (next(kept) > 400)))
+    assert servofd.audit(path)["aileron"].status in ("healthy", "suspect", "fault", "unknown")
+
+
 def _current(text: str, change: object) -> str:
     """The same table with other values of its last column."""
     assert callable(change)

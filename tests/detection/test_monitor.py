@@ -156,6 +156,14 @@ def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None
 
 
 class TestNoVerdictFromNoMeasurement:
+    def test_a_wrong_scale_is_one_alarm_that_is_taken_back_and_then_said(self) -> None:
+        entry, model = surface()
+        right = flight(3)
+        monitor, events = watched(entry, model, replace(right, measured_deg=2.0 * right.measured_deg), 5)
+        assert [event.event for event in events if event.event != "named"] == ["alarm", "clear"]
+        assert "check the scale" in monitor.unjudged
+        assert not monitor.has_fault
+
     @pytest.mark.slow
     def test_a_position_that_never_changes_is_none(self) -> None:
         entry, model = surface()

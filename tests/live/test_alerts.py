@@ -55,7 +55,7 @@ def test_whole_names_within_fifty_characters() -> None:
     for name in NAMES:
         alerts.take(jam(name, -0.2), 100.0)
     said = texts(alerts, 100.0)
-    assert said[:2] == ["AILERON_1 stuck -0.2 deg", "AILERON_9 stuck -0.2 deg"]
+    assert said[:2] == ["AILERON_1 stuck at -0.2 deg", "AILERON_9 stuck at -0.2 deg"]
     assert len(set(said)) == len(NAMES)
     assert all(len(text) <= 50 for text in said)
 
@@ -91,7 +91,7 @@ def test_what_came_back_meanwhile_is_not_said() -> None:
 def test_nothing_is_said_of_a_fault_that_has_cleared() -> None:
     alerts = Alerts(NAMES)
     alerts.take(jam("servo_3", 2.0), 100.0)
-    assert texts(alerts, 100.0) == ["SERVO_3 stuck 2 deg"]
+    assert texts(alerts, 100.0) == ["SERVO_3 stuck at 2.0 deg"]
     alerts.take(Published(11.0, "servo_3", "clear", "stuck"), 100.6)
     assert texts(alerts, 105.0) == ["SERVO_3 moves as commanded again"]
 
@@ -109,4 +109,4 @@ def test_severity_is_what_the_aircraft_feels() -> None:
     alerts.take(Published(10.0, "servo_1", "alarm", "unknown", 0.1, 0.05, severity=Severity.NOTICE), 100.0)
     alerts.take(jam("servo_3", 2.0), 100.0)
     found = [(fields["severity"], fields["text"]) for _, fields in alerts.due(100.0)]
-    assert found == [(5, "SERVO_1 off by 0.1 deg"), (2, "SERVO_3 stuck 2 deg")]
+    assert found == [(5, "SERVO_1 off by 0.1 deg"), (2, "SERVO_3 stuck at 2.0 deg")]
