@@ -1,9 +1,18 @@
-"""The parameters of the servos that a calibration fits, and what is known of each before any flight."""
+"""The parameters of the servos that a calibration fits, and what is known of each before any flight.
+
+Those of every servo come first, in a fixed order; then those of effects that say how much sound servos differ in them
+(`servofd.servo.effect.Parameter.calibrated`).
+"""
 
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from servofd.servo.registry import everything
+
+if TYPE_CHECKING:
+    from servofd.servo.effect import Effect
 
 
 class Prior(NamedTuple):
@@ -22,6 +31,24 @@ class Prior(NamedTuple):
     """For differences."""
 
 
+ADDED: Final = tuple(each for each in everything() if any(p.calibrated for p in each.parameters))
+"""Effects whose parameters are fitted beside those of every servo."""
+
+
+def _added(effect: type[Effect]) -> tuple[Prior, ...]:
+    """What is known of the parameters of an effect; each is named after its field of `Physics`."""
+    known = ((p, p.calibrated) for p in effect.parameters if p.calibrated)
+    return tuple(
+        Prior(
+            p.fields[0], p.name.rpartition("_")[2], p.neutral, sound.between_servos, p.low, p.high,
+            sound.between_flights, _STEP * sound.between_servos,
+        )
+        for p, sound in known
+    )  # fmt: skip
+
+
+_STEP: Final = 0.2
+"""Step for differences over the deviation between servos, about as of the other parameters."""
 PRIORS: Final = (
     Prior("gain", "", 1.0, 0.15, 0.05, 3.0, 0.012, 0.005),
     Prior("bias_deg", "deg", 0.0, 2.0, -40.0, 40.0, 0.25, 0.05),
@@ -36,6 +63,7 @@ PRIORS: Final = (
     Prior("hinge_deg", "deg", 0.0, 0.3, -5.0, 5.0, 0.1, 0.05),
     Prior("bend2_deg", "deg", 0.0, 0.5, -5.0, 5.0, 0.05, 0.1),
     Prior("bend3_deg", "deg", 0.0, 0.5, -5.0, 5.0, 0.05, 0.1),
+    *(prior for effect in ADDED for prior in _added(effect)),
 )
 """What a calibration fits, with how far servos may be from the usual one: `Prior` names the columns."""
 NAMES: Final = tuple(prior.name for prior in PRIORS)

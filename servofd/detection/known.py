@@ -45,15 +45,13 @@ _PUSHED: Final = {"gain": 0.031, "bias_deg": 0.059}
 is not known, a share of it is part of what differs between flights."""
 _NEVER_LOGGED: Final = 0.3
 """0.3 and 0.6 leave 2 of 240 good flights of even seed at fault, 0 leaves 6; 0.6 hides twice as large losses."""
-SPOKEN: Final = dict(
-    zip(
-        NAMES,
-        ("the scale", "the offset", "the delay", "the bandwidth", "the damping", "the largest speed", "the dead band",
-         "the friction", "the play", "the load of the air", "the load of the air", "the bend of the reading",
-         "the bend of the reading"),
-        strict=True,
-    )
+_SPOKEN: Final = (
+    "the scale", "the offset", "the delay", "the bandwidth", "the damping", "the largest speed", "the dead band",
+    "the friction", "the play", "the load of the air", "the load of the air", "the bend of the reading",
+    "the bend of the reading",
 )  # fmt: skip
+_MORE: Final = tuple(f"the {name.replace('_', ' ')}" for name in NAMES[len(_SPOKEN) :])
+SPOKEN: Final = dict(zip(NAMES, (*_SPOKEN, *_MORE), strict=True))
 
 
 def known_servo(

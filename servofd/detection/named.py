@@ -90,7 +90,8 @@ def named_servo(model: ServoModel, tolerance: Tolerance, period_s: float) -> Cal
         "ln_rate": tolerance.rate,
         "hinge": tolerance.gain,
     }
-    deviation = np.array([spread.get(prior.name, tolerance.bias_deg) for prior in PRIORS]) / _UNIFORM
+    spread = {prior.name: tolerance.bias_deg for prior in PRIORS if prior.unit == "deg"} | spread
+    deviation = np.array([spread.get(prior.name, 0.0) for prior in PRIORS]) / _UNIFORM
     deviation = np.maximum(deviation, _LEAST * np.array([prior.between for prior in PRIORS]))
     return CalibratedServo(
         parameters=dict(zip(NAMES, theta.tolist(), strict=True)),

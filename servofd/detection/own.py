@@ -46,8 +46,9 @@ _SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.95, 0.5
 some motion goes with some command by chance."""
 _LARGE_PARTS: Final = 3
 """So many or fewer are large, and all of them are tried."""
-_SHORTEST_S: Final = 5.0
-"""Of a part: what a servo does in less is no measure of the rest (a gripper that sticks at the end of 13 s)."""
+_SHORTEST_S, _TELLING_S = 4.0, 5.0
+"""Of a part: what a servo does in less is no measure of the rest; a third of the cycles of a test stand lasts 4.3 s.
+And of one that tells of faults which end, a gripper is held for 2 s by what it grips; how soon is from the first on."""
 _OWN_LIMITS: Final = 2.8
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
 _WHOLE_LIMITS: Final = 1.15
@@ -56,6 +57,8 @@ _OWN_MARGIN: Final = 1.6
 """Times what the part itself reaches where it was left out of the fit."""
 _ALIKE_S, _LEAST_FREEDOM, _RARE_SIGMAS = 0.6, 2.0, 4.0
 """Time within which samples are alike, least degrees of freedom, and how rare a good servo passes a limit."""
+_SQUARES = np.array([name.startswith(("energy", "left")) for name in STATISTICS])
+"""Which statistics are squares."""
 _PUSHED: Final = 0.5
 """Share of what the usual air does to a servo by which its parts may differ, where no airspeed was logged."""
 _APART: Final = 0.5
@@ -169,7 +172,7 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
 
 def _is_settled(best: _Part, whole: Record) -> bool:
     """Whether no shorter part need be tried: it is like a sound servo, from the log's beginning on."""
-    return best.apart < _SOUND_ENOUGH and best.between_s[0] - whole.time_s[0] < _SHORTEST_S
+    return best.apart < _SOUND_ENOUGH and best.between_s[0] - whole.time_s[0] < _TELLING_S
 
 
 def _best(found: list[_Part]) -> _Part:
@@ -226,8 +229,12 @@ def _judged(
     """The part, if its servo stays below the usual limits there; a part may reach some times as much."""
     known = known_servo(fitted, records, *usual, pushed=_PUSHED, apart=_APART)
     usually = MARGIN * np.array([FLOORS[name] for name in STATISTICS])
-    seconds = whole.period_s * sum(float(np.count_nonzero(record.usable)) for record in records)
-    usually *= _wider(seconds)
+    times = _times_as_wide(whole.period_s * sum(float(np.count_nonzero(record.usable)) for record in records))
+    is_short = between_s[1] - between_s[0] < _TELLING_S
+    if is_short:  # statistics count six standard deviations at most, and must be able to pass their limits
+        known = _less_sure(known, times)
+    else:
+        usually *= np.where(_SQUARES, times**2, times)
     largest = np.zeros(len(STATISTICS))
     for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
         largest = np.maximum(largest, statistics_of(watched(known, record), left_deg))
@@ -241,19 +248,26 @@ def _judged(
         return None
     story = judged(flight)
     seen = len(story.faults) + len(story.suspicions)
-    mended = any(fault.end_s is not None and fault.start_s < whole.time_s[0] + _SHORTEST_S for fault in story.faults)
-    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * mended
+    mended = [fault for fault in story.faults if fault.end_s is not None]
+    if mended and is_short:
+        return None
+    at_first = any(fault.start_s < whole.time_s[0] + _TELLING_S for fault in mended)
+    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * at_first
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
     return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole)
 
 
-def _wider(seconds: float) -> FloatArray:
-    """How many times as wide the limit of each statistic is for a fit to so little: Student's law in Gauss' place."""
+def _times_as_wide(seconds: float) -> float:
+    """How many times as far a fit to so little may err: Student's law in Gauss' place."""
     freedom = max(seconds / _ALIKE_S, _LEAST_FREEDOM)
-    times = float(stdtrit(freedom, float(ndtr(_RARE_SIGMAS)))) / _RARE_SIGMAS
-    squares = np.array([name.startswith(("energy", "left")) for name in STATISTICS])
-    wider: FloatArray = np.where(squares, times**2, times)
-    return wider
+    return float(stdtrit(freedom, float(ndtr(_RARE_SIGMAS)))) / _RARE_SIGMAS
+
+
+def _less_sure(known: CalibratedServo, times: float) -> CalibratedServo:
+    """The same servo with so many times the noise and deviations."""
+    wider = {name: float(f"{times * getattr(known.noise, name):.4g}") for name in ("still_deg", "lag_s")}
+    noise = known.noise.model_copy(update=wider)
+    return known.model_copy(update={"between": lower_triangle(times**2 * known.covariance), "noise": noise})
 
 
 def _deviations(theta: FloatArray) -> dict[str, float]:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.aircraft.priors import FITTED, PRIORS
+from servofd.aircraft.priors import ADDED, FITTED, NAMES, PRIORS
 from servofd.servo.effects.commands import CommandGain
 from servofd.servo.effects.linkage import Backlash
 from servofd.servo.effects.motor import DeadBand, MotorRate, Torque
@@ -32,6 +32,7 @@ from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
+    from servofd.servo.effect import Effect
 
 PRESSURE_PA: Final = 300.0
 """Dynamic pressure that loads refer to: 22 m/s at sea level."""
@@ -45,15 +46,18 @@ _LEAST_ASKED_DEG: Final = 16.0
 """Smallest range for which steps of the simulation are planned [deg]."""
 _FINER: Final = 0.3
 """Steps are so much longer than elsewhere: errors of the position stay below 0.01 deg rms."""
-_EFFECTS: Final = (
+_EFFECTS: Final[tuple[type[Effect], ...]] = (
     CommandGain, DeadBand, MotorRate, Torque, Friction, StribeckFriction, AirLoad, AirTrim, ServoStop, Backlash, Bias,
+    *ADDED,
 )  # fmt: skip
 _LOOP: Final = TransferFunction((1.0,), (1.0, 2.0, 1.0))
 """One of 1 rad/s without overshoot, which each servo scales."""
 
-_GAIN, _BIAS, _DELAY, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0, _BEND2, _BEND3 = range(FITTED)
+(
+    _GAIN, _BIAS, _DELAY, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0, _BEND2, _BEND3, *_MORE,
+) = range(FITTED)  # fmt: skip
 _POWER = FITTED
-_SIMULATED: Final = (_GAIN, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0)
+_SIMULATED: Final = (_GAIN, _OMEGA, _ZETA, _RATE, _DEAD, _FRICTION, _PLAY, _HINGE, _HINGE0, *_MORE)
 """Parameters whose sensitivities need a simulation of their own; those of the others are known from the position."""
 PATTERNS: Final = ("weak", "play")
 """Finite changes: half the torque, 2 deg of play."""
@@ -127,7 +131,7 @@ def _servo(row: FloatArray, furthest_deg: float) -> Physics:
         damping_scale=math.exp(values[_ZETA]), rate_up_deg_s=rate_deg_s, rate_down_deg_s=rate_deg_s,
         torque=math.exp(values[_POWER]), deadband_deg=values[_DEAD], friction_deg=values[_FRICTION],
         airload_per_pa=values[_HINGE] / PRESSURE_PA, air_trim_per_pa=values[_HINGE0] / PRESSURE_PA,
-        backlash_deg=values[_PLAY], **stops,
+        backlash_deg=values[_PLAY], **stops, **{NAMES[k]: values[k] for k in _MORE},
     )  # fmt: skip
 
 

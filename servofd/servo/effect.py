@@ -72,6 +72,14 @@ _AT_BOUND, _NEAR = 1e-3, 0.1
 """Share of the range, and of the lower bound, within which a value is at it."""
 
 
+class Spread(NamedTuple):
+    """How much sound servos differ in a parameter, in its unit: what a calibration must know to fit it."""
+
+    between_servos: float
+    between_flights: float
+    """Of one servo."""
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """A number of an effect, in the unit that its name ends with.
@@ -117,6 +125,8 @@ class Parameter:
     type, or no servo's at all."""
     width: float = 0.0
     """How far around the start the search goes; 0: to the neighbours on the grid."""
+    calibrated: Spread | None = None
+    """Standard deviations with which `servofd calibrate` fits it; None: it does not."""
 
     def __post_init__(self) -> None:
         for name in ("low", "high", "neutral", "typical"):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import servofd
@@ -54,3 +56,19 @@ def test_no_run_is_at_fault_and_healthy_is_earned(name: str, tmp_path: Path) -> 
                 assert lost <= MOST_LOST, where
             judged += 1
     assert judged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["20kg", "-40kg"])
+def test_a_cycle_of_thirteen_seconds_is_healthy_and_a_jam_in_it_is_found(load: str) -> None:
+    """Each cycle of a ball screw begins in motion; the jam comes after a third of it."""
+    cycles = pd.read_csv(DATA / "bench" / "ram" / f"ram_normal_{load}.csv.gz").groupby("run")
+    for run, cycle in islice(cycles, 0, None, 5):
+        columns = {name: cycle[f"ram_{name}"].to_numpy(float) for name in ("cmd_deg", "pos_deg")}
+        time_s = (cycle["time_s"] - cycle["time_s"].iloc[0]).to_numpy(float)
+        jammed_deg = columns["pos_deg"].copy()
+        jammed_deg[time_s.size // 3 :] = jammed_deg[time_s.size // 3]
+        for position_deg, expected in ((columns["pos_deg"], "healthy"), (jammed_deg, "fault")):
+            log = {"time_s": time_s, "ram_cmd_deg": columns["cmd_deg"], "ram_pos_deg": position_deg}
+            (audit,) = servofd.audit(log)
+            assert audit.surfaces[0].status == expected, run

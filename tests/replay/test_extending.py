@@ -5,6 +5,9 @@ from __future__ import annotations
 import importlib
 import json
 import re
+import subprocess
+import sys
+import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -101,6 +104,59 @@ def test_an_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (step, *_) = json.loads(capsys.readouterr().out.partition("{")[2].join(["{", ""]))["steps"]
         assert step["effect"] == "worn_horn"
         assert step["parameters"]["gain"]["value"] == pytest.approx(0.8, abs=0.02)
+
+
+_IN_THE_PACKAGE = """
+import json, runpy, sys
+import servofd.servo.effects.sensor as module
+from servofd.servo.effect import Effect, Parameter, Slot, Spread
+
+class OneSided(Effect):
+    '''Linkage that moves the surface further to one side.'''
+
+    name, slot = "one_sided", Slot.OUTPUT
+    parameters = (
+        Parameter("more", low=-0.5, high=0.5, neutral=0.0, typical=0.05, calibrated=Spread(0.1, 0.01)),
+    )
+
+    @staticmethod
+    def act(x, now, more):
+        return x + more * max(x, 0.0)
+
+OneSided.__module__ = module.__name__
+module.OneSided = OneSided
+
+from servofd.cli import main
+good, log, plane, found = (sys.argv[1] + name for name in ("/good.csv", "/log.csv", "/plane.toml", "/found.json"))
+effect = ["--effect", "elevator:one_sided:more=0.2"]
+codes = [
+    main(["simulate", "-o", good, "--duration", "150", "--seed", "1", *effect]),
+    main(["calibrate", good, "-o", plane]),
+    main(["simulate", "-o", log, "--duration", "60", "--seed", "2", *effect]),
+    main(["audit", log, "-c", plane]),
+    main(["explain", log, "--servo", "hs225bb-eq31", "-s", "elevator", "--json", found]),
+]
+table = runpy.run_path(sys.argv[2])["table"]()
+print(json.dumps({"codes": codes, "table": table}))
+"""
+
+
+@pytest.mark.slow
+def test_every_verb_knows_an_effect_by_its_class_alone(tmp_path: Path) -> None:
+    """One more class in a module of the package: simulated, calibrated, audited, explained, and listed."""
+    script = tmp_path / "script.py"
+    script.write_text(_IN_THE_PACKAGE)
+    command = [sys.executable, str(script), str(tmp_path), str(ROOT / "docs" / "make_effects.py")]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    told = json.loads(ran.stdout.splitlines()[-1])
+    assert told["codes"] == [0, 0, 0, 0, 0]
+    assert "`one_sided`" in told["table"]
+    known = tomllib.loads((tmp_path / "plane.toml").read_text())["surfaces"]
+    more = {name: each["calibrated"]["parameters"]["one_sided_more"] for name, each in known.items()}
+    assert more["elevator"] == pytest.approx(0.2, abs=0.02)
+    assert more["rudder"] == pytest.approx(0.0, abs=0.02)
+    (step, *_) = json.loads((tmp_path / "found.json").read_text())["steps"]
+    assert (step["effect"], step["parameters"]["more"]["value"]) == ("one_sided", pytest.approx(0.2, abs=0.02))
 
 
 @pytest.mark.slow
