@@ -108,10 +108,6 @@ class AxisWatch:
         self.audits, self.problem = judge_motion(self.model, motion), ""
         return [event for audit in self.audits for event in self._changes(audit, now_s)]
 
-    def stands(self, axis: str) -> bool:
-        """Whether an alarm of an axis stands."""
-        return axis in self._standing
-
     def waiting(self) -> str:
         """Why no axis is judged; empty if one is."""
         return f"axes: {self.problem}" if self.problem else ""

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.aircraft.calibration import DegreeCalibration, PulseCalibration, RadianCalibration
+from servofd.aircraft.names import short_names
 from servofd.aircraft.outputs import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
 from servofd.core.errors import ConfigError, DesignError
 from servofd.detection.residual import ResidualGenerator
@@ -160,7 +160,7 @@ def plan_onboard(
     period_ms = round(1e3 / rate_hz)
     wanted = surfaces or tuple(aircraft.surfaces)
     planned, notes = [], []
-    for name, short in zip(wanted, _short_names(wanted), strict=True):
+    for name, short in short_names(wanted, LONGEST_NAME).items():
         try:
             planned.append(_planned(aircraft, name, short, period_ms / 1e3))
         except (ConfigError, DesignError) as error:
@@ -196,27 +196,6 @@ def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
     if not found:
         raise ConfigError("the aircraft file names no measured channel for any surface: there is nothing to send")
     return sorted(found)
-
-
-def onboard_name(surface: str) -> str:
-    """Name of a surface in a text message."""
-    plain = re.sub(r"[^ -~]|[\"\\\\]", "_", surface).upper() or "_"
-    if len(plain) <= LONGEST_NAME:
-        return plain
-    half = LONGEST_NAME // 2
-    return f"{plain[:half]}~{plain[half - LONGEST_NAME + 1 :]}"
-
-
-def _short_names(surfaces: Sequence[str]) -> list[str]:
-    """Names for texts, no two the same."""
-    names: list[str] = []
-    for surface in surfaces:
-        name, number = onboard_name(surface), 2
-        while name in names:
-            tail = f"~{number}"
-            name, number = onboard_name(surface)[: LONGEST_NAME - len(tail)] + tail, number + 1
-        names.append(name)
-    return names
 
 
 def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> OnboardSurface:

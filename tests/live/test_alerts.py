@@ -7,10 +7,11 @@ import itertools
 import pytest
 
 from logparsers.protocol import Severity
+from servofd.aircraft.names import short_names
 from servofd.core.statistics import Estimate
 from servofd.detection.verdict import Fault
 from servofd.live.alarms import Published
-from servofd.live.alerts import Alerts, short_names
+from servofd.live.alerts import Alerts
 
 NAMES = ["aileron_1", "aileron_9", "servo_1", "servo_10", "servo_3", "outer_flaperon_left", "outer_flaperon_right"]
 ODD = [

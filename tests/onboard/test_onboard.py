@@ -12,7 +12,7 @@ import pytest
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli import main
 from servofd.core.errors import ConfigError
-from servofd.onboard.plan import LONGEST_NAME, onboard_name, plan_onboard
+from servofd.onboard.plan import LONGEST_NAME, plan_onboard
 from servofd.onboard.script import stream_script, watch_script
 from tests.onboard.autopilot import Flight, fly
 
@@ -224,7 +224,6 @@ def test_names_are_whole_or_stay_different() -> None:
     names = [surface.name for surface in plan_onboard(plane).surfaces]
     assert len(set(names)) == 3
     assert all(len(name) <= LONGEST_NAME and name.isascii() and '"' not in name for name in names)
-    assert onboard_name("elevator") == "ELEVATOR"
 
 
 @pytest.mark.parametrize(
