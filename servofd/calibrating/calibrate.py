@@ -276,10 +276,10 @@ def calibrate_aircraft(
 
 def _untold(one: CalibratedSurface) -> str:
     """What these flights do not tell of a surface, and what to fly; nothing if they tell enough."""
+    if is_blind(one.detectable):
+        return _blind(one)
     what = untold(one.estimates["gain"], one.bandwidth_rad_s)
-    if what:
-        return f"these flights do not tell {what}; --force calibrates it all the same"
-    return _blind(one) if is_blind(one.detectable) else ""
+    return f"these flights do not tell {what}; --force calibrates it all the same" if what else ""
 
 
 def _blind(one: CalibratedSurface) -> str:
