@@ -33,6 +33,7 @@ ONLY_IN = {
     "shtab": {"servofd/cli/options.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
+    "control": {"servofd/servo/transfer.py"},
     "starlette": {f"servofd/serve/{name}.py" for name in ("app", "forms", "guard")},
     "uvicorn": {"servofd/serve/guard.py"},
     "distributed": {"servofd/batch/local.py"},
