@@ -188,6 +188,9 @@ class VehicleClock:
         key = (message.component, message.name)
         latest_s = self._newest_s + max(arrival_s - self._arrived_s, 0.0) + _STRAYED_S
         if key not in self._foreign and self._newest_s - _STRAYED_S <= own_s <= latest_s:
+            is_autopilot = message.component == Component.AUTOPILOT1
+            if is_autopilot and own_s > self._newest_s and arrival_s - self._arrived_s > _STAMPED_EVERY_S:
+                self._newest_s, self._arrived_s = own_s, arrival_s  # of a link with no other stamps
             return own_s
         if stamp.bits < 64 and message.component == Component.AUTOPILOT1:
             return None

@@ -86,3 +86,16 @@ def test_microseconds_overflow_every_71_minutes() -> None:
         clock.time_s(beat(1000 + 1000 * k), 10.0 + k)
         stamp = Received("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": (1_000_000 * k + 1_020_000) % 2**32})
         assert clock.time_s(stamp, 10.03 + k) == pytest.approx(1.02 + k, abs=1e-6)
+
+
+def test_what_bears_no_stamp_goes_with_any_stamp_of_the_autopilot() -> None:
+    """A link of pulses and airspeed alone: the airspeed stood still a second after the first message."""
+    clock, first_us = VehicleClock(), 7_000_000
+    for k in range(400):
+        at_s = 0.1 * k
+        pulses = Received("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": first_us + round(1e6 * at_s)})
+        made_s = clock.time_s(pulses, 100.0 + at_s)
+        airspeed_s = clock.time_s(Received("VFR_HUD", 1, 1, {"airspeed": 20.0}), 100.02 + at_s)
+        if k:  # the first one says how late the link is
+            assert made_s == pytest.approx(7.0 + at_s, abs=1e-6)
+            assert airspeed_s == pytest.approx(7.0 + at_s, abs=1.1)
