@@ -109,7 +109,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
         tuple(flight.label for flight in flights),
         sizes,
         _sharper(known, fitted, records, sizes),
-        _notes(gain, known, surface),
+        _notes(gain, known, surface, fitted.bandwidth_rad_s),
     )
 
 
@@ -191,8 +191,9 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
     )
 
 
-def _notes(gain: float, known: CalibratedServo, surface: Surface) -> tuple[str, ...]:
-    notes = []
+def _notes(gain: float, known: CalibratedServo, surface: Surface, bandwidth_rad_s: Estimate) -> tuple[str, ...]:
+    what = untold(None, bandwidth_rad_s)
+    notes = [f"these flights do not tell {what}"] if what else []
     if isinstance(surface.command, DegreeCalibration) and surface.command.correction[0] < 0.0:
         notes.append(
             "its position moves against its command, and this file takes that to be right: check the sign of both"
@@ -278,7 +279,7 @@ def _untold(one: CalibratedSurface) -> str:
     """What these flights do not tell of a surface, and what to fly; nothing if they tell enough."""
     if is_blind(one.detectable):
         return _blind(one)
-    what = untold(one.estimates["gain"], one.bandwidth_rad_s)
+    what = untold(one.estimates["gain"], None)
     return f"these flights do not tell {what}; --force calibrates it all the same" if what else ""
 
 

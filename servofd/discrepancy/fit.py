@@ -38,7 +38,7 @@ from servofd.servo.physics import Physics
 if TYPE_CHECKING:
     from servofd.servo.effect import Effect, Parameter
 
-SHORT, LONG, _CLOSE = 20, 60, 0.1
+SHORT, LONG, _CLOSE = 24, 60, 0.1
 """Steps of a descent that shall show what a structure is worth, and of one to the end; and the misfit, of which one
 standard deviation of a number makes 1 or more, by which a step must improve."""
 _NEARBY, _FROM_ALL = 4, 4.0
