@@ -35,20 +35,23 @@ ADDED: Final = tuple(each for each in everything() if any(p.calibrated for p in 
 """Effects whose parameters are fitted beside those of every servo."""
 
 
-def _added(effect: type[Effect]) -> tuple[Prior, ...]:
-    """What is known of the parameters of an effect; each is named after its field of `Physics`."""
-    known = ((p, p.calibrated) for p in effect.parameters if p.calibrated)
-    return tuple(
-        Prior(
-            p.fields[0], p.name.rpartition("_")[2], p.neutral, sound.between_servos, p.low, p.high,
-            sound.between_flights, _STEP * sound.between_servos,
-        )
-        for p, sound in known
-    )  # fmt: skip
-
-
 _STEP: Final = 0.2
 """Step for differences over the deviation between servos, about as of the other parameters."""
+_UNITS: Final = ("deg_s", "deg", "s")
+"""Units with which names of parameters end; others have none."""
+
+
+def _added(effect: type[Effect]) -> tuple[Prior, ...]:
+    """What is known of the parameters of an effect; each is named after its field of `Physics`."""
+    found = []
+    for p in effect.parameters:
+        if p.calibrated:
+            unit = next((unit for unit in _UNITS if p.name.endswith(f"_{unit}")), "")
+            servos, flights = p.calibrated
+            found.append(Prior(p.fields[0], unit, p.neutral, servos, p.low, p.high, flights, _STEP * servos))
+    return tuple(found)
+
+
 PRIORS: Final = (
     Prior("gain", "", 1.0, 0.15, 0.05, 3.0, 0.012, 0.005),
     Prior("bias_deg", "deg", 0.0, 2.0, -40.0, 40.0, 0.25, 0.05),

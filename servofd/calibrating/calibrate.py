@@ -14,7 +14,7 @@ from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
-from servofd.core.evidence import ModelOrigin, untold
+from servofd.core.evidence import ModelOrigin, what_is_unknown
 from servofd.core.statistics import Estimate
 from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
@@ -192,7 +192,7 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
 
 
 def _notes(gain: float, known: CalibratedServo, surface: Surface, bandwidth_rad_s: Estimate) -> tuple[str, ...]:
-    what = untold(None, bandwidth_rad_s)
+    what = what_is_unknown(None, bandwidth_rad_s)
     notes = [f"these flights do not tell {what}"] if what else []
     if isinstance(surface.command, DegreeCalibration) and surface.command.correction[0] < 0.0:
         notes.append(
@@ -267,7 +267,7 @@ def calibrate_aircraft(
     if wrong:
         raise CalibrationError("; ".join(wrong))
     found = [result for result in results if not isinstance(result, CalibrationError)]
-    blind = {one.surface: reason for one in found if not force and (reason := _untold(one))}
+    blind = {one.surface: reason for one in found if not force and (reason := _refusal(one))}
     kept |= blind
     found = [one for one in found if one.surface not in blind]
     if not found:
@@ -275,11 +275,11 @@ def calibrate_aircraft(
     return Calibration(_with(aircraft, found), tuple(found), kept)
 
 
-def _untold(one: CalibratedSurface) -> str:
-    """What these flights do not tell of a surface, and what to fly; nothing if they tell enough."""
+def _refusal(one: CalibratedSurface) -> str:
+    """Why these flights are not enough for a surface, and what to fly; nothing if they are."""
     if is_blind(one.detectable):
         return _blind(one)
-    what = untold(one.estimates["gain"], None)
+    what = what_is_unknown(one.estimates["gain"], None)
     return f"these flights do not tell {what}; --force calibrates it all the same" if what else ""
 
 

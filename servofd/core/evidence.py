@@ -99,14 +99,14 @@ _SWEEP_TO = 4.0
 """Times the bandwidth to which a sweep should go: those that tell an HS-225BB are coherent to 126 of its 28.5 rad/s."""
 
 
-def untold(gain: Estimate | None, bandwidth_rad_s: Estimate | None) -> str:
+def what_is_unknown(gain: Estimate | None, bandwidth_rad_s: Estimate | None) -> str:
     """What is not known of a servo whose gain and bandwidth may lie so far apart, and what would tell it; or nothing.
 
     Examples
     --------
-    >>> untold(Estimate(1.0, 0.9, 1.1), Estimate(30.0, 28.0, 32.0))
+    >>> what_is_unknown(Estimate(1.0, 0.9, 1.1), Estimate(30.0, 28.0, 32.0))
     ''
-    >>> untold(Estimate(1.0, -0.9, 2.9), None)
+    >>> what_is_unknown(Estimate(1.0, -0.9, 2.9), None)
     'the gain (-0.9 to 2.9): ask for slow movements that are many times as large as the noise of the position'
     """
     if gain is not None and gain.low <= 0.0 <= gain.high:

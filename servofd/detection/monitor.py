@@ -392,11 +392,11 @@ class SurfaceMonitor:
         if alarm is None:
             alarm = self._alarm = self._doubtful or Alarm(fault.alarm_s)
             self._doubtful = None
-            if not self._is_told(look, alarm, fault):
+            if not self._may_be_named(look, alarm, fault):
                 return [replace(self._event(look, "alarm", fault), kind="unknown", fault=None)]
             events.append(self._event(look, "alarm", fault))
         elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
-            if not self._is_told(look, alarm, fault):
+            if not self._may_be_named(look, alarm, fault):
                 return events
             events.append(self._event(look, "named", fault))
         alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
@@ -409,8 +409,8 @@ class SurfaceMonitor:
         return events
 
     @staticmethod
-    def _is_told(look: Look, alarm: Alarm, fault: Fault) -> bool:
-        """Whether its name is reported: a quarter of a second admits several, and a moment later it is known which."""
+    def _may_be_named(look: Look, alarm: Alarm, fault: Fault) -> bool:
+        """Whether its name may be reported: a quarter of a second admits several, a moment later it is known which."""
         age_s = look.at_s - alarm.raised_s
         return age_s >= _LOOKS_S[1] or fault.end_s is not None or (age_s > 0.0 and fault.probability >= _TOLD)
 

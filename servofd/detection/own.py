@@ -46,9 +46,11 @@ _SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.95, 0.5
 some motion goes with some command by chance."""
 _LARGE_PARTS: Final = 3
 """So many or fewer are large, and all of them are tried."""
-_SHORTEST_S, _TELLING_S = 4.0, 5.0
-"""Of a part: what a servo does in less is no measure of the rest; a third of the cycles of a test stand lasts 4.3 s.
-And of one that tells of faults which end, a gripper is held for 2 s by what it grips; how soon is from the first on."""
+_SHORTEST_S: Final = 4.0
+"""Of a part: what a servo does in less is no measure of the rest. A third of the cycles of a test stand lasts 4.3 s."""
+_TELLING_S: Final = 5.0
+"""Length of a part that can show a fault which ends: a gripper was held for 2 s by what it grips, beside a part of 4 s.
+What happens so soon in a log happens at its beginning."""
 _OWN_LIMITS: Final = 2.8
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
 _WHOLE_LIMITS: Final = 1.15

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.core.evidence import untold
+from servofd.core.evidence import what_is_unknown
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
@@ -62,7 +62,7 @@ class Identification:
     @property
     def not_told(self) -> str:
         """What these tests do not tell of the servo, and which would; empty if they tell all of it."""
-        what = untold(self.intervals.get("dc_gain"), self.intervals.get("bandwidth_rad_s"))
+        what = what_is_unknown(self.intervals.get("dc_gain"), self.intervals.get("bandwidth_rad_s"))
         return what and f"this test does not tell {what}"
 
     @property

@@ -92,3 +92,14 @@ def test_info_tells_what_is_there_and_what_is_missing(
 ) -> None:
     assert main(["info", str(LOGS / name)]) == 0
     assert expected in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (LOGS / "vehicles").is_dir(), reason="no logs of vehicles")
+def test_a_jam_with_hardly_any_current_is_no_fault_of_the_sensor() -> None:
+    """An elevon that is held draws 0.24 A while the healthy one would draw 2.7 A."""
+    (audit,) = servofd.audit(LOGS / "vehicles" / "elevon_six_faults.bin.gz")
+    elevon = audit["elevon_left"]
+    assert elevon.faults[0].kind == "stuck"
+    assert elevon.current is not None
+    assert "its sensor is at fault" not in f"{elevon.reason} {elevon.current.reason}"
