@@ -105,9 +105,6 @@ does at the speed of a servo counts.
 
     sign r(k) = ... = sign r(k-n+1)  and  |r| >= tau at each of them.                                 (D4)
 
-The rate of false alarms under coloured noise is that of runs of at least n samples
-(`servofd.detection.probability.persistent_false_alarms_per_hour`).
-
 """
 
 

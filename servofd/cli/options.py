@@ -294,13 +294,11 @@ def _odds(parser: Parser) -> None:
     parser.surface("only this surface")
     for name, default, unit, about in (
         ("--false-alarms-per-hour", 1e-3, "X", "wanted rate (default: 1e-3)"),
-        ("--fault-deg", 2.0, "X", "bias whose delay is printed [deg] (default: 2)"),
         ("--noise-deg", None, "X", "noise of the position [deg], without logs (default: 0.1)"),
         ("--rate-hz", None, "HZ", "sample rate of the position, without logs (default: 100)"),
     ):
         parser.add_argument(name, type=_POSITIVE, default=default, metavar=unit, help=about)
     parser.json()
-    parser.folder("write a figure per surface and odds.json to a folder")
 
 
 def _design(parser: Parser) -> None:
@@ -539,11 +537,11 @@ WAYS: dict[str, tuple[str, str, Callable[[Parser], None], str, str, str]] = {
     ),
     "odds": (
         *("config", "--odds", _odds),
-        "false alarms per flight hour, missed faults and delays of an aircraft file",
-        "Tells how often noise alone would raise an alarm, which faults are seen how soon, and which "
+        "false alarms per flight hour of an aircraft file, and the smallest offset that is seen",
+        "Tells how often noise alone would raise an alarm, which offsets are seen in time, and which "
         "threshold gives a wanted rate of false alarms: from the design alone, or from healthy flights. "
         "Exit code 0: done; 2: could not tell.",
-        "-c faser --log flight1.mat flight2.mat --false-alarms-per-hour 1e-3 -o odds/",
+        "-c faser --log flight1.mat flight2.mat --false-alarms-per-hour 1e-3",
     ),
     "design": (
         *("config", "--filter", _design),

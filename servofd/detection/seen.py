@@ -16,7 +16,7 @@ from servofd.detection.changes import detectable, shown, thresholds_of
 from servofd.detection.evidence import passing, too_short
 from servofd.detection.faults import as_raised, judged, watched_calibrated
 from servofd.detection.named import judge
-from servofd.detection.probability import false_alarms_per_hour
+from servofd.detection.probability import Noise
 from servofd.detection.residual import ResidualGenerator, prepared
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import load_at
@@ -191,13 +191,7 @@ def odds(residuals: Residuals, first_s: float, period_s: float, threshold_deg: f
     residual = residuals.residual_deg[healthy]
     if residual.size * period_s < _SECONDS_FOR_ODDS:
         return None
-    centred = residual - residual.mean()
-    power = float(np.mean(centred**2))
-    if power == 0.0:
-        return 0.0
-    correlation = float(np.mean(centred[1:] * centred[:-1])) / power
-    margin_deg = max(threshold_deg - abs(float(residual.mean())), 0.0)
-    return false_alarms_per_hour(margin_deg, float(np.sqrt(power)), correlation, period_s)
+    return Noise.measured(residual, period_s).false_alarms_per_hour(threshold_deg)
 
 
 def _beyond(flight: Watched) -> str:

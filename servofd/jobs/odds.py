@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,23 +9,20 @@ import numpy as np
 
 from logparsers.units import S_PER_HOUR
 from servofd.aircraft.series import SLOWEST_RATE_HZ
-from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.detection.probability import Noise, SurfaceOdds, Wish, fit_tail, surface_odds
+from servofd.core.errors import ConfigError
+from servofd.detection.probability import Noise, crossings
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray
-    from servofd.detection.verdict import LogAudit
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
 
 _FASTEST_RATE_HZ = 10_000.0
 """Fastest rate of positions for which odds are given [Hz]."""
 _LARGEST_NOISE_DEG = 10.0
 """A position that scatters more is none: surfaces move by some 25 deg."""
-_APART_TIME_CONSTANTS = 7.5
-"""Peaks of the residual further apart than so many time constants of its filter are independent."""
 _SAME_RATE = 0.1
 """Share by which the sample times of two logs may differ to be taken together."""
 _SHORTEST_S = 10.0
@@ -34,69 +30,44 @@ _SHORTEST_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """Residual of one healthy surface in one log."""
+class SurfaceOdds:
+    """What noise does to the residual of one surface."""
 
     surface: str
     servo: str
-    log: str
-    threshold_deg: float
     design: PulseFilter
-    residual_deg: FloatArray
-    """Shape (n,) [deg]; NaN where it was not judged."""
-
-    @property
-    def judged_s(self) -> float:
-        """Healthy data [s]."""
-        return float(np.count_nonzero(np.isfinite(self.residual_deg))) * self.design.sample_time_s
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A surface in one log that contributes nothing, and why."""
-
-    surface: str
-    log: str
-    reason: str
+    noise: Noise
+    threshold_deg: float
+    """Threshold in force [deg]."""
+    hours: float = 0.0
+    """Healthy data behind the noise [h]; 0 if it comes from the design."""
+    alarms: int | None = None
+    """Times that it crossed the threshold in these hours; None if it comes from the design."""
+    notes: tuple[str, ...] = ()
 
 
-def parts_of(audit: LogAudit) -> list[Part | LeftOut]:
-    """What one audited log can say about its healthy surfaces."""
-    log = audit.log.source.name
-    parts: list[Part | LeftOut] = []
-    for surface in audit.surfaces:
-        if surface.status != "healthy" or surface.residuals is None or surface.segment is None:
-            if surface.expected:
-                parts.append(LeftOut(surface.surface, log, f"{surface.status}: {surface.reason}"))
-            continue
-        design = _design(audit.aircraft, surface.surface, surface.segment.period_s)
-        residual_deg = np.where(surface.residuals.settled, surface.residuals.residual_deg, np.nan)
-        parts.append(Part(surface.surface, surface.servo, log, surface.threshold_deg, design, residual_deg))
-    return parts
+def odds_from_logs(audits: Iterable[LogAudit]) -> tuple[list[SurfaceOdds], dict[str, str]]:
+    """Odds of each surface from its residuals in all logs in which it is healthy, and why others have none.
 
-
-def odds_from_logs(parts: Iterable[Part | LeftOut], wish: Wish) -> list[SurfaceOdds | LeftOut]:
-    """Odds of each surface from all its healthy residuals together.
-
-    Parameters
-    ----------
-    parts : iterable of Part or LeftOut
-        Of all logs of one aircraft, from `parts_of`.
-
-    Returns
-    -------
-    list of SurfaceOdds or LeftOut
-        One for each surface, in the order in which they were met. Records whose sample rate, filter or servo differs
-        from that of the first are not mixed with it.
+    A log whose sample rate, filter or servo differs from that of the first is left out, which a note says.
     """
-    by_surface: defaultdict[str, list[Part | LeftOut]] = defaultdict(list)
-    for part in parts:
-        by_surface[part.surface].append(part)
-    return [_pooled(surface, members, wish) for surface, members in by_surface.items()]
+    met: dict[str, list[tuple[LogAudit, SurfaceAudit]]] = {}
+    for audit in audits:
+        for surface in audit.surfaces:
+            if surface.expected or surface.status == "healthy":
+                met.setdefault(surface.surface, []).append((audit, surface))
+    found, missing = [], {}
+    for name, each in met.items():
+        odds = _pooled(name, each)
+        if isinstance(odds, str):
+            missing[name] = odds
+        else:
+            found.append(odds)
+    return found, missing
 
 
 def odds_from_design(
-    aircraft: Aircraft, wish: Wish, *, noise_deg: float, rate_hz: float, surfaces: tuple[str, ...] = ()
+    aircraft: Aircraft, *, noise_deg: float, rate_hz: float, surfaces: tuple[str, ...] = ()
 ) -> list[SurfaceOdds]:
     """Odds of each surface if its position carries white Gaussian noise and the model is right.
 
@@ -111,8 +82,8 @@ def odds_from_design(
     --------
     >>> from servofd.aircraft.schema import plain_aircraft
     >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")
-    >>> (odds,) = odds_from_design(plane, Wish(1e-6), noise_deg=0.1, rate_hz=100.0)
-    >>> round(odds.gaussian_threshold_deg, 3)
+    >>> (odds,) = odds_from_design(plane, noise_deg=0.1, rate_hz=100.0)
+    >>> round(odds.noise.threshold_deg(1e-6), 3)
     0.292
     """
     if not SLOWEST_RATE_HZ <= rate_hz <= _FASTEST_RATE_HZ:
@@ -123,13 +94,12 @@ def odds_from_design(
         raise ConfigError(
             f"{noise_deg:g} deg is no noise of positions: give more than 0 and at most {_LARGEST_NOISE_DEG:g} deg"
         )
+    note = f"designed for white noise of {noise_deg:g} deg, not measured"
     result = []
     for name in surfaces or [name for name, surface in aircraft.surfaces.items() if surface.measured is not None]:
-        design = _design(aircraft, name, 1.0 / rate_hz)
-        entry = aircraft.surfaces[name]
-        note = f"designed for white noise of {noise_deg:g} deg, not measured"
+        design, entry = _design(aircraft, name, 1.0 / rate_hz), aircraft.surfaces[name]
         noise = Noise.designed(design, noise_deg)
-        result.append(surface_odds(name, entry.servo, design, noise, entry.threshold_deg, wish, notes=(note,)))
+        result.append(SurfaceOdds(name, entry.servo, design, noise, entry.threshold_deg, notes=(note,)))
     return result
 
 
@@ -139,49 +109,34 @@ def _design(aircraft: Aircraft, surface: str, sample_time_s: float) -> PulseFilt
     return design_pulse_filter(model.transfer, model.delay_s, sample_time_s, pole)
 
 
-def _pooled(surface: str, members: list[Part | LeftOut], wish: Wish) -> SurfaceOdds | LeftOut:
-    healthy = [part for part in members if isinstance(part, Part)]
-    notes = [f"{part.log} left out, {part.reason}" for part in members if isinstance(part, LeftOut)]
-    if not healthy:
-        return LeftOut(surface, ", ".join(part.log for part in members), "; ".join(notes))
-    first = healthy[0]
-    used = [part for part in healthy if _alike(part, first)]
-    notes += [f"{part.log} left out, its rate, filter or servo differs" for part in healthy if part not in used]
-    design = first.design
-    if sum(part.judged_s for part in used) < _SHORTEST_S:
-        return LeftOut(surface, first.log, f"less than {_SHORTEST_S:g} s of healthy data")
-    # What lies between two logs is longer than any memory of the filter.
-    lags = design.impulse_response().size // 2
-    pause = np.full(2 * lags, np.nan)
-    record = np.concatenate([piece for part in used for piece in (part.residual_deg, pause)])
-    try:
-        noise = Noise.measured(record, design.sample_time_s, lags)
-    except NoMeasurement as error:
-        return LeftOut(surface, first.log, str(error))
-    tail = None
-    apart = int(np.ceil(_APART_TIME_CONSTANTS / (design.pole_rad_s * design.sample_time_s)))
-    try:
-        tail = fit_tail(record, design.sample_time_s, apart)
-    except NoMeasurement as error:
-        notes.append(str(error))
-    return surface_odds(
-        surface,
-        first.servo,
-        design,
-        noise,
-        first.threshold_deg,
-        wish,
-        tail=tail,
-        hours=sum(part.judged_s for part in used) / S_PER_HOUR,
-        notes=tuple(notes),
-    )
-
-
-def _alike(part: Part, first: Part) -> bool:
-    """Whether two residuals may be taken for one."""
-    ratio = part.design.sample_time_s / first.design.sample_time_s
-    return (
-        abs(ratio - 1.0) <= _SAME_RATE
-        and part.design.pole_rad_s == first.design.pole_rad_s
-        and part.servo == first.servo
+def _pooled(name: str, met: list[tuple[LogAudit, SurfaceAudit]]) -> SurfaceOdds | str:
+    """The odds of one surface from all its logs, or why there are none."""
+    notes, records = [], []
+    design, servo, threshold_deg = None, "", 0.0
+    for audit, surface in met:
+        log = audit.log.source.name
+        if surface.status != "healthy" or surface.residuals is None or surface.segment is None:
+            notes.append(f"{log} left out, {surface.status}: {surface.reason}")
+            continue
+        own = _design(audit.aircraft, name, surface.segment.period_s)
+        if design is None:
+            design, servo, threshold_deg = own, surface.servo, surface.threshold_deg
+        ratio = own.sample_time_s / design.sample_time_s
+        if abs(ratio - 1.0) > _SAME_RATE or own.pole_rad_s != design.pole_rad_s or surface.servo != servo:
+            notes.append(f"{log} left out, its rate, filter or servo differs")
+            continue
+        judged = np.where(surface.residuals.settled, surface.residuals.residual_deg, np.nan)
+        records.append(np.append(judged, np.nan))  # no sample of one log is the neighbour of one of another
+    if design is None:
+        return "; ".join(notes)
+    residual_deg = np.concatenate(records)
+    judged_s = np.count_nonzero(np.isfinite(residual_deg)) * design.sample_time_s
+    if judged_s < _SHORTEST_S:
+        return f"less than {_SHORTEST_S:g} s of healthy data"
+    noise = Noise.measured(residual_deg, design.sample_time_s)
+    if not noise.sigma_deg > 0.0:
+        return "the residual never changes: there is no noise to judge by"
+    alarms = crossings(residual_deg, threshold_deg)
+    return SurfaceOdds(
+        name, servo, design, noise, threshold_deg, judged_s / S_PER_HOUR, alarms=alarms, notes=tuple(notes)
     )

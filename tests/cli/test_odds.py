@@ -24,7 +24,6 @@ def test_odds_of_a_design(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     assert document["schema"] == "servofd.odds/1"
     rudder = document["surfaces"]["rudder"]
     assert rudder["wished"]["threshold_deg"]["gaussian"] == pytest.approx(0.292, abs=1e-3)
-    assert rudder["wished"]["threshold_deg"]["tail"] is None
     assert rudder["residual"]["correlation"] == pytest.approx(0.62066, abs=1e-4)
     assert rudder["at_threshold_in_force"]["smallest_bias_deg"]["within_0.2_s"] == pytest.approx(1.57, abs=0.01)
     printed = capsys.readouterr().out
@@ -46,7 +45,7 @@ def test_odds_of_a_servo_scale_with_its_noise(capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.slow
-def test_odds_of_flights(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_odds_of_flights(capsys: pytest.CaptureFixture[str]) -> None:
     command = [
         "config",
         "--odds",
@@ -59,25 +58,20 @@ def test_odds_of_flights(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
         "rudder",
         "--json",
         "-",
-        "-o",
-        str(tmp_path),
     ]
     assert main(command) == 0
     surfaces = json.loads(capsys.readouterr().out)["surfaces"]
     assert surfaces["rudder"]["healthy_hours"] == pytest.approx(2.0 * surfaces["elevator"]["healthy_hours"], rel=0.01)
     assert any("faser_stuck_flight.mat left out, fault" in note for note in surfaces["elevator"]["notes"])
-    assert surfaces["rudder"]["tail"] is None
-    assert any("needs 2 h" in note for note in surfaces["rudder"]["notes"])
+    assert surfaces["rudder"]["alarms_counted"] == 0
     # 0.1 deg of noise went into these flights.
     assert surfaces["elevator"]["residual"]["std_deg"] == pytest.approx(0.0418, rel=0.1)
-    assert {path.name for path in tmp_path.iterdir()} == {"odds-elevator.png", "odds-rudder.png", "odds.json"}
-    assert (tmp_path / "odds-rudder.png").stat().st_size > 20_000
 
 
 def test_a_surface_at_fault_tells_nothing_and_writes_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    outputs = ["-o", str(tmp_path / "odds"), "--json", str(tmp_path / "odds.json")]
+    outputs = ["--json", str(tmp_path / "odds.json")]
     assert main(["config", "--odds", "--log", STUCK, "-s", "elevator", *outputs]) == 2
     assert "no healthy surface to learn the odds from: elevator" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

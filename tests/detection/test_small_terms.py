@@ -10,11 +10,7 @@ import pytest
 
 from servofd.aircraft.series import WARM_UP_STEPS
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.probability import (
-    Noise,
-    false_alarms_per_hour,
-    persistent_threshold_deg,
-)
+from servofd.detection.probability import false_alarms_per_hour
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.seen import odds
 from servofd.detection.wiring import wiring_problem
@@ -25,24 +21,12 @@ from tests.detection.tolerated import MODEL
 from tests.detection.windows import residuals_of
 
 
-def test_noise_without_a_sample_time_is_none() -> None:
-    with pytest.raises(ValueError, match="sample time"):
-        Noise(0.1, np.array([1.0, 0.5]), 0.0)
-
-
 @pytest.mark.parametrize("times", [0.25, 8.0])
 def test_coefficients_that_all_are_so_many_times_larger_are_the_same_servo(times: float) -> None:
     servo = servo_named("hs225bb-eq31").transfer
     numerator, denominator = (tuple(times * c for c in part) for part in (servo.numerator, servo.denominator))
     design = design_pulse_filter(TransferFunction(numerator, denominator), 0.004, 0.01, 50.0)
     assert design.leakage(np.linspace(0.1, 314.0, 50)) < 1e-11
-
-
-@pytest.mark.parametrize("samples", [1, 3])
-def test_the_threshold_of_samples_in_a_row_grows_with_the_noise_and_its_mean(samples: int) -> None:
-    lags = 0.7 ** np.arange(8.0)
-    one, other = (persistent_threshold_deg(1e-2, Noise(s, lags, 0.02, m), samples) for s, m in ((0.1, 0.0), (0.4, 0.3)))
-    assert other == pytest.approx(4.0 * one + 0.3)
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(9.5, False), (10.5, True)])

@@ -93,7 +93,7 @@ def test_the_odds_of_the_documentation_are_printed(
     assert main(shlex.split(command)[1:]) == 0
     assert plain(capsys.readouterr().out) == plain(shown)
     exec(compile(code, "odds.md", "exec"), {})  # noqa: S102 - our own page
-    assert capsys.readouterr().out == "0.292 deg, 3 in a row 0.234 deg\n"
+    assert capsys.readouterr().out == "0.292 deg\n"
 
 
 def test_the_page_on_detection_tells_the_constants_of_the_code() -> None:

@@ -83,7 +83,7 @@ def test_the_site_builds_strictly_and_loads_nothing_from_the_network(tmp_path: P
             assert all((tmp_path / "site" / link.partition("?")[0]).exists() for link in links.loaded)
         assert "\\(" not in text
         assert "$$" not in text
-    assert pages["odds"].count("<math") == 4
+    assert pages["odds"].count("<math") == 2
     assert [p.name for p in (tmp_path / "site").glob("**/*.py")] == ["own_effect.py"]
 
 
