@@ -303,14 +303,11 @@ def test_a_trend_draws_one_surface() -> None:
 
 
 @pytest.mark.slow
-def test_a_calibration_draws_and_tells_what_it_would_show(tmp_path: Path) -> None:
+def test_a_calibration_tells_what_it_would_show(tmp_path: Path) -> None:
     good = tmp_path / "good.bin"
     assert main(["simulate", "-o", str(good), "--duration", "120"]) == 0
     found = servofd.calibrate(good)
     table = found.to_pandas()
     assert table.smallest_bias_deg.between(0.1, 3.0).all()
     assert table.bandwidth_rad_s.between(10.0, 200.0).all()
-    angles, shares = found.plot().axes
-    assert [bars.get_label() for bars in angles.containers] == ["offset", "play", "oscillation"]
-    assert [bar.get_width() for bar in shares.containers[0]] == pytest.approx(100.0 * table.smallest_loss_share)
     assert "Smallest faults that flights like these show" in found.to_html()

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logparsers.units import MS_PER_S
 from servofd.cli.terminal import say
-from servofd.core.errors import ConfigError, DesignError
-from servofd.core.files import write_whole
+from servofd.core.errors import DesignError
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
-from servofd.outputs.chart import Chart, Curve, Panel
-from servofd.outputs.figure import chart_png
 from servofd.servo.library import servo_named
 
 if TYPE_CHECKING:
     from servofd.cli.options import Options
     from servofd.detection.pulse import PulseFilter
-    from servofd.servo.library import Servo
 _SHOWN_S = 0.3
 """Time after the onset of a fault that is shown [s]."""
 
@@ -47,8 +42,6 @@ def run(options: Options) -> int:
     say(f"  noise gain     {sampled.noise_gain:.4f} (residual noise per white noise on the measurement)")
     say(f"  leakage        {leakage:.1e} (largest gain from command to residual: the proof)")
     _print_step(sampled)
-    if options.plot:
-        _plot(servo, sampled, Path(options.plot))
     return 0
 
 
@@ -68,17 +61,3 @@ def _print_step(sampled: PulseFilter) -> None:
         reached = next((k for k, value in enumerate(step) if value >= share), None)
         when = f"{1e3 * reached * sampled.sample_time_s:.0f} ms" if reached is not None else "later than 300 ms"
         say(f"    {share:.0%} after {when}")
-
-
-def _plot(servo: Servo, sampled: PulseFilter, path: Path) -> None:
-    kind = path.suffix.lower()
-    if kind not in (".png", ".svg", ".pdf"):
-        raise ConfigError(f"{path}: draws .png, .svg or .pdf, not {path.suffix or 'a file without suffix'}")
-    step = sampled.fault_step(max(2, round(_SHOWN_S / sampled.sample_time_s)) + 1)
-    time_ms = MS_PER_S * sampled.sample_time_s * np.arange(float(step.size))
-    ends_ms = time_ms[[0, -1]]
-    curves = (Curve("residual", "residual", time_ms, step), Curve("fault", "threshold", ends_ms, np.ones(2)))
-    title = f"{servo.title}: residual after a fault of 1 deg (pole {sampled.pole_rad_s:g} rad/s)"
-    panel = Panel.around("residual", "deg", curves)
-    chart = Chart(title, title, float(ends_ms[0]), float(ends_ms[1]), (panel,), axis="time after the fault [ms]")
-    write_whole(path, chart_png(chart, kind[1:]))

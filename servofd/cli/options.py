@@ -306,7 +306,6 @@ def _design(parser: Parser) -> None:
     parser.add_argument("--pole", type=float, metavar="RAD_S", help="filter pole (default: fastest, noise gain <= 0.5)")
     parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
     parser.flag("--printed-gain", "keep the dc gain as printed, do not scale it to 1")
-    parser.file("--plot", "draw the residual after a fault of 1 deg", "FILE.png")
 
 
 def _monitor(parser: Parser) -> None:
@@ -548,7 +547,7 @@ WAYS: dict[str, tuple[str, str, Callable[[Parser], None], str, str, str]] = {
         "design the residual filter of a servo",
         "Prints the nullspace filter of a servo: Q in continuous time (thesis Eq. 4.10), its poles, "
         "gains and noise gain, and how a fault shows in the residual.",
-        "hs225bb-eq31 --plot fault_step.png",
+        "hs225bb-eq31 --pole 50",
     ),
 }
 """Other ways of a verb, by the file that does it, which was a verb of its own: verb and option that choose it, what

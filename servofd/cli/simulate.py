@@ -14,7 +14,7 @@ from logparsers.link import open_link
 from servofd.cli.terminal import complain, say
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.files import write_whole
-from servofd.jobs.simulating import simulated
+from servofd.jobs.simulating import aircraft_to_fly, simulate
 from servofd.live.threads import signature_of
 from servofd.simulation.airframe import AirframeFault, fly_airframe
 from servofd.simulation.airframe_log import airframe_log
@@ -58,10 +58,11 @@ def run(options: Options) -> int:
         raise ConfigError("--generation: a generation of servo telemetry belongs to a .bin log, and to that alone")
     streamed = options.stream is not None
     duration_s = options.duration if options.duration is not None else _LIVE_S if streamed else _FILE_S
-    made = simulated(
-        None if streamed else options.output,
-        options.config,
-        servo=options.servo,
+    output = None if streamed else options.output
+    aircraft = aircraft_to_fly(options.config, options.servo, output)
+    flight = simulate(
+        output,
+        aircraft,
         command=options.command,
         duration_s=duration_s,
         rate_hz=_LOOP_HZ if streamed and options.rate_hz is None else options.rate_hz,
@@ -73,12 +74,12 @@ def run(options: Options) -> int:
         pulses=streamed,
     )
     if streamed:
-        if made.flight.context.logged:
+        if flight.context.logged:
             raise ConfigError(
                 "--stream: an effect depends on the air or the supply, which a stream does not hold: use -o"
             )
-        return _stream(options, made.flight, made.aircraft)
-    say(f"{options.output}: {duration_s:g} s at {made.rate_hz:g} Hz, {', '.join(made.flight.surfaces)}")
+        return _stream(options, flight, aircraft)
+    say(f"{output}: {duration_s:g} s at {rate_of(flight):g} Hz, {', '.join(flight.surfaces)}")
     return 0
 
 

@@ -1,81 +1,144 @@
-"""``servofd audit --sweep``: pre-flight check of each surface from a commanded sweep on the ground."""
+"""``servofd audit --sweep``: pre-flight check of each surface from a commanded sweep on the ground.
+
+Go is what an audit calls healthy, of a surface that was moved to both sides far enough to show a jam, and whose gain
+and zero are within its tolerances; no-go, what it calls suspect or at fault, or what is certainly beyond them.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from logparsers.units import MS_PER_S
+import numpy as np
+
 from servofd.cli.terminal import give_json, print_table
-from servofd.core.statistics import Estimate
+from servofd.core.statistics import Estimate, correlation_factor
+from servofd.detection.audit import audit_log
 from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
-from servofd.jobs.sweep import check_sweep
+from servofd.outputs.sentence import seen
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from logparsers.records import FlightLog
+    from servofd.aircraft.schema import Surface
     from servofd.cli.options import Options
-    from servofd.jobs.sweep import SurfaceSweep
+    from servofd.core.types import FloatArray
+    from servofd.detection.residual import Residuals
+    from servofd.detection.verdict import LogAudit, SurfaceAudit
+
+_LEAST_DEG = 3.0
+"""Smallest travel to either side that a sweep needs [deg]."""
+_THRESHOLDS = 2.0
+"""A stuck servo must show twice the threshold, on both sides."""
+_WORDS = {"go": "go", "no_go": "NO-GO", "unknown": "cannot tell"}
+_HEAD = ("surface", "verdict", "asked", "reached", "gain", "bias", "residual", "why")
+_MEMORY_S = 1.0
+"""Errors further apart than that are independent [s]."""
 
 
 def run(options: Options) -> int:
     """Check, then write or print."""
     known = known_aircraft(options.config)
-    sweeps = []
+    audits = []
     for log in one_log(options.log, known).by_boots():
         aircraft = flown_aircraft(log, known)
         aircraft.check_names(options.surface, log.label)
-        sweeps.append((log, check_sweep(log, aircraft, tuple(options.surface))))
-    *earlier, last = (sweep_document(log, found) for log, found in sweeps)
+        audits.append(audit_log(log, aircraft, surfaces=tuple(options.surface)))
+    documents = [_document(audit) for audit in audits]
+    *earlier, last = documents
     if not give_json(options.json, last | {"earlier_boots": earlier} if earlier else last):
-        for log, found in sweeps:
-            _print(found, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
-    return _exit_code([one for _, found in sweeps for one in found])
-
-
-def _exit_code(found: Sequence[SurfaceSweep]) -> int:
-    statuses = {one.status for one in found if one.expected}
+        for audit, document in zip(audits, documents, strict=True):
+            rows = [_row(name, one) for name, one in document["surfaces"].items()]
+            print_table(_HEAD, rows, f"{audit.log.label}   {audit.log.format}, {audit.log.duration_s:.1f} s")
+    statuses = {one["status"] for document in documents for one in document["surfaces"].values() if one["expected"]}
     if "no_go" in statuses:
         return 1
     return 0 if statuses == {"go"} else 2
 
 
-def _print(found: tuple[SurfaceSweep, ...], title: str) -> None:
-    words = {"go": "go", "no_go": "NO-GO", "unknown": "cannot tell"}
-    headings = ["surface", "verdict", "travel", "gain", "extra lag (ms)", "bias", "play", "fastest", "residual", "why"]
-    rows = []
-    for one in found:
-        cells = [""] * 7
-        if one.numbers is not None:
-            n = one.numbers
-            cells = [
-                f"{n.reached_deg[0]:+.1f} to {n.reached_deg[1]:+.1f} deg",
-                f"{n.gain.value:.3f}",
-                f"{MS_PER_S * n.extra_delay_s.value:+.1f}",
-                f"{n.bias_deg.value:+.2f} deg",
-                f"{max(n.play_deg.value, 0.0):.2f} deg",
-                f"{n.fastest_deg_s:.0f} deg/s",
-                f"{n.residual_peak_deg:.2f} of {n.threshold_deg:.2f} deg",
-            ]
-        rows.append([one.surface, words[one.status], *cells, "; ".join(one.reasons)])
-    print_table(headings, rows, title)
+def _document(audit: LogAudit) -> dict[str, Any]:
+    """Whether each surface may fly, schema servofd.sweep/1."""
+    surfaces = {one.surface: _checked(one, audit.aircraft.surfaces[one.surface]) for one in audit.surfaces}
+    about = {"path": str(audit.log.source), "duration_s": audit.log.duration_s}
+    return {"schema": "servofd.sweep/1", **about, "surfaces": surfaces}
 
 
-def sweep_document(log: FlightLog, surfaces: Sequence[SurfaceSweep]) -> dict[str, Any]:
-    """All numbers of one sweep."""
-    found = {
-        one.surface: {
-            "status": one.status,
-            "reasons": list(one.reasons),
-            "numbers": one.numbers and {name: _plain(value) for name, value in one.numbers._asdict().items()},
-        }
-        for one in surfaces
+def _checked(surface: SurfaceAudit, known: Surface) -> dict[str, Any]:
+    segment, residuals, statistics = surface.segment, surface.residuals, surface.statistics
+    fitted = {} if segment is None or residuals is None else _fitted(residuals, segment.period_s)
+    missing = "" if segment is None else _missing(segment.command_deg, surface.threshold_deg)
+    wrong = _out_of_tolerance(fitted, known)
+    status, reasons = "unknown", [surface.reason]
+    if surface.status == "fault":
+        status = "no_go"
+    elif missing and surface.tried:
+        reasons = [missing]
+    elif surface.status == "suspect" or (surface.status == "healthy" and wrong):
+        status, reasons = "no_go", wrong or reasons
+    elif surface.status == "healthy":
+        status, reasons = "go", [seen(surface.detectable) or surface.reason]
+    return {
+        "status": status,
+        "reasons": reasons,
+        "expected": surface.expected,
+        "numbers": {name: estimate._asdict() for name, estimate in fitted.items()},
+        "asked_deg": None if segment is None else _ends(segment.command_deg),
+        "reached_deg": None if segment is None else _ends(segment.measured_deg),
+        "residual_peak_deg": None if statistics is None else statistics.max_abs_deg,
+        "threshold_deg": surface.threshold_deg,
+        "detectable": surface.detectable.document(),
     }
-    about = {"path": str(log.source), "duration_s": log.duration_s}
-    return {"schema": "servofd.sweep/1", **about, "surfaces": found}
 
 
-def _plain(value: float | tuple[float, ...]) -> Any:  # noqa: ANN401 - as JSON has it
-    if isinstance(value, Estimate):
-        return value._asdict()
-    return list(value) if isinstance(value, tuple) else value
+def _fitted(residuals: Residuals, period_s: float) -> dict[str, Estimate]:
+    """Gain over that of the healthy servo, and bias [deg], by least squares; intervals allow for correlated errors."""
+    rows = residuals.settled & np.isfinite(residuals.measured_deg) & np.isfinite(residuals.simulated_deg)
+    healthy_deg, measured_deg = residuals.simulated_deg[rows], residuals.measured_deg[rows]
+    if healthy_deg.size < 2 or np.ptp(healthy_deg) == 0.0:
+        return {}
+    terms = np.column_stack([healthy_deg, np.ones(healthy_deg.size)])
+    inverse = np.linalg.inv(terms.T @ terms)
+    values = inverse @ terms.T @ measured_deg
+    error_deg = measured_deg - terms @ values
+    alike = correlation_factor([error_deg], max(1, round(_MEMORY_S / period_s)))
+    deviations = np.sqrt(np.diag(inverse) * alike * np.mean(error_deg**2))
+    return dict(zip(("gain", "bias_deg"), map(Estimate.of, values, deviations), strict=True))
+
+
+def _out_of_tolerance(fitted: dict[str, Estimate], known: Surface) -> list[str]:
+    """What is certainly beyond the tolerances: the whole interval of an estimate."""
+    tolerance, found = known.tolerances, []
+    if fitted and not _is_near(fitted["gain"], 1.0, tolerance.gain):
+        found.append(f"moves by {fitted['gain'].value:.0%} of its command (tolerance ±{tolerance.gain:.1%})")
+    if fitted and not _is_near(fitted["bias_deg"], 0.0, tolerance.bias_deg):
+        found.append(f"is off by {fitted['bias_deg'].value:+.2f} deg (tolerance ±{tolerance.bias_deg:.2g} deg)")
+    return found
+
+
+def _is_near(estimate: Estimate, healthy: float, tolerance: float) -> bool:
+    return estimate.low <= healthy + tolerance and estimate.high >= healthy - tolerance
+
+
+def _ends(values_deg: FloatArray) -> list[float] | None:
+    known = values_deg[np.isfinite(values_deg)]
+    return [float(known.min()), float(known.max())] if known.size else None
+
+
+def _missing(command_deg: FloatArray, threshold_deg: float) -> str:
+    """Which motion is missing; nothing if a stuck servo would have shown on both sides."""
+    needed_deg = max(_LEAST_DEG, _THRESHOLDS * threshold_deg)
+    low, high = (float(end(command_deg)) - float(command_deg[0]) for end in (np.min, np.max))
+    if low <= -needed_deg and high >= needed_deg:
+        return ""
+    return f"not moved enough ({low:+.1f} to {high:+.1f} deg): move it at least ±{np.ceil(needed_deg):.0f} deg"
+
+
+def _row(name: str, one: dict[str, Any]) -> tuple[str, ...]:
+    ends = (one["asked_deg"], one["reached_deg"])
+    peak_deg, numbers = one["residual_peak_deg"], one["numbers"]
+    return (
+        name,
+        _WORDS[one["status"]],
+        *("" if each is None else f"{each[0]:+.1f} to {each[1]:+.1f} deg" for each in ends),
+        f"{numbers['gain']['value']:.3f}" if numbers else "",
+        f"{numbers['bias_deg']['value']:+.2f} deg" if numbers else "",
+        "" if peak_deg is None else f"{peak_deg:.2f} of {one['threshold_deg']:.2f} deg",
+        "; ".join(one["reasons"]),
+    )

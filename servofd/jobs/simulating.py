@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,16 +25,22 @@ _USUAL_HZ, _USUAL_S = 100.0, 60.0
 """Rate [Hz] and duration [s] of a simulated flight, unless others are asked for."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
-    """A flight, and what flew it."""
+def aircraft_to_fly(
+    aircraft: Aircraft | str | Path | None = None, servo: str | None = None, output: str | Path | None = None
+) -> Aircraft:
+    """An aircraft, its file, or the usual one of a format; all its surfaces with `servo` if that is named."""
+    known = known_aircraft(aircraft)
+    if known is None and output is not None and Path(output).suffix.lower() == ".mat":
+        known = load_aircraft("faser")
+    if known is None:
+        known = plain_aircraft(_SURFACES, next(iter(load_aircraft("simulated").surfaces.values())).servo)
+    if servo in (None, UNKNOWN_SERVO):
+        return known
+    servo_named(servo)
+    return known.with_servo(servo)
 
-    flight: SimulatedFlight
-    aircraft: Aircraft
-    rate_hz: float
 
-
-def simulated(
+def simulate(
     output: str | Path | None = None,
     aircraft: Aircraft | str | Path | None = None,
     *,
@@ -44,12 +49,12 @@ def simulated(
     duration_s: float = _USUAL_S,
     rate_hz: float | None = None,
     seed: int = 0,
-    fault: Sequence[str] = (),
-    effect: Sequence[str] = (),
+    fault: str | Sequence[str] = (),
+    effect: str | Sequence[str] = (),
     noise_deg: float = 0.1,
     generation: str | None = None,
     pulses: bool = False,
-) -> Simulated:
+) -> SimulatedFlight:
     """Fly an aircraft, and write its log if `output` names a file.
 
     Parameters
@@ -66,7 +71,7 @@ def simulated(
         Length [s], and sample rate [Hz]; the usual one of the format if None.
     seed : int
         The same seed gives the same flight.
-    fault, effect : sequence of str
+    fault, effect : str or sequence of str
         Such as ``"elevator:stuck@30"``, ``"elevator:delay:delay_s=0.02"``.
     noise_deg : float
         Standard deviation of white noise on the measured deflection [deg].
@@ -82,24 +87,15 @@ def simulated(
 
     Examples
     --------
-    >>> made = simulated(duration_s=2.0, fault=["rudder:stuck@1"])
-    >>> made.flight.surfaces, made.flight.time_s.size
+    >>> made = simulate(duration_s=2.0, fault="rudder:stuck@1")
+    >>> made.surfaces, made.time_s.size
     (('elevator', 'aileron', 'rudder'), 200)
     """
     writer = None if output is None else writer_for(output, generation)
-    if servo == UNKNOWN_SERVO:
-        servo = None
-    if servo is not None:
-        servo_named(servo)
     if seed < 0:
         raise ConfigError(f"--seed {seed}: give a whole number of zero or more")
-    known = known_aircraft(aircraft)
-    if known is None and output is not None and Path(output).suffix.lower() == ".mat":
-        known = load_aircraft("faser")
-    if known is None:
-        known = plain_aircraft(_SURFACES, next(iter(load_aircraft("simulated").surfaces.values())).servo)
-    if servo is not None:
-        known = known.with_servo(servo)
+    known = aircraft_to_fly(aircraft, servo, output)
+    faults, effects = ((texts,) if isinstance(texts, str) else texts for texts in (fault, effect))
     if rate_hz is None:
         rate_hz = writer.rate_hz if writer else _USUAL_HZ
     flown = simulate_flight(
@@ -108,11 +104,11 @@ def simulated(
         duration_s=duration_s,
         rate_hz=rate_hz,
         seed=seed,
-        faults=faults_of(fault, duration_s),
-        effects=effects_of(effect),
+        faults=faults_of(faults, duration_s),
+        effects=effects_of(effects),
         noise_deg=noise_deg,
         outputs=outputs_of(known) if pulses or (writer is not None and writer.pulses) else (),
     )
     if output is not None:
         write_flight(output, flown, known, generation=generation)
-    return Simulated(flown, known, rate_hz)
+    return flown

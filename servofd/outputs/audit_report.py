@@ -170,14 +170,10 @@ def _alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
     panels = []
     for place, axis in enumerate(("roll", "pitch")):
         if axis in motion.commands_us:
-            asked, rate = motion.commands_us[axis], motion.rates_deg_s[place]
-            most_us, most = max(float(np.abs(asked).max()), 1.0), max(float(np.abs(rate).max()), 1.0)
-            panels.append(
-                Panel(f"{axis} command", "us", (Curve("command", "command", motion.time_s, asked),), -most_us, most_us)
-            )
-            panels.append(
-                Panel(f"{axis} rate", "deg/s", (Curve("rate", "measured", motion.time_s, rate),), -most, most)
-            )
+            asked = Curve("command", "command", motion.time_s, motion.commands_us[axis])
+            rate = Curve("rate", "measured", motion.time_s, motion.rates_deg_s[place])
+            panels.append(Panel.around(f"{axis} command", "us", [asked], 1.0))
+            panels.append(Panel.around(f"{axis} rate", "deg/s", [rate], 1.0))
         one = axes.get(axis)
         if one is not None and one.time_s:
             time_s, score = np.array(one.time_s), np.sqrt(np.array(one.score))

@@ -5,17 +5,12 @@ from __future__ import annotations
 from math import exp
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.outputs.document import Bullets, Document, Table
-from servofd.outputs.figure import finish, new_figure
 from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-    from matplotlib.figure import Figure
 
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.current import CalibratedCurrent
@@ -26,7 +21,6 @@ _NOT_REACHED = 0.5
 _HEAD = ("surface", "delay (ms)", "bandwidth (rad/s)", "speed (deg/s)", "noise (deg)", "held out (deg)")
 _SMALLEST = ("surface", "offset (deg)", "speed left", "travel lost", "play (deg)", "oscillation (deg)")
 _KINDS = {"bias_deg": ".2g", "slow_share": ".0%", "loss_share": ".0%", "deadband_deg": ".2g", "oscillation_deg": ".2g"}
-_ANGLES_DEG = {"offset": "bias_deg", "play": "deadband_deg", "oscillation": "oscillation_deg"}
 
 
 def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -> Document:
@@ -104,23 +98,6 @@ def _row(one: CalibratedSurface) -> list[str]:
 def _interval(estimate: Iterable[float]) -> str:
     value, low, high = estimate
     return f"{value:.0f} [{low:.0f}, {high:.0f}]"
-
-
-def calibrate_figure(found: Calibration) -> Figure:
-    """Bars of the smallest faults that flights like the good ones show, 19 times in 20; none where none would show."""
-    figure, all_axes = new_figure(1, 2, height=1.4 + 0.7 * len(found.surfaces), share_x=False)
-    places, kinds = np.arange(len(found.surfaces)), [one.detectable for one in found.surfaces]
-    lost = np.array([(one.loss_share or 0.0, 1.0 - (one.slow_share or 1.0)) for one in kinds])
-    angles = np.array([[getattr(one, name) or 0.0 for name in _ANGLES_DEG.values()] for one in kinds])
-    shown = ((angles, list(_ANGLES_DEG), "deg"), (100.0 * lost, ["travel lost", "speed lost"], "%"))
-    for axes, (sizes, words, unit) in zip(all_axes, shown, strict=True):
-        height = 0.8 / len(words)
-        for k, word in enumerate(words):
-            axes.barh(places + k * height, sizes[:, k], 0.9 * height, label=word)
-        axes.set_yticks(places + (0.4 - height / 2.0), [spoken(one.surface) for one in found.surfaces])
-        axes.invert_yaxis()
-        finish(axes, x=f"smallest fault that shows [{unit}]", legend="above")
-    return figure
 
 
 _BY_DAYS = {1: "17", 2: "6", 3: "1.5"}

@@ -33,8 +33,8 @@ _MOST_TIME_TICKS, _MOST_VALUE_TICKS = 6, 5
 """Labels at most on the axis and on that of values."""
 _TINY = 1e-12
 """Stands for nothing on an axis of ratios."""
-_SLACK = 0.06
-"""Of a panel's height, above and below its curves."""
+_SLACK, _LEAST_DEG = 0.06, 0.5
+"""Of a panel's height, above and below its curves, and at least of deflections [deg]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,10 +63,22 @@ class Panel:
     high: float
 
     @classmethod
-    def around(cls, title: str, unit: str, curves: Sequence[Curve], least: float = 1e-9) -> Panel:
-        """A panel as high as its curves, with some room; at least `least` above and below them."""
-        every = [np.asarray(one) for curve in curves for one in (curve.values, curve.until) if one is not None]
-        known = np.concatenate([one[np.isfinite(one)] for one in every]) if every else np.empty(0)
+    def around(
+        cls,
+        title: str,
+        unit: str,
+        curves: Sequence[Curve],
+        least: float = 1e-9,
+        within: tuple[float, float] = (-math.inf, math.inf),
+    ) -> Panel:
+        """A panel as high as its curves are `within` a part of the axis, with at least `least` above and below them."""
+        every = [np.zeros(0)]
+        for curve in curves:
+            first, last = np.searchsorted(curve.x, within)
+            rows = slice(max(int(first) - 1, 0), int(last) + 1)  # a line comes from the sample before
+            every += [np.asarray(one)[rows] for one in (curve.values, curve.until) if one is not None]
+        known = np.concatenate(every)
+        known = known[np.isfinite(known)]
         low, high = (float(known.min()), float(known.max())) if known.size else (-1.0, 1.0)
         room = max(_SLACK * (high - low), least)
         return cls(title, unit, tuple(curves), low - room, high + room)
@@ -338,12 +350,6 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
     if to_s <= from_s:
         from_s, to_s = begin_s, end_s
     inside = slice(*np.searchsorted(time_s, (from_s, np.nextafter(to_s, np.inf))))
-    first, last = np.searchsorted(segment.command_s, (from_s, to_s))
-    asked = segment.command_deg[max(int(first) - 1, 0) : int(last) + 1]
-    done = np.concatenate([asked, residuals.simulated_deg[inside], residuals.measured_deg[inside]])
-    known = done[np.isfinite(done)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (-1.0, 1.0)
-    slack = max(_SLACK * (high - low), 0.5)
     curves = (
         Curve("asked", "command", segment.command_s, segment.command_deg, "steps"),
         Curve("healthy servo", "simulated", time_s, residuals.simulated_deg),
@@ -365,7 +371,7 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
     if np.isfinite(alarm).any():
         left.append(Curve("over threshold", "alarm", time_s, alarm))
     panels = (
-        Panel("deflection", "deg", curves, low - slack, high + slack),
+        Panel.around("deflection", "deg", curves, _LEAST_DEG, (from_s, to_s)),
         Panel("residual", "deg", tuple(left), -limit, limit),
         *_current_panel(surface, from_s, to_s),
     )
@@ -381,8 +387,7 @@ def current_charts(surface: SurfaceAudit) -> list[Chart]:
     asked_s, asked_deg = current.command
     begin_s, end_s = float(current.time_s[0]), float(current.time_s[-1])
     spans, marks = _found(surface, end_s)
-    low, high = float(asked_deg.min()) - 0.5, float(asked_deg.max()) + 0.5
-    asked = Panel("deflection", "deg", (Curve("asked", "command", asked_s, asked_deg, "steps"),), low, high)
+    asked = Panel.around("deflection", "deg", [Curve("asked", "command", asked_s, asked_deg, "steps")], _LEAST_DEG)
     text = f"Above, what {spoken(surface.surface)} was asked; below, what it drew, and what a good servo draws."
 
     def drawn(title: str, from_s: float, to_s: float) -> Chart:
@@ -411,10 +416,6 @@ def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Pa
     healthy_a, sigma_a, time_s = current.healthy_a, current.sigma_a, current.time_s
     if healthy_a is None or sigma_a is None:
         return []
-    inside = slice(*np.searchsorted(time_s, (from_s, np.nextafter(to_s, np.inf))))
-    known = np.concatenate([current.current_a[inside], healthy_a[inside], [0.0]])
-    low, high = float(known.min()), float(known.max())
-    slack = max(_SLACK * (high - low), 1e-3)
     width_a = _WITHIN_SIGMAS * sigma_a
     curves = (
         Curve("good servo", "simulated", time_s, healthy_a),
@@ -422,7 +423,7 @@ def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Pa
         Curve("good ones differ by", "threshold", time_s, healthy_a + width_a),
         Curve("", "threshold", time_s, healthy_a - width_a),
     )
-    return [Panel("current", "A", curves, low - slack, high + slack)]
+    return [Panel.around("current", "A", curves, 1e-3, (from_s, to_s))]
 
 
 def _found(surface: SurfaceAudit, end_s: float) -> tuple[tuple[Span, ...], tuple[Mark, ...]]:

@@ -64,8 +64,7 @@ def chart_png(chart: Chart, kind: str = "png") -> bytes:
 def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw a chart of a page, all of it, or into given axes as many of its panels as these are."""
     if ax is None:
-        ratios = (3, *(2,) * (len(chart.panels) - 1))
-        figure, all_axes = new_figure(len(chart.panels), height=2.0 + 0.9 * sum(ratios), width=11.0, ratios=ratios)
+        figure, all_axes = _new_figure((3, *(2,) * (len(chart.panels) - 1)))
     else:
         all_axes = tuple(np.ravel(np.asarray(ax, dtype=object)))
         figure = cast("Figure", all_axes[0].get_figure(root=True))
@@ -86,7 +85,7 @@ def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figur
     for span in chart.spans:
         style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": _colour(span.role)}
         upper.text(span.start, 1.0, f" {span.label}", transform=upper.get_xaxis_transform(), **style)
-    finish(*all_axes[: len(panels)], x=chart.axis or "time [s]", y=[panel.label for panel in panels])
+    _finish(all_axes[: len(panels)], chart.axis or "time [s]", [panel.label for panel in panels])
     return figure
 
 
@@ -126,51 +125,29 @@ def saved(figure: Figure, kind: str = "png") -> bytes:
     return buffer.getvalue()
 
 
-def new_figure(
-    rows: int = 1,
-    columns: int = 1,
-    *,
-    height: float = 3.6,
-    width: float = 9.0,
-    share_x: bool = True,
-    ratios: tuple[float, ...] | None = None,
-) -> tuple[Figure, tuple[Axes, ...]]:
-    """Figure with its axes, row by row; sizes in inches, `ratios` those of the rows' heights."""
+def _new_figure(ratios: tuple[int, ...]) -> tuple[Figure, tuple[Axes, ...]]:
+    """Figure with axes one below the other over the same x, by the ratios of their heights."""
     needs("matplotlib")
     from matplotlib import rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as NewFigure
 
     rcParams["text.parse_math"] = False  # a dollar in a name is a dollar
-    figure = NewFigure(figsize=(width, height), layout="constrained")
+    figure = NewFigure(figsize=(11.0, 2.0 + 0.9 * sum(ratios)), layout="constrained")
     FigureCanvasAgg(figure)
-    all_axes = figure.subplots(rows, columns, sharex=share_x, height_ratios=ratios)
-    return figure, tuple(np.atleast_1d(all_axes).ravel())
+    all_axes = figure.subplots(len(ratios), sharex=True, height_ratios=ratios)
+    return figure, tuple(np.atleast_1d(all_axes))
 
 
-def finish(*all_axes: Axes, x: str = "", y: Sequence[str] = (), legend: str = "beside") -> None:
-    """Names of the axes, that of `x` below the last; grid; and the legend beside or above, where it hides nothing."""
-    if x:
-        all_axes[-1].set_xlabel(x)
-    for axes, name in zip(all_axes, y, strict=False):
+def _finish(all_axes: Sequence[Axes], x: str, y: Sequence[str]) -> None:
+    """Names of the axes, that of `x` below the last; grid; and the legend beside, where it hides nothing."""
+    all_axes[-1].set_xlabel(x)
+    for axes, name in zip(all_axes, y, strict=True):
         axes.set_ylabel(name)
-    for axes in all_axes:
         axes.grid(visible=True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
         for axis in (axes.xaxis, axes.yaxis):
             if axis.get_scale() == "log":
                 axis.set_major_formatter("{x:g}")  # the usual one writes formulas
-        count = len(axes.get_legend_handles_labels()[1])
-        if count and legend == "beside":
+        if axes.get_legend_handles_labels()[1]:
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-        elif count:
-            axes.legend(
-                loc="lower left",
-                bbox_to_anchor=(0.0, 1.0),
-                ncols=count,
-                frameon=False,
-                borderaxespad=0.2,
-                handlelength=1.5,
-                columnspacing=1.0,
-                fontsize=9,
-            )

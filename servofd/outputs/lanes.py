@@ -18,8 +18,6 @@ MOST = 12
 """Lanes of a page: with `_POINTS` each they are 20 kB of it."""
 _POINTS = 300
 """Points of a lane."""
-_ROOM = 0.06
-"""Room above and below a lane, as a share of its range."""
 _SHOWN = re.compile(
     r"(?:ATT\.(?:Roll|Pitch|Yaw)|ARSP(?:\[0\])?\.Airspeed|BAT(?:\[0\])?\.(?:Volt|Curr)|POWR\.V(?:Servo|cc)"
     r"|CTUN\.ThO|BARO(?:\[0\])?\.Alt|ATTITUDE\.(?:roll|pitch|yaw)|VFR_HUD\.(?:airspeed|throttle|alt)"
@@ -50,11 +48,8 @@ def lanes_of(log: FlightLog) -> list[dict[str, Any]]:
         known = channel.values[np.isfinite(channel.values)]
         if channel.time_s.size < 2 or not known.size or channel.time_s[-1] <= channel.time_s[0]:
             continue
-        low, high = float(known.min()), float(known.max())
-        room = _ROOM * (high - low) or 1.0
-        panel = Panel(
-            name, channel.unit, (Curve(name, "other", channel.time_s, channel.values),), low - room, high + room
-        )
+        steady = 1.0 if np.ptp(known) == 0.0 else 1e-9
+        panel = Panel.around(name, channel.unit, [Curve(name, "other", channel.time_s, channel.values)], steady)
         first_s, last_s = float(channel.time_s[0]), float(channel.time_s[-1])
         ((_, path),) = Chart("", "", first_s, last_s, (panel,), points=_POINTS).paths(panel)
         lanes.append(

@@ -15,7 +15,7 @@ from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
-from servofd.outputs.calibrate_report import calibrate_figure, calibrate_report
+from servofd.outputs.calibrate_report import calibrate_report
 from servofd.outputs.document import Table
 from servofd.outputs.explain_report import explain_charts, explain_report
 from servofd.outputs.figure import chart_figure
@@ -160,11 +160,6 @@ class Calibrated(Calibration, Shown):
     def report(self) -> Document:
         """Tables of the surfaces, and the smallest faults."""
         return calibrate_report(self)
-
-    def plot(self) -> Figure:
-        """Figure of the smallest faults that flights like these show."""
-        needs("matplotlib")
-        return calibrate_figure(self)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
 from logparsers import FlightLog, LogError
 from servofd.core.errors import ServofdError, needs
@@ -94,8 +94,17 @@ _SHORT, _SHOWN = 3, 6
 """Columns of a row in a terminal, and in a notebook."""
 
 P = ParamSpec("P")
-Result = TypeVar("Result", bound=Shown)
 Given = TypeVar("Given")
+
+
+class Extending(Protocol):
+    """A result that is made of what its verb found."""
+
+    @classmethod
+    def _of(cls, found: Any) -> Self: ...  # noqa: ANN401 - any data type
+
+
+Result = TypeVar("Result", bound=Extending)
 
 _OPTION = re.compile(r"(?<![\w-])(?:-(?P<short>[cs])|--(?P<long>[a-z][a-z-]*))(?![\w-])(?: (?P<value>[A-Za-z0-9.]+))?")
 _DISORDER = ("split the log there", "sort it by its time, or number the flights in a column run")

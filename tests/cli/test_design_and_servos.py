@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -17,12 +16,6 @@ def test_design_prints_thesis_eq_4_10(capsys: pytest.CaptureFixture[str]) -> Non
     for number in ("51.10384301", "4848.732625", "340392.1504", "6246813.164", "-6250000"):
         assert number in out
     assert "noise gain     0.4183" in out
-
-
-def test_design_draws_the_fault_step(tmp_path: Path) -> None:
-    target = tmp_path / "step.png"
-    assert main(["config", "--filter", "s9254", "--plot", str(target)]) == 0
-    assert target.read_bytes().startswith(b"\x89PNG")
 
 
 def test_servos_prints_every_servo(capsys: pytest.CaptureFixture[str]) -> None:

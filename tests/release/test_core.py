@@ -73,7 +73,6 @@ def test_an_address_without_its_package_is_refused_in_one_line(
     [
         (["serve"], "starlette"),
         pytest.param(["audit", "LOG", "--rrd", "a.rrd"], "rerun", marks=pytest.mark.nightly),
-        pytest.param(["config", "--filter", "s9254", "--plot", "a.png"], "matplotlib", marks=pytest.mark.nightly),
         pytest.param(["audit", "FOLDER", "-o", "results", "--workers", "1"], "pyarrow", marks=pytest.mark.nightly),
     ],
 )
