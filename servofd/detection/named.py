@@ -178,7 +178,7 @@ def watched_named(
     tested = follow(tests, Memory(tests), time_s, error_deg, slopes, noise_deg)
     return Watched(
         known, known.noise.noise, record, healthy_deg, slopes, record.usable, noise_deg, tests, tested,
-        own=_Own(model.servo(context), commands, time_s, known.theta, model.delay_s),
+        own=_Own(model.servo(context), commands, time_s, start_deg, known.theta, model.delay_s),
         passed=over(residuals, threshold, surface.persistence),
         alone=surface.threshold == "constant",
     )  # fmt: skip
@@ -190,6 +190,8 @@ class _Own(NamedTuple):
     servo: AnyServo
     commands: Commands
     time_s: FloatArray
+    start_deg: FloatArray
+    """Where it begins anew [deg], as after a gap; NaN where it goes on."""
     theta: FloatArray
     """Parameters of the family that is most like it."""
     delay_s: float
@@ -227,9 +229,9 @@ class _Own(NamedTuple):
             rest_deg = (start_deg - physics.bias_deg) / (physics.gain * physics.command_gain)
             command_deg, slope_deg_s = play(command_deg, apart["deadband_deg"], rest_deg), 0.0 * slope_deg_s
         near = Commands(effective_s + apart["delay_s"], command_deg, slope_deg_s)
-        anew = np.zeros(time_s.size, dtype=np.int8)
-        anew[0] = RESTART_ALL
-        return followed(servo, near, time_s, np.full(time_s.size, start_deg), anew)
+        starts_deg = np.append(start_deg, self.start_deg[rows][1:])
+        anew = np.where(np.isfinite(starts_deg), RESTART_ALL, 0).astype(np.int8)
+        return followed(servo, near, time_s, np.nan_to_num(starts_deg), anew)
 
 
 class Judgement(NamedTuple):

@@ -235,7 +235,7 @@ class _Flights(NamedTuple):
     def left(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Errors [deg] and largest speeds [deg/s] in the usable rows of all records, shape (n,)."""
         with np.errstate(over="ignore", invalid="ignore"):  # a servo that runs away is none, and its misfit says so
-            reading_deg, speed_deg_s = _reading(theta, self.whole, self.reach_deg)
+            reading_deg, speed_deg_s = reading(theta, self.whole, self.reach_deg)
         error_deg = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[0]
         speed_deg_s = peaks(speed_deg_s, self.whole.time_s)
         return error_deg[self.whole.usable], speed_deg_s[self.whole.usable]
@@ -264,7 +264,7 @@ def _best(problem: Problem, begins: Sequence[FloatArray], steps: int = _STEPS) -
     return _best_of([minimum(problem, each, steps=steps, close=_CLOSE) for each in begins])
 
 
-def _reading(theta: FloatArray, record: Record, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+def reading(theta: FloatArray, record: Record, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Reading of one servo (m,) [deg], and its speeds (m, 2) [deg/s]."""
     table = variants(theta, patterns=False)[:1]
     position_deg, speed_deg_s = simulated(

@@ -26,8 +26,8 @@ _BADGES = {"fault": "beyond its limit", "suspect": "wears"}
 _HEAD = ("quantity", "now", "change per flight", "limit", "forecast")
 _MOTION = """Of each flight the motion tells how much effect its commands had, beside that of the calibration flights,
 and how far from its usual place each axis stood. Of a flight with an alarm it is the effect after its onset."""
-_FITTED = """Each flight is fitted by the model of the aircraft file, simulated on the commands that were logged, with
-delay, bandwidth, rate limit, gain, offset and a zone of rest (dead band or backlash) of its own."""
+_FITTED = """Each flight is fitted once, by the servo of the aircraft file: what good servos differ by is what is known
+before the flight, and no interval is wider than that."""
 _LINES = """A line is drawn through the flights since the last change, by least squares that single flights cannot
 mislead; another line is begun only where chance would do so less than once in a million. A change at once is no wear.
 A forecast is made from eight flights on, if the trend is no chance, and for no more than four times as many flights as

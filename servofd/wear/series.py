@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -386,12 +386,8 @@ def _fieller(line: Line, limit: float) -> tuple[float, float]:
     return float(line.centre + ends[0]), float(line.centre + ends[1])
 
 
-Place = Literal["servo", "linkage"]
-
 FEWEST_FOR_LINE = 3
 """Flights that a slope needs."""
-_MOST_EVIDENCE = 20.0
-"""That one flight may add: no single one decides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,8 +424,6 @@ class SurfaceTrend:
     """One surface over all flights."""
 
     surface: str
-    place: Place
-    """Where the zone of rest is: a dead band of the servo, or backlash of the linkage; the flights together tell."""
     serials: tuple[tuple[int, str], ...]
     """Number of the first flight of each servo, and its serial number; empty where it is not known."""
     quantities: Mapping[str, QuantityTrend]
@@ -447,9 +441,6 @@ class SurfaceTrend:
 def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: Wear) -> SurfaceTrend:
     """Follow one surface."""
     known, notes = _known_swaps(flights, wear)
-    in_linkage = sum(np.clip(flight.evidence, -_MOST_EVIDENCE, _MOST_EVIDENCE) for _, flight in flights) > 0.0
-    if in_linkage:
-        flights = [(number, replace(one, values={**one.values, **one.linkage})) for number, one in flights]
     series = {name: one for name in QUANTITIES if (one := _series(name, flights)) is not None}
     bounds = [number for number, _ in known]
     events: list[Event] = []
@@ -466,8 +457,7 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
         if name not in series and what.of_axis == of_axis
     }
     serials = _serials(bounds, dict(known), wear)
-    place: Place = "linkage" if in_linkage else "servo"
-    return SurfaceTrend(surface, place, serials, quantities, tuple(events), missing, notes)
+    return SurfaceTrend(surface, serials, quantities, tuple(events), missing, notes)
 
 
 def _known_swaps(

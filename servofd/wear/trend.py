@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from logparsers import FlightLog
     from servofd.aircraft.axes import MotionModel
-    from servofd.aircraft.series import Series
     from servofd.batch.find import LogSource, Skipped
     from servofd.wear.series import Piece, QuantityTrend
 
@@ -85,7 +84,7 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
             verdict = audit_segment(segment, aircraft, duration_s=log.duration_s)
             stood = any(fault.kind in STANDS_STILL for fault in verdict.faults)
             unfit = "stood still for a part of the flight" if stood else ""
-            estimated = estimate_flight(segment, aircraft, _voltage_v(segment), unfit=unfit)
+            estimated = estimate_flight(segment, aircraft, unfit=unfit)
         except ServofdError as error:
             problems.append(f"{name}: {error}")
             continue
@@ -120,13 +119,6 @@ def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate
             FlightEstimate(path, log.run, audit.axis, log.start_utc, log.duration_s, values, missing, alarm=alarm)
         )
     return found
-
-
-def _voltage_v(segment: Series) -> float | None:
-    """Mean supply voltage during the flight [V]; None if it was not logged."""
-    time_s, volts = segment.context.voltage_s, segment.context.voltage_v
-    volts = volts[(time_s >= segment.measured_s[0]) & (time_s <= segment.measured_s[-1])]
-    return float(np.mean(volts)) if volts.size and float(np.mean(volts)) > 0.0 else None
 
 
 def _identity(log: FlightLog) -> str:
@@ -341,7 +333,6 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
 def _surface(surface: SurfaceTrend) -> dict[str, Any]:
     return {
         "serials": [{"from_flight": number, "serial": serial or None} for number, serial in surface.serials],
-        "rests_in": surface.place,
         "events": [
             {
                 "kind": event.kind,
