@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit as SurfaceAudit
     from servofd.discrepancy.explanation import Explanation as Explanation
     from servofd.discrepancy.explanation import explain_gap as explain_gap
-    from servofd.fleets.run import audit_logs as audit_logs
     from servofd.identification.result import Identification as Identification
     from servofd.jobs.explaining import explain_logs as explain_logs
     from servofd.results import Audit as Audit
@@ -52,47 +51,26 @@ if TYPE_CHECKING:
     from servofd.servo.transfer import TransferFunction as TransferFunction
     from servofd.simulation.flight import simulate_flight as simulate_flight
 
-_HOME = {
-    "Aircraft": "aircraft.schema",
-    "Audit": "results",
-    "Audits": "results",
-    "Comparison": "results",
-    "Fleet": "results",
-    "Explanation": "discrepancy.explanation",
-    "Identification": "identification.result",
-    "LogAudit": "detection.verdict",
-    "Effect": "servo.effect",
-    "Parameter": "servo.effect",
-    "Slot": "servo.effect",
-    "ResidualGenerator": "detection.residual",
-    "Series": "aircraft.series",
-    "Servo": "servo.library",
-    "ServoModel": "servo.servo_model",
-    "ServofdError": "core.errors",
-    "Surface": "aircraft.schema",
-    "SurfaceAudit": "detection.verdict",
-    "TransferFunction": "servo.transfer",
-    "audit": "results",
-    "compare": "results",
-    "fleet": "results",
-    "load": "results",
-    "simulate": "results",
-    "audit_logs": "fleets.run",
-    "calibrate": "results",
-    "audit_log": "detection.audit",
-    "cut": "aircraft.series",
-    "design_nullspace_filter": "detection.nullspace",
-    "design_pulse_filter": "detection.pulse",
-    "explain": "results",
-    "explain_gap": "discrepancy.explanation",
-    "explain_logs": "jobs.explaining",
-    "identify": "results",
-    "library": "servo.library",
-    "load_aircraft": "aircraft.schema",
-    "servo_named": "servo.library",
-    "simulate_flight": "simulation.flight",
-    "trend": "results",
+_NAMES = {
+    "aircraft.schema": "Aircraft Surface load_aircraft",
+    "aircraft.series": "Series cut",
+    "core.errors": "ServofdError",
+    "detection.audit": "audit_log",
+    "detection.nullspace": "design_nullspace_filter",
+    "detection.pulse": "design_pulse_filter",
+    "detection.residual": "ResidualGenerator",
+    "detection.verdict": "LogAudit SurfaceAudit",
+    "discrepancy.explanation": "Explanation explain_gap",
+    "identification.result": "Identification",
+    "jobs.explaining": "explain_logs",
+    "results": "Audit Audits Comparison Fleet audit calibrate compare explain fleet identify load simulate trend",
+    "servo.effect": "Effect Parameter Slot",
+    "servo.library": "Servo library servo_named",
+    "servo.servo_model": "ServoModel",
+    "servo.transfer": "TransferFunction",
+    "simulation.flight": "simulate_flight",
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = list(_HOME)
 

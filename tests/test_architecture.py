@@ -21,7 +21,6 @@ ONLY_IN = {
         *(f"servofd/outputs/recording/{name}.py" for name in ("layout", "read", "scene", "stream", "write")),
     },
     "matplotlib": {
-        "servofd/outputs/calibrate_report.py",
         "servofd/outputs/figure.py",
         *(f"servofd/results/{name}.py" for name in ("audits", "models", "shown")),
     },

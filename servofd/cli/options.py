@@ -196,7 +196,7 @@ def _review(parser: Parser) -> None:
     parser.json(instead="text")
     parser.kind_of_threshold("judge again, with this alarm level [deg]", "judge again, with this kind")
     parser.add_argument("--between", nargs=2, type=float, metavar=("A", "B"), help="only from A to B [s]")
-    parser.file("--compare", "list what is different in a recording of the same log", "OTHER.rrd")
+    parser.file("--compare", "show the verdicts of another recording beside these", "OTHER.rrd")
     parser.flag("--repair", "save what is whole of a recording that was cut short")
     about = "write what --between, --repair or a new threshold gave"
     parser.add_argument("-o", "--output", metavar="FILE", help=about)

@@ -12,17 +12,18 @@ from servofd.cli.terminal import (
     give_json,
     print_document,
     print_lines,
-    print_table,
     say,
+    show,
     worst,
 )
 from servofd.core.errors import ConfigError, RecordingError
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_report import audit_report
+from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording.read import read_recording, repair_recording
-from servofd.outputs.recording.review import between, compared, contradictions, rejudged
+from servofd.outputs.recording.review import between, contradictions, rejudged
 from servofd.outputs.recording.states import events
 from servofd.outputs.recording.verdicts import LIVE
 from servofd.outputs.recording.write import write_recording
@@ -32,7 +33,6 @@ from servofd.outputs.sentence import worst as worst_of
 if TYPE_CHECKING:
     from servofd.cli.options import Options
     from servofd.outputs.recording.content import Recording
-    from servofd.outputs.recording.review import Change
 
 
 def run(options: Options) -> int:
@@ -146,24 +146,8 @@ def _print(found: list[tuple[Path, Recording]]) -> None:
 
 
 def _compare(options: Options, path: Path) -> int:
-    """Print what differs between two recordings; a fault in either of them is one."""
-    before, after = _read(path, options), read_recording(options.compare)
-    changes = compared(before, after)
-    document = {
-        "schema": "servofd.compare/1",
-        "recordings": [str(path), options.compare],
-        "changes": [change.as_dict() for change in changes],
-    }
-    printed = give_json(options.json, document)
-    if changes and not printed:
-        rows = [[c.surface, c.what, c.before, c.after, _where(c)] for c in changes]
-        print_table(["surface", "what", str(path), options.compare, "where"], rows)
-    elif not printed:
-        say("no difference: the same verdicts, and every curve the same to the last bit")
-    return 1 if before.audit.has_fault or after.audit.has_fault else 0
-
-
-def _where(change: Change) -> str:
-    if change.from_s is None:
-        return ""
-    return f"{change.from_s:.2f} s" + (f" to {change.to_s:.2f} s" if change.to_s is not None else " to the end")
+    """Print two recordings beside each other; a fault in either of them is one."""
+    audits = [_read(path, options).audit, read_recording(options.compare).audit]
+    documents = [audit_document([audit]) for audit in audits]
+    show(compare_report((path.name, Path(options.compare).name), documents), json=options.json)
+    return int(any(audit.has_fault for audit in audits))

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servofd.batch.find import fetched, find_logs
+from servofd.batch.find import fetched
 from servofd.batch.key import Job, content_key
 from servofd.batch.local import run_local, run_on_cluster
 from servofd.core.errors import ConfigError
-from servofd.feedback.flown import known_aircraft, layout_of
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.json_report import audit_document
@@ -20,7 +18,6 @@ from servofd.outputs.page import FLEET_PAGE, html_page
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from servofd.aircraft.schema import Aircraft
     from servofd.batch.find import LogSource
     from servofd.detection.verdict import LogAudit
 
@@ -137,39 +134,6 @@ def audit_fleet(
             yield failed(source, f"{source.path}: {_reason(outcome)}")
         else:
             yield outcome
-
-
-def audit_logs(
-    inputs: Sequence[str | Path],
-    aircraft: Aircraft | str | Path | None = None,
-    *,
-    cluster: str | None = None,
-    workers: int | None = None,
-) -> Iterator[JudgedLog]:
-    """Judge all logs of some folders, patterns, addresses and files, as `audit_fleet` does.
-
-    Parameters
-    ----------
-    inputs : sequence of str or Path
-        Where to look for logs.
-    aircraft : Aircraft, str or Path, optional
-        The aircraft or its file; each log's own, as far as the log shows it, if None.
-    cluster, workers
-        As for `audit_fleet`.
-
-    Raises
-    ------
-    ConfigError
-        If there is no log, or the aircraft is not what it should be.
-
-    Examples
-    --------
-    >>> [judged.runs[0].has_fault for judged in audit_logs(["sample_logs/faser_stuck_flight.ma?"], "faser", workers=0)]
-    [True]
-    """
-    known = known_aircraft(aircraft)
-    found = find_logs([str(one) for one in inputs], layout_of(known))
-    return audit_fleet(found.logs, Job(known), cluster=cluster, workers=workers)
 
 
 def _reason(error: Exception) -> str:

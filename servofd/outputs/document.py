@@ -32,7 +32,7 @@ class Cell:
     """By which a column is sorted, if not by its text."""
 
     def __str__(self) -> str:
-        return self.text or self.status
+        return ": ".join(filter(None, (self.status, self.text)))
 
     @property
     def thumbnail(self) -> tuple[str, str]:
