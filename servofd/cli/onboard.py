@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 def run(options: Options) -> int:
     """Write the script."""
     check_targets([options.output], {"the aircraft file": [options.aircraft]})
-    text, done = _streaming(options) if options.stream_only else _watching(options)
+    text, done, parameters = _streaming(options) if options.stream_only else _watching(options)
     write_whole(options.output, text.encode("ascii"))
-    say(f"{options.output}: {done}. Copy it to APM/scripts on the SD card, set SCR_ENABLE = 1, and reboot.")
+    say(f"{options.output}: {done}. Copy it to APM/scripts on the SD card, set {parameters}, and reboot.")
     return 0
 
 
-def _watching(options: Options) -> tuple[str, str]:
+def _watching(options: Options) -> tuple[str, str, str]:
     if options.aircraft is None:
         raise ConfigError(
             "onboard needs an aircraft file: `servofd config` drafts one, `servofd calibrate` makes it good"
@@ -35,12 +35,14 @@ def _watching(options: Options) -> tuple[str, str]:
     for note in plan.notes:
         complain(f"{note}")
     watched = ", ".join(f"{one.surface} on output {one.output}" for one in plan.surfaces)
-    return watch_script(plan, Path(options.output).name), f"watches {watched}"
+    parameters = f"SCR_ENABLE = 1 and SCR_HEAP_SIZE = {plan.heap_bytes} or more"
+    return watch_script(plan, Path(options.output).name), f"watches {watched}", parameters
 
 
-def _streaming(options: Options) -> tuple[str, str]:
+def _streaming(options: Options) -> tuple[str, str, str]:
     if options.aircraft is None:
-        return stream_script(range(1, 17), Path(options.output).name), "sends SRVP1 to SRVP16, as far as servos answer"
+        text = stream_script(range(1, 17), Path(options.output).name)
+        return text, "sends SRVP1 to SRVP16, as far as servos answer", "SCR_ENABLE = 1"
     outputs = outputs_of(load_aircraft(options.aircraft), options.surface)
     names = ", ".join(f"SRVP{output}" for output in outputs)
-    return stream_script(outputs, Path(options.output).name), f"sends {names}"
+    return stream_script(outputs, Path(options.output).name), f"sends {names}", "SCR_ENABLE = 1"

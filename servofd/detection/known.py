@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from logparsers.units import MS_PER_S
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.errors import CalibrationError
+from servofd.core.series import latest
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
@@ -17,7 +19,7 @@ from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, asked_deg, cropped
 from servofd.detection.verdict import describe
 from servofd.detection.wiring import ENOUGH_MOTION_DEG
-from servofd.estimate.fit import fit, predicted, residual
+from servofd.estimate.fit import fit, predicted, reach_of, residual
 from servofd.estimate.record import Record
 from servofd.servo.library import Servo
 
@@ -246,8 +248,9 @@ def refuse_unlike(
             f"{name}: not a good flight: no servo explains more than {max(fitted.explained_share, 0.0):.0%} of how the "
             f"position moves in {logs}: it does not follow its command, or moves too little for its noise; {_ADVICE}"
         )
-    wanted_deg = max(float(np.ptp(asked_deg(flight.segment))) for flight in flights) * abs(gain)
-    given_deg = fitted.reach_deg[1] - fitted.reach_deg[0]
+    asked = [replace(r, measured_deg=latest(r.command_s, r.command_deg, r.time_s)) for r in records]
+    wanted_deg = abs(gain) * float(np.ptp(reach_of(asked)))  # of the samples that the reach was seen in
+    given_deg = float(np.ptp(fitted.reach_deg))
     if given_deg < _LEAST_REACH * wanted_deg:
         raise CalibrationError(
             f"{name}: not a good flight: asked for {wanted_deg:.3g} deg of travel, the position shows "

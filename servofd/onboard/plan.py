@@ -1,8 +1,10 @@
 """What a script on board needs to know of each surface: plain numbers, taken from the aircraft file.
 
-The script simulates the linear servo with its delay, its rate limit and its stops. Effects of a servo beyond these it
-does not know: those that leave the surface within a known width make its threshold higher by that width; a surface with
-any other effect is left out, and `OnboardPlan.notes` says so.
+The script simulates the linear servo with its delay, its rate limit and its stops, and compares what is left with what
+good servos leave: the covariance by which the audit judges, as far as it shows in six signals that the script has
+(an offset, the deflection, its rate, two high passes of it, and what a slower motor leaves). What the script's servo
+does otherwise than the audit's adds to that; a surface with an effect that the script can neither simulate nor allow
+for is left out, and `OnboardPlan.notes` says so.
 """
 
 from __future__ import annotations
@@ -18,16 +20,19 @@ from servofd.aircraft.calibration import DegreeCalibration, PulseCalibration, Ra
 from servofd.aircraft.names import short_names
 from servofd.aircraft.outputs import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
 from servofd.core.errors import ConfigError, DesignError
-from servofd.detection.residual import ResidualGenerator
-from servofd.detection.threshold import Evaluation
+from servofd.detection.changes import thresholds_of
+from servofd.detection.named import named_servo
+from servofd.estimate.family import REACH_DEG, new_state, sensitivities, simulated, variants
+from servofd.estimate.record import load_at
 from servofd.servo.physics import Physics
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.types import FloatArray
-    from servofd.servo.servo_model import ServoModel
 
 LONGEST_NAME = 21
 """With " not moved by sticks" it fills the 41 characters that ArduPilot keeps of a reason to refuse arming
@@ -36,7 +41,19 @@ _SAME_POLE = 4e-3
 """Poles closer than this share are moved that far apart: half the digits of a 32-bit number, as the error of moving
 grows with the square of the distance and that of rounding with its inverse."""
 _MOST_CANCELLATION = 400.0
-"""Sum of the modes' weights, and of the filter's: 32-bit numbers then keep 1e-3 deg of a deflection of 40 deg."""
+"""Sum of the modes' weights: 32-bit numbers then keep 1e-3 deg of a deflection of 40 deg."""
+_SLOWER = 0.1
+"""Share by which the motor is slower of which the script tells what a lower rate limit would leave."""
+_TRIED_S, _TRIED_HZ = 40.0, 3.0
+"""Length of the commands on which a servo's doubt is told, and the highest frequency of their chirp [Hz]."""
+_TRIED_STEP_S = 0.02
+"""Between two samples of them."""
+_ALIKE = 1e-6
+"""Share below which signals are the same one."""
+_SIGNALS = 6
+_PERSISTENCE = 3
+"""Residuals in a row on one side of an alarm at least: a glitch lasts for two."""
+_NEVER = 1e9
 _CENTRE_US = 1500.0
 """Pulse width of a neutral servo, from which pulses are counted [us]."""
 _WIDTHS = {"deadband_deg": 0.5, "insensitive_deg": 0.5, "backlash_deg": 0.5, "friction_deg": 1.0}
@@ -51,12 +68,17 @@ _KNOWN = frozenset(
 """What the script does as well, and what has no meaning without another effect."""
 _SHORTEST_CALL_MS = 5
 """Between two calls; less is less than a main loop of 300 Hz leaves for scripts."""
-_CALL_COST, _SURFACE_COST, _MODE_COST, _ORDER_COST = 270, 1150, 170, 200
-"""Instructions of a call, and of each surface, mode and order of its servo in it (``benchmarks/onboard.py``)."""
-_RATE_COST, _RATE_MODE_COST = 700, 190
-"""Instructions more, and for each mode more, while the servo runs at its rate limit. All are the most that
-``benchmarks/onboard.py`` counted, in calls in which a glitch is sorted out, for servos of one to three poles (within
-60 of the sum)."""
+_CALL_COST, _SURFACE_COST, _MODE_COST = 310, 850, 100
+"""Instructions of a call, and of each surface and mode of its servo in it (``benchmarks/onboard.py``)."""
+_RATE_COST, _RATE_MODE_COST = 170, 130
+"""Instructions more, and for each mode more, of a servo with a rate limit: 4 to 20 % above what
+``benchmarks/onboard.py`` counted."""
+_OWN_BYTES, _READ_BYTES, _HELD_BYTES, _SURFACE_BYTES = 15_000, 50_000, 22_000, 2_000
+"""Memory of ArduPilot's own tables, of the script while it is read, and of what is held of it then, and for each
+surface, with numbers and pointers of 32 bits. Read: the least with which a Lua of ArduPilot's sources, built with
+``gcc -m32 -DLUA_32BITS``, loads it, 8 bytes for each block included (49 kB with one surface, 50 with twelve). Held:
+half of what ``benchmarks/onboard.py`` measures with 64 bits. ArduPilot's own: half of the 27 kB that a script of one
+line needs in the loop, with 64 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,28 +113,27 @@ class OnboardSurface:
     modes: tuple[Mode, ...]
     dc_gain: float
     """Of the linear servo, before its linkage."""
-    rates_deg_s: tuple[float, float] | None
-    """Up and down; None without a limit."""
-    weak_rate_deg_s: float
-    """The same of the slowest servo that counts as healthy."""
-    filter_pole_rad_s: float
-    longest_gap_s: float
-    threshold_deg: float | None
-    """None: it follows the activity of the command, within the tolerances."""
-    tolerances: tuple[float, float, float, float]
-    """Of gain, delay [s], lags and bias [deg]."""
+    rates_deg_s: tuple[float, float, float] | None
+    """Up and down, and of a slower motor; None without a limit."""
+    lag_s: float
+    """By which the linear servo is behind a command that rises steadily."""
     noise_deg: float
-    noise_gain: float
-    sigmas: float
+    """Of a reading at rest."""
+    jitter_s: float
+    """What noise grows by with the speed, over it."""
+    doubt: tuple[float, ...]
+    """Upper triangle (21,) of a root of the covariance of what good servos leave, by the signals of the script."""
+    limit: float
+    """Ratio to the standard deviation that so many residuals in a row must pass."""
+    energies: tuple[float, float]
+    """Mean squares of the ratio that make an alarm over 0.5 and 2 s."""
     persistence: int
 
     @property
     def instructions(self) -> int:
         """Of Lua's virtual machine in a call that judges this surface, at most."""
-        modes = len(self.modes)
-        order = sum(1 if mode.turn_rad_s == 0.0 else 2 for mode in self.modes)
-        limited = _RATE_COST + modes * _RATE_MODE_COST if self.rates_deg_s else 0
-        return _SURFACE_COST + modes * _MODE_COST + order * _ORDER_COST + limited
+        limited = _RATE_COST + len(self.modes) * _RATE_MODE_COST if self.rates_deg_s else 0
+        return _SURFACE_COST + len(self.modes) * _MODE_COST + limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +155,12 @@ class OnboardPlan:
     def instructions(self) -> int:
         """Of the longest call, at most."""
         return _in_turns(self.surfaces, self.turns)
+
+    @property
+    def heap_bytes(self) -> int:
+        """``SCR_HEAP_SIZE`` that an autopilot needs for this script alone."""
+        script = max(_READ_BYTES, _HELD_BYTES + len(self.surfaces) * _SURFACE_BYTES)
+        return 10_000 * math.ceil((_OWN_BYTES + script) / 10_000)
 
 
 def plan_onboard(
@@ -207,44 +234,53 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     strange = _beyond(physics)
     if strange:
         raise ConfigError(f"its servo has {', '.join(strange)}, which the script cannot simulate")
-    generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
-    evaluation = Evaluation(generator, surface.tolerances, period_s)
-    gain = physics.gain
+    known, named = surface.calibrated, None
+    gain, bias_deg = physics.gain, physics.bias_deg
+    if known is None:
+        known = named_servo(model, surface.tolerances, period_s)
+        named = model.with_physics(physics._replace(bias_deg=0.0))
+    else:
+        gain, bias_deg = gain * known.parameters["gain"], bias_deg + known.parameters["bias_deg"]
     modes = _modes(model, gain)
-    if _cancellation(modes, generator, period_s) > _MOST_CANCELLATION:
+    if sum(math.hypot(mode.weight, mode.weight_turn) for mode in modes) > _MOST_CANCELLATION * abs(gain):
         raise DesignError("its servo model loses all digits of a 32-bit number: use a model of lower order")
     limit = (
         min(physics.follow_up_deg_s, physics.rate_up_deg_s),
         min(physics.follow_down_deg_s, physics.rate_down_deg_s),
     )
-    weak = (1.0 - surface.tolerances.rate) * min(limit)
     scale, offset_deg = _straight(surface)
-    width_deg = sum(share * getattr(physics, field) for field, share in _WIDTHS.items())
-    tolerated = [float(value) for value in evaluation.tolerated]
+    delay_s = physics.delay_s + physics.lag_s + physics.offset_s + 0.5 * physics.frame_s
+    on_board = ServoModel(
+        model.transfer, Physics(gain=gain, delay_s=delay_s, follow_up_deg_s=limit[0], follow_down_deg_s=limit[1])
+    )
+    constant = surface.threshold == "constant"
+    limits = thresholds_of(known)
     return OnboardSurface(
         name=short,
         surface=name,
         output=output,
         from_servo=COMMANDS_OF_SERVO.fullmatch(surface.command.channel) is not None,
         command=_polynomial(surface),
-        position=(scale, offset_deg - physics.bias_deg),
+        position=(scale, offset_deg - bias_deg),
         saturation_deg=surface.command_saturation_deg,
         stops_deg=(physics.lower_deg, physics.upper_deg)
         if math.isfinite(physics.upper_deg - physics.lower_deg)
         else None,
-        delay_s=physics.delay_s + physics.lag_s + physics.offset_s + 0.5 * physics.frame_s,
+        delay_s=delay_s,
         modes=modes,
-        dc_gain=model.transfer.dc_gain,
-        rates_deg_s=(gain * limit[0], gain * limit[1]) if math.isfinite(min(limit)) else None,
-        weak_rate_deg_s=gain * weak,
-        filter_pole_rad_s=generator.pole_rad_s,
-        longest_gap_s=generator.longest_gap_s_at(period_s),
-        threshold_deg=surface.threshold_deg + width_deg if surface.threshold == "constant" else None,
-        tolerances=(tolerated[0], tolerated[1], tolerated[2], tolerated[3] + width_deg),
-        noise_deg=max(surface.tolerances.noise_deg, 1e-3),
-        noise_gain=float(evaluation.noise_gain),
-        sigmas=surface.threshold_sigmas,
-        persistence=surface.persistence,
+        dc_gain=gain * model.transfer.dc_gain,
+        rates_deg_s=(gain * limit[0], gain * limit[1], gain * (1.0 - _SLOWER) * min(limit))
+        if math.isfinite(min(limit))
+        else None,
+        lag_s=-float(np.sum(1.0 / model.transfer.poles_rad_s).real),
+        noise_deg=known.noise.still_deg,
+        jitter_s=0.0 if constant else known.noise.lag_s,
+        doubt=_constant_doubt(surface.threshold_deg + _width_deg(physics))
+        if constant
+        else _doubt(known, on_board, named),
+        limit=1.0 if constant else float(limits[0]),
+        energies=(_NEVER, _NEVER) if constant else (float(limits[1]), float(limits[2])),
+        persistence=max(surface.persistence, _PERSISTENCE),
     )
 
 
@@ -267,19 +303,21 @@ def _beyond(physics: Physics) -> list[str]:
 
 def _losses(aircraft: Aircraft, name: str) -> list[str]:
     """What of a surface's model the script leaves out."""
-    surface, physics, lost = aircraft.surfaces[name], aircraft.model(name).physics, []
-    if surface.tolerance is None:
-        lost.append(
-            f"{name} is not calibrated: the script alarms at a constant {surface.threshold_deg:g} deg; "
+    surface = aircraft.surfaces[name]
+    if surface.threshold == "constant":
+        width_deg = _width_deg(aircraft.model(name).physics)
+        wider = f", and {width_deg:.2g} deg more for its play, friction and coarse steps" if width_deg else ""
+        return [
+            f"{name} is not calibrated: the script alarms at a constant {surface.threshold_deg:g} deg{wider}; "
             "`servofd calibrate` of good flights makes that follow the command, down to the noise at rest"
-            if surface.threshold == "constant"
-            else f"{name} is not calibrated: its threshold is that of a fleet of HS-225BB"
-        )
-    widths = {field: share * getattr(physics, field) for field, share in _WIDTHS.items()}
-    wide = [field.removesuffix("_deg").replace("_", " ") for field, width in widths.items() if width > 0.0]
-    if wide:
-        lost.append(f"{name}: threshold {sum(widths.values()):.2g} deg higher, for {' and '.join(wide)}")
-    return lost
+        ]
+    known = surface.tolerance is not None
+    return [] if known else [f"{name} is not calibrated: it may differ as much as a fleet of HS-225BB does"]
+
+
+def _width_deg(physics: Physics) -> float:
+    """How far a servo may stand from where the script's servo does."""
+    return float(sum(share * getattr(physics, field) for field, share in _WIDTHS.items()))
 
 
 def _in_turns(surfaces: Sequence[OnboardSurface], turns: int) -> int:
@@ -347,10 +385,59 @@ def _modes(model: ServoModel, gain: float) -> tuple[Mode, ...]:
     )
 
 
-def _cancellation(modes: tuple[Mode, ...], generator: ResidualGenerator, period_s: float) -> float:
-    """How many times larger than the result the terms are that it is the sum of."""
-    from servofd.detection.residual import lag_weights
+def _constant_doubt(level_deg: float) -> tuple[float, ...]:
+    """Root of the variance that makes a constant level of one standard deviation, and all that a slow motor leaves."""
+    root = np.zeros((_SIGNALS, _SIGNALS))
+    root[0, 0], root[-1, -1] = level_deg, 1.0
+    return tuple(root[np.triu_indices(_SIGNALS)].tolist())
 
-    weights: FloatArray = lag_weights(generator.filter_parameters(), period_s)
-    total = sum(math.hypot(mode.weight, mode.weight_turn) for mode in modes) / abs(sum(mode.weight for mode in modes))
-    return max(total, float(np.abs(weights).sum()) * abs(generator.model.transfer.dc_gain))
+
+def _doubt(known: CalibratedServo, on_board: ServoModel, named: ServoModel | None) -> tuple[float, ...]:
+    """Root of the covariance of what good servos leave, by the signals that the script has of its own servo.
+
+    Sensitivities are those of the servo of the audit, on commands that reach all of its travel; what of them these
+    signals do not show, and what the script's servo does otherwise, grows with the square of each.
+    """
+    from scipy.optimize import nnls
+
+    low_deg, high_deg = np.clip(known.reach_deg, -REACH_DEG, REACH_DEG).tolist()
+    time_s = np.arange(0.0, _TRIED_S, _TRIED_STEP_S)
+    chirp = np.sin(np.pi * _TRIED_HZ / _TRIED_S * time_s**2)
+    steps = np.sign(np.sin(2.0 * time_s)) * np.ceil(4.0 * time_s / _TRIED_S) / 4.0
+    share = np.where(time_s % 10.0 < 5.0, chirp, steps)
+    command_deg = 0.5 * (low_deg + high_deg) + 0.5 * (high_deg - low_deg) * share
+    moved_deg, slow_deg = (each.simulate(time_s, command_deg, time_s) for each in (on_board, on_board.weaker(_SLOWER)))
+    theta, one = known.theta, np.ones(time_s.size)
+    table, start_deg = variants(theta, patterns=False), np.full(time_s.size, np.nan)
+    start_deg[0] = moved_deg[0]
+    load = load_at(known.airspeed_m_s) if known.airspeed_m_s else 1.0
+    position_deg, speed_deg_s = simulated(
+        table, new_state(len(table)), (time_s, command_deg, 0.0 * one), time_s, load * one, one, start_deg
+    )
+    reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, known.reach_deg)
+    reading_deg -= known.parameters["bias_deg"]
+    if named is not None:
+        reading_deg = named.simulate(time_s, command_deg, time_s)
+    left_deg = np.column_stack([slopes @ np.linalg.cholesky(known.covariance), reading_deg - moved_deg])
+    signals = _signals(on_board, moved_deg, slow_deg)
+    shown = np.linalg.lstsq(signals, left_deg, rcond=_ALIKE)[0]
+    rest = np.sum((left_deg - signals @ shown) ** 2, axis=1)
+    covariance = shown @ shown.T + np.diag(_ALIKE + nnls(signals**2, rest)[0])
+    return tuple(np.linalg.cholesky(covariance).T[np.triu_indices(_SIGNALS)].tolist())
+
+
+def _signals(servo: ServoModel, moved_deg: FloatArray, slow_deg: FloatArray) -> FloatArray:
+    """What the script knows of its servo at each instant, shape (n, 6): one, its deflection, rate, and so on."""
+    from scipy.signal import lfilter
+
+    quick, turned = np.zeros_like(moved_deg), np.zeros_like(moved_deg)
+    for k, decay in enumerate(servo.transfer.modes().decay_rad_s):
+        half = 0.5 * _TRIED_STEP_S * decay
+        passed = lfilter([half, half], [1.0 + half, half - 1.0], moved_deg - moved_deg[0])
+        quick += (1.0 if decay.imag == 0.0 else 2.0) * (moved_deg - moved_deg[0] - passed.real)
+        if decay.imag != 0.0:
+            turned = passed.imag
+        elif k == 0:
+            turned = quick.copy()
+    rate_deg_s = np.diff(moved_deg, prepend=moved_deg[0]) / _TRIED_STEP_S
+    return np.column_stack([np.ones_like(moved_deg), moved_deg, rate_deg_s, quick, turned, moved_deg - slow_deg])

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from servofd.onboard.plan import OnboardPlan, OnboardSurface
 
-_FOLDED_AT = 112
-"""Columns of a line of the script at most."""
 _STREAM_HZ = 25.0
 """Rate at which the script sends positions [Hz]."""
 
@@ -30,7 +28,7 @@ def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:
     >>> from servofd.onboard.plan import plan_onboard
     >>> text = watch_script(plan_onboard(load_aircraft("simulated")))
     >>> [line[:60] for line in text.splitlines() if "RUDDER" in line]
-    ['   { name = "RUDDER", output = 4, gain = 0.09, offset = 0.0,']
+    ['   { "name=RUDDER output=4 gain=0.09 offset=0.0 sense=1.0 zer']
     """
     return _rendered(
         "watch.lua",
@@ -82,59 +80,49 @@ def _comment(text: str) -> str:
 
 
 def _entry(surface: OnboardSurface) -> str:
-    """Settings of a surface as the inside of a Lua table, folded."""
+    """Settings of a surface as lines of text: what is wired, its servo, and how far good ones differ."""
     start, slope, square, cubic = surface.command
-    settings: dict[str, Any] = {
+    modes = [(mode.decay_rad_s, mode.turn_rad_s, mode.weight, mode.weight_turn) for mode in surface.modes]
+    wired: dict[str, Any] = {
         "name": surface.name,
         "output": surface.output,
         "gain": slope,
         "offset": start,
+        "curve": (square, cubic) if square or cubic else None,
+        "bounds": surface.saturation_deg,
         "sense": surface.position[0],
         "zero": surface.position[1],
+        "telemetry": int(surface.from_servo) or None,
+    }
+    servo: dict[str, Any] = {
         "delay_us": round(US_PER_S * surface.delay_s),
         "dc_gain": surface.dc_gain,
-        "pole": surface.filter_pole_rad_s,
-        "gap_us": round(US_PER_S * surface.longest_gap_s),
-        "tolerance": list(surface.tolerances),
-        "noise": surface.noise_deg,
-        "sigmas": surface.sigmas * surface.noise_gain,
-        "persistence": surface.persistence,
-        "modes": [[mode.decay_rad_s, mode.turn_rad_s, mode.weight, mode.weight_turn] for mode in surface.modes],
+        "lag": surface.lag_s,
+        "rates": surface.rates_deg_s,
+        "stops": surface.stops_deg,
+        "modes": [number for mode in modes for number in mode],
     }
-    if surface.threshold_deg is not None:
-        settings["threshold"] = surface.threshold_deg
-    if surface.from_servo:
-        settings["telemetry"] = True
-    if square or cubic:
-        settings["curve"] = [square, cubic]
-    if surface.saturation_deg is not None:
-        settings["bounds"] = list(surface.saturation_deg)
-    if surface.stops_deg is not None:
-        settings["stops"] = list(surface.stops_deg)
-    if surface.rates_deg_s is not None:
-        settings["rates"] = [*surface.rates_deg_s, surface.weak_rate_deg_s]
-    lines = [""]
-    for key, value in settings.items():
-        item = f"{key} = {_lua(value)},"
-        if lines[-1] and len(lines[-1]) + len(item) > _FOLDED_AT:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {item}".lstrip()
-    return "\n     ".join(lines).removesuffix(",")
+    doubt: dict[str, Any] = {
+        "noise": surface.noise_deg,
+        "jitter": surface.jitter_s,
+        "limit": surface.limit,
+        "energies": surface.energies,
+        "persistence": surface.persistence,
+        "doubt": [float(f"{number:.5g}") for number in surface.doubt],
+    }
+    lines = (" ".join(f"{k}={_text(v)}" for k, v in each.items() if v is not None) for each in (wired, servo, doubt))
+    return ",\n     ".join(f'"{line}"' for line in lines)
 
 
-def _lua(value: Any) -> str:  # noqa: ANN401 - whatever Lua has
-    """Literal of a value, with as many digits as 32 bits hold.
+def _text(value: Any) -> str:  # noqa: ANN401 - whatever a setting is
+    """A setting, with as many digits as 32 bits hold.
 
-    >>> _lua([1.0, 0.1]), _lua(3), _lua(True), _lua("a")
-    ('{ 1.0, 0.1 }', '3', 'true', '"a"')
+    >>> _text([1.0, 0.1]), _text(3), _text("a")
+    ('1.0,0.1', '3', 'a')
     """
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return "{ " + ", ".join(_lua(item) for item in value) + " }"
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, int):
+    if isinstance(value, list | tuple):
+        return ",".join(_text(item) for item in value)
+    if isinstance(value, str | int):
         return str(value)
     text = f"{value:.9g}"
     return text if any(letter in text for letter in ".e") else f"{text}.0"

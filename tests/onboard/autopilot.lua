@@ -18,7 +18,7 @@ local function rounded(f)
    end
 end
 local math_32 = { exp = rounded(math.exp), cos = rounded(math.cos), sin = rounded(math.sin), abs = math.abs,
-                  max = math.max, min = math.min, type = math.type }
+                  max = math.max, min = math.min, sqrt = rounded(math.sqrt), type = math.type }
 
 local place = {}
 for k = 1, #OUTPUTS do

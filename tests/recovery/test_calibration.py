@@ -218,6 +218,14 @@ def test_positions_that_pause_are_no_change_of_the_servo() -> None:
 
 
 @pytest.mark.slow
+def test_sticks_at_their_ends_for_a_moment_do_not_hide_a_servo_s_travel() -> None:
+    """Before take-off, in positions that are few: the reach that was seen is that of 99.8 % of them."""
+    healthy = flown(FleetServo(noise_deg=0.05), 0, "gusty", 80.0)
+    far = healthy.command_s < healthy.command_s[0] + 0.04
+    assert "x" in calibrated(replace(healthy, command_deg=np.where(far, 90.0, healthy.command_deg))).aircraft.surfaces
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_jam_of_most_of_the_flight_is_refused_with_its_time(seed: int) -> None:
     plane = plain_aircraft(["x"], "s9254")
