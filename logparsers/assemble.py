@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from logparsers import clock
-from logparsers.channels import as_float
+from logparsers.channels import Made, as_float
 from logparsers.errors import EmptyLog
 from logparsers.records import Channel, Damage, FlightLog, own, rows_text
 
@@ -65,7 +65,8 @@ def assemble(
         if blank.any() and column.name not in apart:
             found.append(_non_finite(column.name, stamps, values, blank))
     ends = float(stamps[0]), float(stamps[-1])
-    return FlightLog(path, kind, Columns(stamps, None if kept.all() else kept, series), tuple(found), run, span_s=ends)
+    channels = from_columns(stamps, None if kept.all() else kept, series)
+    return FlightLog(path, kind, channels, tuple(found), run, span_s=ends)
 
 
 def join_rows(
@@ -134,29 +135,22 @@ def _repeated(time_s: FloatArray, another: NDArray[np.bool_], row_of: NDArray[np
     return (Damage("out_of_order", note, int(rows.size), float(time_s[rows[0]]), float(time_s[rows[-1]])),)
 
 
-class Columns(Mapping[str, Channel]):
+def from_columns(time_s: FloatArray, kept: NDArray[np.bool_] | None, columns: Mapping[str, Column]) -> Made:
     """Channels of rows that share a clock, made of the columns of a file when they are looked up.
 
     `time_s` (shape (m,)): stamps of the rows that are kept [s]. `kept` (shape (n,)): which they are; None: all.
     `columns`: by name, n values each.
     """
+    stamps = own(time_s)
 
-    def __init__(self, time_s: FloatArray, kept: NDArray[np.bool_] | None, columns: Mapping[str, Column]) -> None:
-        self._time_s, self._kept, self._columns = own(time_s), kept, columns
-
-    def __getitem__(self, name: str) -> Channel:
-        column = self._columns[name]
-        values = column.values if self._kept is None else column.values[self._kept]
-        floats = as_float(values)
+    def made(name: str) -> Channel:
+        column = columns[name]
+        floats = as_float(column.values if kept is None else column.values[kept])
         floats[np.isinf(floats)] = np.nan
         floats.setflags(write=False)
-        return Channel(name, self._time_s, floats, column.unit, column.origin)
+        return Channel(name, stamps, floats, column.unit, column.origin)
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
+    return Made(columns, made)
 
 
 def _non_finite(name: str, stamps: FloatArray, values: FloatArray, blank: NDArray[np.bool_]) -> Damage:

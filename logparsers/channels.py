@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
@@ -71,23 +71,33 @@ def as_float(values: NDArray[Any]) -> FloatArray:
         return values.astype(np.float64)
 
 
-class Together(Mapping[str, Channel]):
-    """Channels of several records under one roof, each made by its own when it is looked up."""
+class Made(Mapping[str, Channel]):
+    """Channels by name, each made when it is looked up."""
 
-    def __init__(self, homes: Mapping[str, Mapping[str, Channel]]) -> None:
-        self._homes = homes
+    def __init__(self, names: Collection[str], make: Callable[[str], Channel]) -> None:
+        self._names, self._make = names, make
 
     def __getitem__(self, name: str) -> Channel:
-        return self._homes[name][name]
+        if name not in self._names:
+            raise KeyError(name)
+        return self._make(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._homes)
+        return iter(self._names)
 
     def __len__(self) -> int:
-        return len(self._homes)
+        return len(self._names)
 
 
-class LazyChannels(Mapping[str, Channel]):
+def together(homes: Mapping[str, Mapping[str, Channel]]) -> Made:
+    """Channels of several records under one roof, each made by its own when it is looked up."""
+    return Made(homes, lambda name: homes[name][name])
+
+
+class LazyChannels(Made):
     """Channels by name, each decoded when it is looked up; time stamps are kept, values are not.
 
     Rows that came late are sorted in, rows that came twice or with a wrong stamp are left out: `survey` counts them.
@@ -100,6 +110,7 @@ class LazyChannels(Mapping[str, Channel]):
         self._series, self._is_whole = (recording.series(), True) if names is None else (names, True)
         if len(self._series) > MOST_CHANNELS:
             self._series, self._is_whole = dict(islice(self._series.items(), MOST_CHANNELS)), False
+        super().__init__(self._series, self._decoded)
         self._clocks: dict[Hashable, tuple[FloatArray, NDArray[np.intp] | None, Damage | None]] = {}
 
     def only(self, wanted: Only, path: Path, others: Iterable[str] = ()) -> LazyChannels:
@@ -119,8 +130,7 @@ class LazyChannels(Mapping[str, Channel]):
         chosen._is_whole = self._is_whole
         return chosen
 
-    def __getitem__(self, name: str) -> Channel:
-        """Decode a channel."""
+    def _decoded(self, name: str) -> Channel:
         series = self._series[name]
         time_s, rows, _ = self._clock(series.group)
         values = self._recording.values(series)
@@ -129,15 +139,6 @@ class LazyChannels(Mapping[str, Channel]):
         floats = as_float(values)
         floats.setflags(write=False)
         return Channel(name, time_s, floats, series.unit, series.origin)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._series)
-
-    def __len__(self) -> int:
-        return len(self._series)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._series
 
     def survey(self) -> tuple[tuple[Damage, ...], tuple[float, float] | None]:
         """Look at the time stamps of all channels, and at no value.

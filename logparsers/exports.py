@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.channels import MOST_CHANNELS, Series, Together, recorded_log
+from logparsers.channels import MOST_CHANNELS, Series, recorded_log, together
 from logparsers.errors import MissingChannel, UnreadableLog, decoding
 from logparsers.records import Damage, FlightLog
 from logparsers.text import convert, header_cells, read_grid, texts_of
@@ -234,7 +234,7 @@ def _ros(parts: Sequence[Part], path: Path, only: Only) -> FlightLog:
         log = assemble(part.path, kind="table", time_s=part.columns["%time"] * S_PER_NS, columns=columns)
         homes |= dict.fromkeys(log.channels, log.channels)
         damage += log.damage
-    return FlightLog(path, "table", Together(homes), tuple(damage)).only(only)
+    return FlightLog(path, "table", together(homes), tuple(damage)).only(only)
 
 
 class _Tables:

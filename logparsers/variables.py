@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from logparsers.assemble import Column, assemble
-from logparsers.channels import Together
+from logparsers.channels import together
 from logparsers.dataflash.exported import is_exported
 from logparsers.errors import MissingChannel, decoding
 from logparsers.exports import dataflash_log, labelled_messages
@@ -107,7 +107,7 @@ def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout
         damage = ()
     if len(logs) == 1:
         return next(iter(logs.values()))
-    channels = Together({names[key]: logs[clock].channels for key, clock in clock_of.items()})
+    channels = together({names[key]: logs[clock].channels for key, clock in clock_of.items()})
     return FlightLog(path, kind, channels, tuple(d for log in logs.values() for d in log.damage))
 
 

@@ -204,7 +204,7 @@ def test_columns_that_say_nothing_are_refused(columns: dict[str, str], says: str
 
 def test_errors_are_in_words_of_python(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"a level in degrees is threshold_deg=0\.5"):
-        servofd.audit(STUCK, threshold=0.5)  # type: ignore[call-overload]
+        servofd.audit(STUCK, threshold=0.5)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match=r"^fault=rudder:stick@3: .* did you mean stuck"):
         servofd.simulate(fault="rudder:stick@3")
     with pytest.raises(NoMeasurement, match=r"an aircraft file \(aircraft=\)"):

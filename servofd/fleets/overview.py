@@ -18,32 +18,6 @@ _RANK = ("fault", "suspect", "not_judged", "unknown", "no_data", "healthy")
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceCount:
-    """One surface over all logs that know it."""
-
-    surface: str
-    servos: tuple[str, ...]
-    logs: dict[str, int]
-    """Status to number of logs."""
-    kinds: dict[str, int]
-    """Kind of fault to number of faults."""
-    largest_share: float | None
-    """Largest residual over its threshold, of the logs without fault."""
-
-
-@dataclass(frozen=True, slots=True)
-class AxisCount:
-    """What motion showed of one axis over all logs that were judged by it."""
-
-    axis: str
-    members: tuple[str, ...]
-    logs: dict[str, int]
-    """Status to number of logs."""
-    effect_left: tuple[float, float] | None
-    """Smallest and largest share of its effect, of the logs in which it was healthy."""
-
-
-@dataclass(frozen=True, slots=True)
 class Overview:
     """A fleet on one page.
 
@@ -57,8 +31,11 @@ class Overview:
     hours: float
     statuses: dict[str, int]
     """Worst status of a log to number of logs; ``not_judged`` where there is no verdict on the log as a whole."""
-    surfaces: tuple[SurfaceCount, ...]
-    axes: tuple[AxisCount, ...]
+    surfaces: tuple[dict[str, Any], ...]
+    """Each surface over all logs that know it: its servos, logs by status, faults by kind, and the largest residual
+    over its threshold in the logs without a fault."""
+    axes: tuple[dict[str, Any], ...]
+    """What motion showed of each axis: its surfaces, logs by status, smallest and largest share of its effect."""
     faults: tuple[dict[str, Any], ...]
     """One for each fault of a surface: path, run, surface, and what servofd.audit/1 says of it."""
     not_judged: tuple[dict[str, Any], ...]
@@ -142,30 +119,30 @@ def _flight(log: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]]) -> SurfaceCount:
+def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]]) -> dict[str, Any]:
     entries = [entry for _, surface, entry in every if surface == name]
     shares = [share for entry in entries if entry["status"] != "fault" and (share := _share(entry)) is not None]
-    return SurfaceCount(
-        name,
-        tuple(dict.fromkeys(entry["servo"] for entry in entries)),
-        dict(Counter(entry["status"] for entry in entries)),
-        dict(Counter(fault["kind"] for entry in entries for fault in entry["faults"])),
-        max(shares, default=None),
-    )
+    return {
+        "surface": name,
+        "servos": list(dict.fromkeys(entry["servo"] for entry in entries)),
+        "logs": dict(Counter(entry["status"] for entry in entries)),
+        "kinds": dict(Counter(fault["kind"] for entry in entries for fault in entry["faults"])),
+        "largest_share": max(shares, default=None),
+    }
 
 
-def _axis_count(name: str, entries: Sequence[dict[str, Any]]) -> AxisCount:
+def _axis_count(name: str, entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
     left = [
         1.0 - entry["lost_share"]
         for entry in entries
         if entry["status"] == "healthy" and entry["lost_share"] is not None
     ]
-    return AxisCount(
-        name,
-        tuple(dict.fromkeys(member for entry in entries for member in entry["members"])),
-        dict(Counter(entry["status"] for entry in entries)),
-        (min(left), max(left)) if left else None,
-    )
+    return {
+        "axis": name,
+        "members": list(dict.fromkeys(member for entry in entries for member in entry["members"])),
+        "logs": dict(Counter(entry["status"] for entry in entries)),
+        "effect_left": [min(left), max(left)] if left else None,
+    }
 
 
 def _share(entry: dict[str, Any]) -> float | None:

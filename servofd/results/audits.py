@@ -277,32 +277,6 @@ class Audits(tuple[Audit, ...]):
         return Path(path)
 
 
-@overload
-def audit(
-    log: str | Path,
-    aircraft: Aircraft | str | Path | None = None,
-    *,
-    servo: str | None = None,
-    threshold_deg: float | None = None,
-    threshold: ThresholdKind | None = None,
-    surfaces: tuple[str, ...] = (),
-    columns: Mapping[str, str] | None = None,
-) -> Any: ...  # noqa: ANN401 - only the disk knows whether it is a log or a folder
-
-
-@overload
-def audit(
-    log: Log | Flown,
-    aircraft: Aircraft | str | Path | None = None,
-    *,
-    servo: str | None = None,
-    threshold_deg: float | None = None,
-    threshold: ThresholdKind | None = None,
-    surfaces: tuple[str, ...] = (),
-    columns: Mapping[str, str] | None = None,
-) -> Audit | Audits: ...
-
-
 @in_words_of_python
 def audit(
     log: Log | Flown,
@@ -313,7 +287,7 @@ def audit(
     threshold: ThresholdKind | None = None,
     surfaces: tuple[str, ...] = (),
     columns: Mapping[str, str] | None = None,
-) -> Audit | Audits | Fleet:
+) -> Any:  # noqa: ANN401 - only the disk knows whether a path is a log or a folder
     """Judge every surface of a log, or of each log of a folder.
 
     Parameters

@@ -61,9 +61,9 @@ def test_many_flights_without_feedback_are_judged_by_their_axes(
     assert code == (1 if found["9"]["status"] == "fault" else 2)
     assert any(line.startswith(f"{found['9']['status']} ") and "2026-05-09.csv" in line for line in lines)
     (count,) = overview(read_logs(results)).axes
-    assert count.logs == {"healthy": 1, found["9"]["status"]: 1}
-    assert count.effect_left is not None
-    assert count.effect_left[0] == count.effect_left[1] == pytest.approx(1.0, abs=0.1)
+    assert count["logs"] == {"healthy": 1, found["9"]["status"]: 1}
+    assert count["effect_left"] is not None
+    assert count["effect_left"][0] == count["effect_left"][1] == pytest.approx(1.0, abs=0.1)
     page = (results / "fleet.html").read_text()
     assert "Axes, judged by the motion of the aircraft" in page
     assert "No log was judged" not in page

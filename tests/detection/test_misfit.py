@@ -30,7 +30,8 @@ def steps(size_deg: float, seed: int) -> FloatArray:
 
 def verdict_of(command_deg: FloatArray, measured_deg: FloatArray) -> SurfaceAudit:
     table = pd.DataFrame({"time_s": TIME_S, "x_cmd_deg": command_deg, "x_pos_deg": measured_deg})
-    return servofd.audit(table)[0].surfaces[0]
+    found: SurfaceAudit = servofd.audit(table).surfaces[0]
+    return found
 
 
 @pytest.mark.slow

@@ -262,7 +262,7 @@ def test_a_damaged_part_is_named(results: Path, tmp_path: Path, capsys: pytest.C
 def test_the_overview_counts_what_the_logs_say(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seen = overview(read_logs(results))
     assert (seen.logs, seen.statuses, seen.exit_code) == (6, {"not_judged": 1, "healthy": 4, "fault": 1}, 1)
-    assert {count.surface: count.kinds for count in seen.surfaces} == {"elevator": {}, "rudder": {"stuck": 1}}
+    assert {count["surface"]: count["kinds"] for count in seen.surfaces} == {"elevator": {}, "rudder": {"stuck": 1}}
     code, out, _ = run(capsys, "fleet", results, "--json", "-")
     document = json.loads(out)
     assert (code, document["schema"], len(document["faults"])) == (1, "servofd.fleets/1", 1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from logparsers import Channel, Damage, FlightLog, MissingChannel
-from logparsers.assemble import Column, Columns
+from logparsers.assemble import Column, from_columns
 from logparsers.only import Only
 
 LOG = FlightLog(
@@ -122,6 +122,6 @@ def test_the_same_disorder_of_many_messages_is_one_line() -> None:
 
 def test_a_signalling_nan_of_a_damaged_file_is_a_nan() -> None:
     values = np.array([0x3F800000, 0x7FA00000], dtype=np.uint32).view(np.float32)
-    columns = Columns(np.array([0.0, 1.0]), None, {"x": Column("x", values, "deg", "file")})
+    columns = from_columns(np.array([0.0, 1.0]), None, {"x": Column("x", values, "deg", "file")})
     assert columns["x"].values.tolist()[0] == 1.0
     assert np.isnan(columns["x"].values[1])
