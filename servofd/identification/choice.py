@@ -5,153 +5,51 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from servofd.core.errors import IdentificationError
-from servofd.core.statistics import Estimate
 from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.records import Run
 from servofd.servo.library import second_order
 
 if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
+    pass
 
-_FROM, _TO = 0.2, 0.8
-"""Part of the travel that is straight. The largest slope of any 40 ms would be noise: 384 instead of 370 deg/s."""
 _STEP_SHARE = 0.2
 """Share of the commanded range from which on a change is a step."""
-_SETTLED_SHARE = 0.2
-"""Share of the samples behind a step whose mean is the final position."""
-_TRAVELLED = 0.5
-_FEWEST_SAMPLES = 4
-"""Samples between which a slope is measured at least."""
-_LINEAR_SHARE = 0.9
-"""A step whose slope comes so near that of the servo without a limit shows no limit."""
-_DENSE_S = 5e-4
-"""Step of the simulated response to a step [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class StepSlope:
-    """One step: from where to where, when, and how fast between 20 and 80 % of the way."""
+class Step(NamedTuple):
+    """A command that is new by a jump, and holds until another."""
 
-    run: int
     start_s: float
     end_s: float
-    travel_deg: float
-    slope_deg_s: float
-    deviation_deg_s: float
-    """Standard deviation of the slope."""
+    jump_deg: float
 
 
-@dataclass(frozen=True, slots=True)
-class RateLimits:
-    """Rate limits in both directions; None where no step shows one."""
-
-    up: Estimate | None
-    down: Estimate | None
-    reason: str
-    """Why there is none, or what the limits rest on."""
-
-
-def step_slopes(runs: Sequence[Run]) -> tuple[StepSlope, ...]:
-    """Slope of every step that the position has followed to its end.
+def steps_of(run: Run) -> list[Step]:
+    """All steps of a run.
 
     Examples
     --------
     >>> from servofd.identification.records import prepared
     >>> from servofd.aircraft.series import Series
     >>> t = np.arange(100) / 100.0
-    >>> ramp = np.clip(300.0 * (t - 0.1), 0.0, 60.0)
-    >>> run = prepared(Series("x", t, np.where(t < 0.1, 0.0, 60.0), t, ramp))
-    >>> round(step_slopes([run])[0].slope_deg_s, 6)
-    300.0
+    >>> run = prepared(Series("x", t, np.where(t < 0.1, 0.0, 60.0), t, np.zeros(100)))
+    >>> [(round(step.start_s, 2), step.jump_deg) for step in steps_of(run)]
+    [(0.1, 60.0)]
     """
-    found = []
-    for index, run in enumerate(runs):
-        for start_s, end_s in _steps(run):
-            inside = (run.measured_s >= start_s) & (run.measured_s < end_s)
-            slope = _slope(run.measured_s[inside], run.measured_deg[inside])
-            if slope is not None:
-                found.append(StepSlope(index, start_s, end_s, *slope))
-    return tuple(found)
-
-
-def rate_limits(runs: Sequence[Run], linear: LinearServo) -> RateLimits:
-    """Rate limits in both directions from the steps that are large enough.
-
-    Each step is compared with the same step of the servo without a limit, over the same part of the way: one that
-    is hardly slower does not show the limit, and is left out.
-    """
-    slopes = step_slopes(runs)
-    if not slopes:
-        return RateLimits(None, None, "no step: a command that jumps and holds until the servo has arrived")
-    limited = [slope for slope in slopes if abs(slope.slope_deg_s) < _LINEAR_SHARE * _linear_slope(runs, slope, linear)]
-    if not limited:
-        largest = max(abs(slope.travel_deg) for slope in slopes)
-        return RateLimits(
-            None,
-            None,
-            f"steps of up to {largest:.3g} deg move as fast as the linear servo would: too small to reach the rate "
-            "limit, use larger ones",
-        )
-    up, down = (_average([s for s in limited if np.sign(s.slope_deg_s) == sign]) for sign in (1.0, -1.0))
-    return RateLimits(up, down, f"slope over 20 to 80 % of the way of {len(limited)} of {len(slopes)} steps")
-
-
-def _steps(run: Run) -> list[tuple[float, float]]:
-    """Start and end of every time during which a command, new by a jump, holds."""
     threshold_deg = _STEP_SHARE * run.span_deg
     changed = np.flatnonzero(np.diff(run.command_deg) != 0.0) + 1
     ends = np.append(run.command_s[changed[1:]], max(run.command_s[-1], run.measured_s[-1]) + 1e-9)
     jumps_deg = run.command_deg[changed] - run.command_deg[changed - 1]
     return [
-        (float(run.command_s[k]), float(end_s))
+        Step(float(run.command_s[k]), float(end_s), float(jump_deg))
         for k, end_s, jump_deg in zip(changed, ends, jumps_deg, strict=True)
         if abs(jump_deg) > threshold_deg
     ]
-
-
-def _slope(time_s: FloatArray, position_deg: FloatArray) -> tuple[float, float, float] | None:
-    """Travel, slope and its deviation of one step; None if it did not arrive or has too few samples."""
-    if time_s.size < 2 * _FEWEST_SAMPLES:
-        return None
-    begin, settled = position_deg[0], position_deg[-max(2, int(_SETTLED_SHARE * time_s.size)) :]
-    travel = float(np.median(settled) - begin)
-    if travel == 0.0 or np.ptp(settled) > (1.0 - _TRAVELLED) * abs(travel):
-        return None
-    way = (position_deg - begin) / travel
-    first = int(np.argmax(way > _FROM))
-    last = first + int(np.argmax(way[first:] > _TO))
-    if last - first < _FEWEST_SAMPLES:
-        return None
-    t, y = time_s[first:last] - time_s[first:last].mean(), position_deg[first:last]
-    slope = float(t @ y / (t @ t))
-    error = y - y.mean() - slope * t
-    return travel, slope, float(np.sqrt(error @ error / (t.size - 2) / (t @ t)))
-
-
-def _linear_slope(runs: Sequence[Run], step: StepSlope, linear: LinearServo) -> float:
-    """Slope of the same step without a rate limit [deg/s]."""
-    run = runs[step.run]
-    at_s = np.arange(step.start_s, step.end_s, _DENSE_S)
-    dense = Run(run.servo, run.command_s, run.command_deg, at_s, at_s)
-    slope = _slope(at_s, ServoCandidate(linear).simulate(dense))
-    return abs(slope[1]) if slope is not None else float("inf")
-
-
-def _average(slopes: Sequence[StepSlope]) -> Estimate | None:
-    if not slopes:
-        return None
-    rates = np.array([abs(s.slope_deg_s) for s in slopes])
-    weights = 1.0 / np.maximum([s.deviation_deg_s for s in slopes], 1e-4 * rates) ** 2
-    value = float(weights @ rates / weights.sum())
-    # The scatter of the steps counts where it is larger than each slope's own deviation.
-    scatter = float(np.std(rates, ddof=1) / np.sqrt(rates.size)) if rates.size > 1 else 0.0
-    deviation = max(float(1.0 / np.sqrt(weights.sum())), scatter)
-    return Estimate.of(value, deviation)
 
 
 _WORTH = 0.98
@@ -165,6 +63,8 @@ _BANDWIDTHS_HZ, _DAMPINGS, _DELAYS_S = (2.0, 4.0, 8.0, 16.0), (0.7, 1.6), (0.0, 
 _STARTS = 2
 _FEW, _MANY = 16, 120
 """Steps of a descent that shall only show whether the start was a good one, and of the last one."""
+_FASTEST, _FAST = 0.99, 0.5
+"""Quantile of the speeds, and the share of it beyond which a servo may be at its limit."""
 _DEAD_BAND_SHARES = (0.02, 0.04)
 """Of the range of motion, where the search for a dead band begins."""
 
@@ -219,14 +119,14 @@ def with_unity_gain(runs: Sequence[Run], fit: MotionFit) -> MotionFit | None:
     return fixed if fixed.bic < fit.bic else None
 
 
-def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, order: int | None, *, swept: bool) -> MotionFit:
-    """Add rate limits and a dead band as far as they explain what the linear servo does not."""
+def choose_nonlinear(runs: Sequence[Run], linear: MotionFit, swept: LinearServo | None, order: int | None) -> MotionFit:
+    """Add rate limits and a dead band as far as they explain what the linear servo, or that of the sweeps, does not."""
     best = linear
     rate_deg_s = _typical_rate(runs)
     grid = _grid(order or 2)
-    shapes = [linear.servo.linear, *(grid[:: len(_DELAYS_S) * len(_DAMPINGS)] if swept else grid)]
+    shapes = [linear.servo.linear, *([swept, *grid[:: len(_DELAYS_S) * len(_DAMPINGS)]] if swept else grid)]
     # Steps in one direction alone cannot show a limit in the other.
-    down_deg_s = None if len({np.sign(slope.travel_deg) for slope in step_slopes(runs)}) == 1 else rate_deg_s
+    down_deg_s = None if len({np.sign(step.jump_deg) for run in runs for step in steps_of(run)}) == 1 else rate_deg_s
     limited = [ServoCandidate(replace(s, gain=float(np.sign(s.gain))), rate_deg_s, down_deg_s) for s in shapes]
     best = _better(best, _best_of(runs, limited))
     if best.is_white and swept:
@@ -309,9 +209,9 @@ def _reordered(servo: LinearServo, order: int) -> LinearServo:
 
 
 def _typical_rate(runs: Sequence[Run]) -> float:
-    """Speed of the steps, or else the speed that is hardly ever passed [deg/s]."""
-    slopes = [abs(slope.slope_deg_s) for slope in step_slopes(runs)]
-    if slopes:
-        return float(np.quantile(slopes, 0.75))
-    speeds = [np.abs(np.gradient(run.measured_deg, run.measured_s)) for run in runs]
-    return float(np.quantile(np.concatenate(speeds), 0.95)) or 1.0
+    """Speed of what moves fast in the run that moves fastest [deg/s], single samples left out."""
+    rates = []
+    for run in runs:
+        speed = np.abs(np.gradient(run.measured_deg, run.measured_s))
+        rates.append(float(np.median(speed[speed >= _FAST * np.quantile(speed, _FASTEST)])))
+    return max(rates) or 1.0

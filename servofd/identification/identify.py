@@ -13,10 +13,9 @@ from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.identification.choice import (
     Choice,
-    RateLimits,
     choose_linear,
     choose_nonlinear,
-    rate_limits,
+    steps_of,
     with_unity_gain,
 )
 from servofd.identification.motion import MotionFit, ServoCandidate, check_saturation, evaluated, fit_motion
@@ -118,17 +117,18 @@ def identify(
     progress("linear servo")
     _check_follows(free, tests)
     _check_drift(free, tests)
-    fit, limits = _with_effects(tests, free, order)
+    fit = free = _with_effects(tests, free, order)
     progress("rate limits and dead band")
-    free = fit
     unity = with_unity_gain(tests.fitted(fit), fit) if fit.is_white and fit.servo.linear.gain > 0.0 else None
     if unity is not None:
         fit = unity
         notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
-    final = _with_rates(fit.servo, limits, notes)
+    final = fit.servo
+    if final.rate_up_deg_s is None:
+        notes.append(_no_rate(tests.runs))
     parts, offsets = evaluated(tests.runs, final)
     choice = Choice(free, choice.further if free is choice.fit else None)
-    intervals = intervals_of(choice, final, limits)
+    intervals = intervals_of(choice, final)
     progress("intervals")
     notes += notes_on_servo(choice, tests.fitted(free), intervals, tests.span_rad_s)
     result = Identification(
@@ -299,28 +299,24 @@ def _deviation_deg(runs: Sequence[Run]) -> float:
     return float(np.std(np.concatenate([run.measured_deg - run.measured_deg.mean() for run in runs])))
 
 
-def _with_effects(tests: _Tests, linear: MotionFit, order: int | None) -> tuple[MotionFit, RateLimits]:
-    """Rate limits from steps, and everything the errors of the linear servo ask for."""
-    limits = rate_limits(tests.runs, linear.servo.linear)
-    if linear.is_white and tests.small:
-        return linear, limits
+def _with_effects(tests: _Tests, linear: MotionFit, order: int | None) -> MotionFit:
+    """Rate limits and a dead band, if the errors of the linear servo ask for them."""
     everything = linear if len(linear.errors_deg) == len(tests.runs) else fit_motion(tests.runs, linear.servo)
     if everything.is_white:
-        return everything, limits
-    fit = choose_nonlinear(tests.runs, everything, order, swept=tests.nominal is not None)
-    return fit, rate_limits(tests.runs, fit.servo.linear)
+        return linear
+    return choose_nonlinear(tests.runs, everything, linear.servo.linear if tests.small else None, order)
 
 
-def _with_rates(servo: ServoCandidate, limits: RateLimits, notes: list[str]) -> ServoCandidate:
-    """The servo with the rate limits of its steps, unless the motion gave them already."""
-    if servo.rate_up_deg_s is not None:
-        return servo
-    up, down = limits.up or limits.down, limits.down or limits.up
-    if up is None or down is None:
-        notes.append(f"rate limit not identified: {limits.reason}")
-        return servo
-    notes.append(f"rate limit: {limits.reason}")
-    return replace(servo, rate_up_deg_s=up.value, rate_down_deg_s=down.value)
+def _no_rate(runs: Sequence[Run]) -> str:
+    """Why no rate limit was found."""
+    largest_deg = max((abs(step.jump_deg) for run in runs for step in steps_of(run)), default=0.0)
+    why = "no step: a command that jumps and holds until the servo has arrived"
+    if largest_deg:
+        why = (
+            f"steps of up to {largest_deg:.3g} deg move as fast as the linear servo would: too small to reach the rate "
+            "limit, use larger ones"
+        )
+    return f"rate limit not identified: {why}"
 
 
 def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Series]]) -> Identification:
@@ -332,16 +328,14 @@ def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Series]]) -
     if linear.delay_s < 0.0:
         notes.append(f"phase asks for a delay of {MS_PER_S * linear.delay_s:.2f} ms: set to 0")
         linear = replace(linear, delay_s=0.0)
-    limits = rate_limits(tests.runs, linear)
-    servo = _with_rates(ServoCandidate(linear), limits, notes)
+    servo = ServoCandidate(linear)
     errors, offsets = evaluated(tests.runs, servo)
-    rates = (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down))
     return Identification(
         surface=sets[0][0].surface,
         method="magnitude",
         servo=servo,
-        intervals={name: interval for name, interval in rates if interval is not None},
-        notes=(*notes, "magnitude fit (thesis 3.3): no intervals; --method response gives them"),
+        intervals={},
+        notes=(*notes, "magnitude fit (thesis 3.3): no intervals and no rate limit; --method response gives them"),
         runs=tests.runs,
         errors_deg=errors,
         offset_deg=float(offsets.mean()),

@@ -21,7 +21,7 @@ from servofd.identification.motion import (
 )
 
 if TYPE_CHECKING:
-    from servofd.identification.choice import Choice, RateLimits
+    from servofd.identification.choice import Choice
     from servofd.identification.records import Run
 
 _UNIDENTIFIABLE = 1.0
@@ -39,7 +39,7 @@ _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s"
 """What servos of any order have."""
 
 
-def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> dict[str, Estimate]:
+def intervals_of(choice: Choice, servo: ServoCandidate) -> dict[str, Estimate]:
     """95 % intervals of everything that is reported, about the values of `servo`.
 
     Where one more pole fits as well, either model may be true: the intervals embrace both.
@@ -69,9 +69,6 @@ def intervals_of(choice: Choice, servo: ServoCandidate, limits: RateLimits) -> d
         if name == "delay_s":
             interval = interval._replace(high=min(interval.high, LONGEST_DELAY_S))
         found[name] = _bounded(interval, quantity(servo), positive="pole" not in name and name != "dc_gain")
-    for name, limit in (("rate_up_deg_s", limits.up), ("rate_down_deg_s", limits.down)):
-        if limit is not None and name not in found:
-            found[name] = limit
     return found
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logparsers.units import MS_PER_S
-from servofd.identification.choice import step_slopes
+from servofd.identification.choice import steps_of
 from servofd.identification.records import longest_uniform
 from servofd.identification.response import raw_response
 from servofd.outputs.chart import Chart, Curve, Panel, Span
@@ -36,7 +35,7 @@ _COHERENT = 0.8
 
 def identify_charts(found: Identification) -> dict[str, Chart]:
     """All charts that the tests allow, by name: step, motion, response, validation."""
-    charts = {"step": _step(found)} if step_slopes(found.runs) else {}
+    charts = {"step": _step(found)} if any(map(steps_of, found.runs)) else {}
     charts["motion"] = _motion(found)
     if found.response is not None:
         charts["response"] = _response(found)
@@ -125,22 +124,11 @@ def _traced(found: Identification, index: int, title: str, first_s: float, last_
 
 
 def _step(found: Identification) -> Chart:
-    """Largest step with the line whose slope is the rate limit."""
-    step = max(step_slopes(found.runs), key=lambda one: abs(one.travel_deg))
-    run, last_s = found.runs[step.run], min(step.start_s + _STEP_S, step.end_s)
-    after = (run.measured_s >= step.start_s) & (run.measured_s <= last_s)
-    begin_deg = float(run.measured_deg[after][0])
-    way = (run.measured_deg[after] - begin_deg) / step.travel_deg
-    middle_s = float(np.interp(0.5, np.maximum.accumulate(way), run.measured_s[after]))
-    half_s = 0.4 * abs(step.travel_deg / step.slope_deg_s)
-    line_s = middle_s + np.array([-half_s, half_s])
-    line_deg = begin_deg + 0.5 * step.travel_deg + step.slope_deg_s * (line_s - middle_s)
-    slope = f"{abs(step.slope_deg_s):.0f} deg/s"
-    chart = _traced(found, step.run, "Step (thesis Fig. 3.3)", step.start_s - 0.1, last_s)
-    deflection, error = chart.panels
-    line = Curve(slope, "before", line_s, line_deg)
-    text = f"A step of {step.travel_deg:.1f} deg runs at {slope} between 20 and 80% of its way."
-    return replace(chart, text=text, panels=(replace(deflection, curves=(*deflection.curves, line)), error))
+    """Largest step."""
+    every = ((k, step) for k, run in enumerate(found.runs) for step in steps_of(run))
+    index, step = max(every, key=lambda one: abs(one[1].jump_deg))
+    last_s = min(step.start_s + _STEP_S, step.end_s)
+    return _traced(found, index, "Step (thesis Fig. 3.3)", step.start_s - 0.1, last_s)
 
 
 def _decibels(response: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> FloatArray:

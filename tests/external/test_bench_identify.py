@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-
 import numpy as np
 import pytest
 
 from logparsers import FlightLog
 from servofd.aircraft.series import Series
-from servofd.identification.choice import step_slopes
 from servofd.identification.identify import identify
-from servofd.identification.records import prepared
 from tests.external.test_bench_tables import DATA, logs_of
 
 pytestmark = pytest.mark.skipif(
@@ -43,13 +39,3 @@ def test_hobby_servo_with_everything_it_has() -> None:
 def test_smart_servo_under_gravity() -> None:
     result = identify([[segment(log) for log in logs_of("smart_servo_gravity_load")]])
     assert min(result.fits_percent) >= 99.3
-
-
-def test_slew_against_load_of_the_digital_servo() -> None:
-    slopes: defaultdict[float, list[float]] = defaultdict(list)
-    for log in logs_of("digital_servo_loads"):
-        if np.isfinite(log["cmd"].values).any():
-            slopes[float(log["load_g"].values[0])] += [s.slope_deg_s for s in step_slopes([prepared(segment(log))])]
-    expected = {0.0: 388.0, 100.0: 367.0, 200.0: 344.0, 300.0: 325.0, 400.0: 303.0}
-    for load_g, slope_deg_s in expected.items():
-        assert np.mean(slopes[load_g]) == pytest.approx(slope_deg_s, rel=0.02)

@@ -11,7 +11,6 @@ import pytest
 
 from servofd.aircraft.series import Series
 from servofd.core.errors import IdentificationError
-from servofd.identification.choice import rate_limits
 from servofd.identification.identify import identify
 from servofd.identification.motion import LinearServo, ServoCandidate
 from servofd.identification.records import prepared
@@ -130,17 +129,11 @@ def test_the_magnitude_method_of_the_thesis_is_rougher() -> None:
     assert result.intervals == {}
 
 
-def test_rate_limits_from_a_large_step_and_none_from_a_small_one() -> None:
-    linear = truth_of(HS225).linear
-    for seed in range(10):
-        limits = rate_limits([prepared(step(72.0, seed=seed))], linear)
-        assert limits.up is not None
-        assert limits.down is not None
-        assert limits.up.value == pytest.approx(370.0, rel=0.005)
-        assert limits.down.value == pytest.approx(370.0, rel=0.005)
-        small = rate_limits([prepared(step(20.0, seed=seed))], linear)
-        assert (small.up, small.down) == (None, None)
-        assert "too small to reach the rate limit" in small.reason
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
+def test_rate_limits_from_a_large_step(seed: int) -> None:
+    servo = identify(step(72.0, seed=seed)).servo
+    assert servo.rate_up_deg_s == pytest.approx(370.0, rel=0.005)
+    assert servo.rate_down_deg_s == pytest.approx(370.0, rel=0.005)
 
 
 @pytest.mark.slow
@@ -154,7 +147,7 @@ def test_a_small_step_alone_says_that_no_rate_limit_was_seen() -> None:
     result = identify(step(20.0))
     assert result.rate_limit_deg_s is None
     assert result.servo.linear.transfer.bandwidth_rad_s == pytest.approx(28.49, rel=0.02)
-    assert any("rate limit not identified" in note for note in result.notes)
+    assert any("too small to reach the rate limit" in note for note in result.notes)
 
 
 @pytest.mark.slow
