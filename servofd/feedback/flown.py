@@ -130,7 +130,7 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None = None, servo: str | N
     if known is not None and not own:
         flown = flown.model_copy(update={"motion": known.motion})
     if servo not in (None, UNKNOWN_SERVO):
-        return flown.with_servo(servo)
+        flown = flown.with_servo(servo)  # a saved file may name those of some surfaces alone
     unnamed = [name for name, surface in flown.surfaces.items() if servo == UNKNOWN_SERVO or not surface.names_servo]
     if not unnamed or (log.is_of_autopilot and not own):  # whose surfaces come with servos that were fitted to it
         return flown

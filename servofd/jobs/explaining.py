@@ -160,9 +160,7 @@ def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, se
     flown = surfaces_of(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
-    unnamed = frozenset(
-        n for n, s in flown.surfaces.items() if servo == UNKNOWN or (servo is None and not s.names_servo)
-    )
+    unnamed = frozenset(n for n, s in flown.surfaces.items() if servo == UNKNOWN or not s.names_servo)
     return _Flown(logs, flown, ", ".join(map(label_of, paths)), unnamed)
 
 

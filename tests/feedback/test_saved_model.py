@@ -40,6 +40,20 @@ def test_what_is_saved_is_what_was_shown_with_its_effects(effect: str, tmp_path:
     assert result.surfaces[0].status == "healthy"
 
 
+@pytest.mark.slow
+def test_a_file_saved_for_one_surface_of_an_unknown_servo_serves_the_whole_log(tmp_path: Path) -> None:
+    """Nobody knows these servos: the one that was explained is as it was shown, the others fit themselves."""
+    run, saved, shown = str(tmp_path / "run.csv"), str(tmp_path / "one.toml"), tmp_path / "shown.json"
+    slow = ["--effect", "elevator:rate_limit:rate_limit_deg_s=40"]
+    assert main(["simulate", "-o", run, "--duration", "40", *slow]) == 0
+    assert main(["explain", run, "-s", "elevator", "--save", saved, "--json", str(shown)]) == 0
+    (result,) = servofd.audit(run, servo=saved)
+    errors = {one.surface: one.statistics.simulation_error_rms_deg for one in result.surfaces if one.statistics}
+    assert set(errors) == {"aileron", "elevator", "rudder"}
+    final = json.loads(shown.read_text())["final"]
+    assert errors["elevator"] == pytest.approx(final["held_out_rms_deg"], rel=0.05)
+
+
 def test_a_saved_file_without_any_of_the_surfaces_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     two = tmp_path / "two.toml"
     entry = 'servo = "s9254"\ncommand = { channel = "a", unit = "deg" }\n'
