@@ -128,7 +128,7 @@ def read_part(source: Source, beginning: str = "") -> Part:
         if not column.strange:
             continue
         row, text = column.first_strange
-        where = f"line {grid.line(row)}, column {name!r}: {text[:40]!r} is not a number"
+        where = f"line {grid.line[row]}, column {name!r}: {text[:40]!r} is not a number"
         if name in CLOCKS:
             raise UnreadableLog(f"{source.path}: {where}")
         if name not in words:

@@ -148,7 +148,7 @@ class _Reading:
         """Judge a column by its text; the clock is one whose text is fatal, but no channel."""
         if cells.strange:
             row, text = cells.first_strange
-            where = f"line {self.grid.line(row)}, column {name!r}: {text[:40]!r} is not a number"
+            where = f"line {self.grid.line[row]}, column {name!r}: {text[:40]!r} is not a number"
             if self._must_be_numeric(name):
                 raise UnreadableLog(f"{self.path}: {where}; missing cells are empty or nan")
             is_size = cells.has_number or bool(self._unit(name)) or name.startswith("load_")
@@ -170,7 +170,7 @@ class _Reading:
         """Rows of every run, in the order of the file; None: all there are."""
         if not self.layout.run and not self.layout.where:
             return {"": None}
-        kept = np.ones(self.grid.size, dtype=np.bool_)
+        kept = np.ones(self.grid.row.size, dtype=np.bool_)
         for name, text in self.layout.where.items():
             kept &= self.cells[name].texts == text
             if not kept.any():

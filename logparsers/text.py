@@ -46,32 +46,18 @@ class Grid:
     """A table of text.
 
     `names`: names of the columns. `blocks`: rows, one per line, without quotes: about `BLOCK_BYTES` in each.
-    `delimiter`, `decimal`: what separates cells, and what separates the fraction. `size`: how many rows. `first_line`:
-    line of the file in which the rows begin, from 1. `solid` (shape (m,)): lines that are not blank, counted from
-    there; None: the first `size`, and all are whole. `whole` (shape (m,)): which of them have all their cells.
-    `damage`: rows that were cut.
+    `delimiter`, `decimal`: what separates cells, and what separates the fraction. `row` (shape (n,)): number of each
+    row among those that are not blank, from 0. `line` (shape (n,)): line of the file in which it stands, from 1.
+    `damage`: rows that were cut, and are not among these.
     """
 
     names: tuple[str, ...]
     blocks: tuple[bytes | memoryview, ...]
     delimiter: str
     decimal: str
-    size: int
-    first_line: int
-    solid: NDArray[np.int32] | None
-    whole: NDArray[np.bool_] | None
+    row: NDArray[np.int32]
+    line: NDArray[np.int32]
     damage: tuple[Damage, ...]
-
-    @property
-    def row(self) -> NDArray[np.intp]:
-        """Number of every row, from 0, counting those that were dropped; shape (size,)."""
-        return np.arange(self.size) if self.whole is None else np.flatnonzero(self.whole)
-
-    def line(self, row: int) -> int:
-        """Line in the file of a row that was kept."""
-        if self.solid is None or self.whole is None:
-            return self.first_line + row
-        return self.first_line + int(self.solid[self.whole][row])
 
 
 def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid:
@@ -81,7 +67,7 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
     --------
     >>> from pathlib import Path
     >>> grid = read_grid(Path("a.csv"), b"# bench\ntime_s;x\n0,00;1\n0,02;2\n")
-    >>> grid.names, grid.delimiter, grid.decimal, grid.line(0)
+    >>> grid.names, grid.delimiter, grid.decimal, grid.line[0].item()
     (('time_s', 'x'), ';', ',', 3)
     """
     _check_text(path, content)
@@ -236,14 +222,14 @@ def _rows(
     kept: list[bytes | memoryview] = []
     solids: list[NDArray[np.int32]] = []
     wholes: list[NDArray[np.bool_]] = []
-    decimal, size, lines, solid_lines = "", 0, 0, 0
+    decimal, lines = "", skipped + 1
     needed = len(names)
     for block in blocks:
         if not len(block):
             continue
         starts, ends, cells = _measure(block, delimiter)
         solid = np.flatnonzero(ends > starts)
-        if solid.size and not solid_lines:
+        if solid.size and not solids:
             names = _even(names, block, ends[solid], cells[solid], delimiter)
             needed = len(names) - (names[-1] == "" and len(names) > 1)  # what ends the header may end rows or not
             decimal = _decimal(bytes(block[:SAMPLE_BYTES]), delimiter)
@@ -251,7 +237,7 @@ def _rows(
         if np.any(cells > len(names)):
             worst = int(np.argmax(cells > len(names)))
             raise UnreadableLog(
-                f"{path}: line {lines + solid[worst] + skipped + 1} has {cells[worst]} cells, but the table has "
+                f"{path}: line {lines + solid[worst]} has {cells[worst]} cells, but the table has "
                 f"{len(names)} columns ({_shown(names)}); was a line lost, or two joined?"
             )
         whole = cells >= needed
@@ -261,19 +247,16 @@ def _rows(
         elif whole.any():
             spans = starts[solid[whole]], ends[solid[whole]]
             kept.append(_joined(block, *spans, len(names) - cells[whole], delimiter))
-        if solids or not whole.all() or solid.size < starts.size:
-            if not solids:  # all were sound so far
-                solids, wholes = [np.arange(lines, dtype=np.int32)], [np.ones(lines, np.bool_)]
+        if solid.size:
             solids.append((solid + lines).astype(np.int32))
             wholes.append(whole)
-        size, lines, solid_lines = size + int(whole.sum()), lines + starts.size, solid_lines + solid.size
-    if not size:
-        what = "no row below the header" if not solid_lines else f"no row with {needed} cells"
+        lines += starts.size
+    line, is_whole = np.concatenate([np.zeros(0, np.int32), *solids]), np.concatenate([np.zeros(0, np.bool_), *wholes])
+    if not is_whole.any():
+        what = f"no row with {needed} cells" if solids else "no row below the header"
         raise EmptyLog(f"{path}: {what} ({_shown(names)}); a log needs at least one sample")
-    line, is_whole = (np.concatenate(solids), np.concatenate(wholes)) if solids else (None, None)
-    cut = line[~is_whole] + skipped + 1 if line is not None and is_whole is not None else np.zeros(0, np.int32)
-    damage = _cut(cut, needed)
-    return Grid(names, tuple(kept), delimiter, decimal, size, skipped + 1, line, is_whole, damage)
+    row = np.flatnonzero(is_whole).astype(np.int32)
+    return Grid(names, tuple(kept), delimiter, decimal, row, line[row], _cut(line[~is_whole], needed))
 
 
 def _decimal(sample: bytes, delimiter: str) -> str:
@@ -404,9 +387,9 @@ class _Column:
     """One column while it is being read, block by block."""
 
     def __init__(self, grid: Grid, *, wants: bool) -> None:
-        self._size, self._decimal = grid.size, grid.decimal
+        self._size, self._decimal = grid.row.size, grid.decimal
         self._values: FloatArray | None = None
-        self.texts: NDArray[np.object_] | None = np.empty(grid.size, object) if wants else None
+        self.texts: NDArray[np.object_] | None = np.empty(grid.row.size, object) if wants else None
         self._known: dict[bytes, str] = {}
         self._strange, self._first = 0, (0, "")
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.cli.terminal import give_json, print_table
+from servofd.cli.terminal import complain, give_json, print_table
 from servofd.core.statistics import Estimate, correlation_factor
 from servofd.detection.audit import audit_log
 from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
@@ -47,10 +47,15 @@ def run(options: Options) -> int:
         for audit, document in zip(audits, documents, strict=True):
             rows = [_row(name, one) for name, one in document["surfaces"].items()]
             print_table(_HEAD, rows, f"{audit.log.label}   {audit.log.format}, {audit.log.duration_s:.1f} s")
-    statuses = {one["status"] for document in documents for one in document["surfaces"].values() if one["expected"]}
-    if "no_go" in statuses:
+    checked = [(name, one) for document in documents for name, one in document["surfaces"].items() if one["expected"]]
+    if any(one["status"] == "no_go" for _, one in checked):
         return 1
-    return 0 if statuses == {"go"} else 2
+    dark = [f"{name}: {one['reasons'][0]}" for name, one in checked if one["status"] == "unknown"]
+    if not checked:
+        dark = ["no position of a surface is in it"]
+    for reason in dark[:1]:
+        complain(reason, options.log)
+    return 2 if dark else 0
 
 
 def _document(audit: LogAudit) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def preview(path: Path) -> Preview | None:
     if len(grid.names) < 2:
         return None
     lines = bytes(grid.blocks[0]).decode(errors="replace").splitlines()[:_ROWS]
-    few = (1.0 - _MOSTLY) * grid.size
+    few = (1.0 - _MOSTLY) * grid.row.size
     numeric = {name for name, cells in convert(grid).items() if cells.has_number and cells.strange <= few}
     return Preview(grid.names, tuple(tuple(line.split(grid.delimiter)) for line in lines), frozenset(numeric))
 

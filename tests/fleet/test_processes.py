@@ -90,7 +90,10 @@ def test_a_cluster_that_is_not_there_is_told_in_one_line(
 ) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("servofd.batch.local._PATIENCE_S", 0.5)
-    for address, why in (("tcp://127.0.0.1:9", "no Dask scheduler answers"), ("nonsense", "is no address")):
+    for address, why in (
+        ("tcp://127.0.0.1:9", "no Dask scheduler answers with a worker"),
+        ("nonsense", "is no address"),
+    ):
         assert main(["audit", str(logs), "--cluster", address]) == 2
         assert why in capsys.readouterr().err.splitlines()[-1]
 
