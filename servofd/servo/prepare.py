@@ -23,8 +23,7 @@ def compile_ahead(say: Callable[[str], None]) -> None:
     say : callable
         Shows a sentence to whoever waits.
     """
-    path = None if is_compiling() else path_of()
-    if path is None or is_kept(path):
+    if is_compiling() or is_prepared():
         return
     say(_ONCE)
     nothing = subprocess.DEVNULL
@@ -36,8 +35,7 @@ def compile_ahead(say: Callable[[str], None]) -> None:
 
 def is_prepared() -> bool:
     """Whether nothing has to be compiled any more before a servo is simulated."""
-    path = path_of()
-    return path is None or is_kept(path)
+    return is_kept(path_of())
 
 
 def keep() -> None:
@@ -50,6 +48,4 @@ def keep() -> None:
 
     machine = machine_of(TransferFunction((1.0,), (1.0, 1.0, 1.0)), (Physics(),))
     machine.run(machine.new_state(), (np.zeros(1), np.zeros(1), np.zeros(1)), np.zeros(1))
-    path = path_of()
-    if path is not None:
-        mark_kept(path)
+    mark_kept(path_of())
