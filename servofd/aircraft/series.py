@@ -297,7 +297,7 @@ def sent_period_s(time_s: FloatArray) -> float | None:
 
 
 def link_period_s(time_s: FloatArray) -> float | None:
-    """Period with which a steady stream was sent [s], from stamps of what arrived [s]; None if it comes as it pleases.
+    """Period of what a steady stream brings some of [s], from stamps of what arrived [s]; None if it is none.
 
     Examples
     --------
@@ -313,7 +313,9 @@ def link_period_s(time_s: FloatArray) -> float | None:
     single = steps_s <= _WHOLE * float(np.percentile(steps_s, _SHORTEST))  # nothing was lost in between
     period_s = float(np.median(steps_s[single]))
     lasts = all(np.mean(half) >= _SINGLE for half in np.array_split(single, 2))
-    return period_s if lasts and period_s <= _BRIDGED_S and _is_steady(steps_s, period_s) else None
+    if not (lasts and period_s <= _BRIDGED_S and _is_steady(steps_s, period_s)):
+        return None
+    return period_s / max(int(np.ceil(period_s / _FRAME_S - _NEARLY)), 1)
 
 
 def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
@@ -325,6 +327,10 @@ def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
     return bool(np.mean(whole) >= _STEADY)
 
 
+_FRAME_S: Final = 0.02
+"""An autopilot moves its servos so often or oftener: a link that brings fewer of its commands has lost the others."""
+_NEARLY: Final = 0.3
+"""Of such a period that a link may be slower, as one of 40 Hz is."""
 _BRIDGED_S: Final = 0.105
 """Longest period of a stream of which what was lost is put back: the quarter of a second that is bridged holds two
 periods of 10 Hz, whose stamps are not exact."""

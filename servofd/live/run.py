@@ -47,6 +47,8 @@ class Pace:
 
     speed: float
     _begun: tuple[float, float] | None = None
+    _asked_s: float = 0.0
+    """Since the last step, when it was last asked whether the session rests [s]."""
 
     @property
     def step_s(self) -> float:
@@ -55,8 +57,10 @@ class Pace:
 
     def is_due(self, since_s: float, session: Session) -> bool:
         """Whether to evaluate what has come in so long [s]; looks at an alarm that stands have their times."""
-        if since_s < self.step_s:
+        if since_s < self._asked_s + self.step_s:
+            self._asked_s = min(self._asked_s, since_s)
             return False
+        self._asked_s = since_s
         return self.speed > 0.0 or since_s >= _CALM_STEP_S or not session.rests(_CALM_STEP_S)
 
     def wait(self, at_s: float) -> None:

@@ -84,10 +84,12 @@ def said_of(alarm: Alarm) -> str:
     return "does not follow its command" if alarm.kind == "unknown" else alarm.kind.replace("_", " ")
 
 
-def status_of(monitor: SurfaceMonitor, alarm: Alarm | None) -> str:
-    """One word: how grave the alarm is that stands, or how it is watched."""
+def status_of(monitor: SurfaceMonitor, alarm: Alarm | None, *, is_lost: bool) -> str:
+    """One word: how grave the alarm is that stands, or how it is watched; `is_lost` if its vehicle is silent."""
     if alarm is not None:
         return _STATUS[alarm.severity]
+    if is_lost:
+        return "no data"
     if not monitor.is_watched:
         return "no data" if monitor.silenced else "waiting"
     if monitor.reading is None or not monitor.reading.settled:
@@ -172,7 +174,7 @@ class View:
     def _surfaces(self) -> Iterator[Row]:
         for vehicle, monitor in self._session.watched:
             alarm, reading = vehicle.alarms.standing(monitor.name), monitor.reading
-            name, word = self._of(vehicle, monitor.name), status_of(monitor, alarm)
+            name, word = self._of(vehicle, monitor.name), status_of(monitor, alarm, is_lost=vehicle.is_lost)
             since, words = _since(alarm), monitor.silenced if word in ("no data", "waiting") else _to_do(alarm)
             yield Row(vehicle.now_s, name, word, _numbers(reading), _share(reading), since, words)
 

@@ -28,7 +28,7 @@ def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:
     >>> from servofd.onboard.plan import plan_onboard
     >>> text = watch_script(plan_onboard(load_aircraft("simulated")))
     >>> [line[:60] for line in text.splitlines() if "RUDDER" in line]
-    ['   { "name=RUDDER output=4 gain=0.09 offset=0.0 sense=1.0 zer']
+    ['   { "name=RUDDER output=4 gain=0.09 offset=0.0 sense=1.0 ze']
     """
     return _rendered(
         "watch.lua",
