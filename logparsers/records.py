@@ -281,10 +281,16 @@ class FlightLog:
     @property
     def duration_s(self) -> float:
         """From the first to the last time stamp of the flight [s]; decodes nothing."""
+        first_s, last_s = self.ends_s
+        return last_s - first_s
+
+    @property
+    def ends_s(self) -> tuple[float, float]:
+        """First and last time stamp of the flight [s]: `span_s`, or those of the channels; 0 without any."""
         if self.span_s is not None:
-            return self.span_s[1] - self.span_s[0]
-        spans = [(c.time_s[0], c.time_s[-1]) for c in self.channels.values() if c.time_s.size]
-        return float(max(s[1] for s in spans) - min(s[0] for s in spans)) if spans else 0.0
+            return self.span_s
+        spans = [(float(c.time_s[0]), float(c.time_s[-1])) for c in self.channels.values() if c.time_s.size]
+        return (min(s[0] for s in spans), max(s[1] for s in spans)) if spans else (0.0, 0.0)
 
     @property
     def damage_summary(self) -> tuple[Damage, ...]:
@@ -325,8 +331,7 @@ class FlightLog:
         reboots = sorted((d.end_s, d.start_s) for d in self.damage if d.kind == "reboot" and d.end_s is not None)
         if not reboots:
             return (self,)
-        spans = [(float(c.time_s[0]), float(c.time_s[-1])) for c in self.channels.values() if c.time_s.size]
-        first_s, last_s = self.span_s or (min(s[0] for s in spans), max(s[1] for s in spans))
+        first_s, last_s = self.ends_s
         begins_s = [first_s, *(end_s for end_s, _ in reboots)]
         ends_s = [*(end_s if start_s is None else start_s for end_s, start_s in reboots), last_s]
         edges_s = [-np.inf, *begins_s[1:], np.inf]

@@ -125,10 +125,7 @@ class Recording:
     @classmethod
     def of(cls, audit: LogAudit) -> Self:
         """Everything of an audit that a recording tells; nothing that tells where on a machine its log was."""
-        log, span_s = audit.log, audit.log.span_s
-        if span_s is None:
-            ends = [c.time_s[[0, -1]] for c in log.channels.values() if c.time_s.size] or [np.zeros(2)]
-            span_s = (float(min(end[0] for end in ends)), float(max(end[1] for end in ends)))
+        log = audit.log
         bare = FlightLog(
             source=Path(log.source.name),
             format=log.format,
@@ -138,7 +135,7 @@ class Recording:
             vehicle=log.vehicle,
             firmware=log.firmware,
             start_utc=log.start_utc,
-            span_s=span_s,
+            span_s=log.ends_s,
         )
         surfaces = tuple(replace(s, segment=None, residuals=None, threshold=None) for s in audit.surfaces)
         return cls(
