@@ -29,34 +29,6 @@ _SURE_Z = 2.3263478740408408
 """Standard deviations that a Gaussian stays above with a probability of 99 %."""
 
 
-def false_alarms_per_hour(threshold_deg: float, sigma_deg: float, correlation: float, sample_time_s: float) -> float:
-    r"""Rate at which a healthy, Gaussian residual crosses its threshold from inside to outside.
-
-    `correlation` is that of the residual with itself one sample later. With heavier tails than a Gaussian the truth
-    is higher.
-
-    Examples
-    --------
-    >>> rate = false_alarms_per_hour(5.0, 1.0, 0.62066, 0.01)
-    >>> round(float(1.0 - np.exp(-rate)), 3)
-    0.184
-    """
-    if sigma_deg <= 0.0:
-        return 0.0
-    z = threshold_deg / sigma_deg
-    rho = min(max(correlation, -1.0 + 1e-9), 1.0 - 1e-9)
-    spread = np.sqrt(1.0 - rho**2)
-    nodes, weights = _gauss_legendre(_NODES)
-    # The density falls by a factor e within 1/z of the threshold: integrate over ten such lengths.
-    reach = _REACH * min(1.0, 4.0 / max(z, 1e-3))
-    x = z + 0.5 * reach * (nodes + 1.0)
-    # Relative to the tail at z, so that a threshold of many sigma does not underflow before the end.
-    density = np.exp(-0.5 * (x - z) * (x + z))
-    inside = _below((z - rho * x) / spread) - _below((-z - rho * x) / spread)
-    tail = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
-    return float(S_PER_HOUR * 2.0 / sample_time_s * tail * 0.5 * reach * np.sum(weights * density * inside))
-
-
 def _below(sigmas: FloatArray) -> FloatArray:
     """Probability of a standard Gaussian below each value; importing `scipy.special` for it takes 0.1 s."""
     return np.array([0.5 * erfc(-value * sqrt(0.5)) for value in sigmas.tolist()])
@@ -67,29 +39,6 @@ def _gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
     """Nodes and weights; working them out takes a hundred times as long as using them."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return np.asarray(nodes, dtype=float), np.asarray(weights, dtype=float)
-
-
-def threshold_for_rate_deg(rate_per_hour: float, sigma_deg: float, correlation: float, sample_time_s: float) -> float:
-    """Threshold at which a healthy Gaussian residual gives the wanted rate of false alarms [deg].
-
-    Of this surface alone: for a fleet, divide the rate by the number of surfaces. Right to ten digits of the rate.
-    """
-    if not sigma_deg > 0.0:
-        raise DesignError("a residual without noise needs no threshold: the standard deviation must be above zero")
-
-    def rate(level: float) -> float:
-        return false_alarms_per_hour(level, 1.0, correlation, sample_time_s)
-
-    most, least = rate(_LOWEST_Z), rate(_HIGHEST_Z)
-    if not least <= rate_per_hour <= most:
-        raise DesignError(
-            f"{rate_per_hour:g} false alarms per hour: no threshold gives this rate; choose one between "
-            f"{least:.1g} and {most:.2g}"
-        )
-    # Rates span hundreds of powers of ten: only their logarithm is near a straight line.
-    tiny = np.finfo(float).tiny
-    wanted = np.log(max(rate_per_hour, tiny))
-    return sigma_deg * root(lambda level: float(np.log(max(rate(level), tiny)) - wanted), _LOWEST_Z, _HIGHEST_Z)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,14 +68,53 @@ class Noise:
         return cls(float(np.sqrt(power)), correlation, sample_time_s, float(np.nanmean(residual_deg)))
 
     def false_alarms_per_hour(self, threshold_deg: float) -> float:
-        """Rate at which this noise crosses a threshold, if it is Gaussian."""
-        margin_deg = max(threshold_deg - abs(self.mean_deg), 0.0)
-        return false_alarms_per_hour(margin_deg, self.sigma_deg, self.correlation, self.sample_time_s)
+        """Rate at which this noise crosses a threshold from inside to outside, if it is Gaussian.
+
+        With heavier tails than a Gaussian the truth is higher.
+
+        Examples
+        --------
+        >>> rate = Noise(1.0, 0.62066, 0.01).false_alarms_per_hour(5.0)
+        >>> round(float(1.0 - np.exp(-rate)), 3)
+        0.184
+        """
+        if self.sigma_deg <= 0.0:
+            return 0.0
+        z = max(threshold_deg - abs(self.mean_deg), 0.0) / self.sigma_deg
+        rho = min(max(self.correlation, -1.0 + 1e-9), 1.0 - 1e-9)
+        spread = np.sqrt(1.0 - rho**2)
+        nodes, weights = _gauss_legendre(_NODES)
+        # The density falls by a factor e within 1/z of the threshold: integrate over ten such lengths.
+        reach = _REACH * min(1.0, 4.0 / max(z, 1e-3))
+        x = z + 0.5 * reach * (nodes + 1.0)
+        # Relative to the tail at z, so that a threshold of many sigma does not underflow before the end.
+        density = np.exp(-0.5 * (x - z) * (x + z))
+        inside = _below((z - rho * x) / spread) - _below((-z - rho * x) / spread)
+        tail = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+        return float(S_PER_HOUR * 2.0 / self.sample_time_s * tail * 0.5 * reach * np.sum(weights * density * inside))
 
     def threshold_deg(self, rate_per_hour: float) -> float:
-        """Threshold for a wanted rate [deg]."""
-        level_deg = threshold_for_rate_deg(rate_per_hour, self.sigma_deg, self.correlation, self.sample_time_s)
-        return abs(self.mean_deg) + level_deg
+        """Threshold that this noise, if it is Gaussian, crosses at the wanted rate [deg]; right to ten digits of it.
+
+        Of this surface alone: for a fleet, divide the rate by the number of surfaces.
+        """
+        if not self.sigma_deg > 0.0:
+            raise DesignError("a residual without noise needs no threshold: the standard deviation must be above zero")
+        unit = Noise(1.0, self.correlation, self.sample_time_s)
+        most, least = (unit.false_alarms_per_hour(level) for level in (_LOWEST_Z, _HIGHEST_Z))
+        if not least <= rate_per_hour <= most:
+            raise DesignError(
+                f"{rate_per_hour:g} false alarms per hour: no threshold gives this rate; choose one between "
+                f"{least:.1g} and {most:.2g}"
+            )
+
+        # Rates span hundreds of powers of ten: only their logarithm is near a straight line.
+        def logarithm(rate: float) -> float:
+            return float(np.log(max(rate, np.finfo(float).tiny)))
+
+        wanted = logarithm(rate_per_hour)
+        level = root(lambda level: logarithm(unit.false_alarms_per_hour(level)) - wanted, _LOWEST_Z, _HIGHEST_Z)
+        return abs(self.mean_deg) + self.sigma_deg * level
 
 
 def crossings(residual_deg: FloatArray, threshold_deg: float) -> int:

@@ -16,9 +16,7 @@ from servofd.core.errors import DesignError
 from servofd.detection.probability import (
     Noise,
     crossings,
-    false_alarms_per_hour,
     smallest_offset_deg,
-    threshold_for_rate_deg,
 )
 from servofd.detection.pulse import design_pulse_filter
 from servofd.jobs.odds import odds_from_logs
@@ -41,21 +39,22 @@ def simulated(samples: int, seed: int) -> np.ndarray[tuple[int, ...], np.dtype[n
 def test_the_threshold_has_the_rate_it_was_asked_for(
     exponent: float, correlation: float, sample_time_s: float, sigma_deg: float
 ) -> None:
-    threshold_deg = threshold_for_rate_deg(10.0**exponent, sigma_deg, correlation, sample_time_s)
-    rate = false_alarms_per_hour(threshold_deg, sigma_deg, correlation, sample_time_s)
+    noise = Noise(sigma_deg, correlation, sample_time_s)
+    threshold_deg = noise.threshold_deg(10.0**exponent)
+    rate = noise.false_alarms_per_hour(threshold_deg)
     assert rate == pytest.approx(10.0**exponent, rel=1e-8)
 
 
 @pytest.mark.parametrize("rate", [1e9, 0.0])
 def test_an_impossible_rate_is_refused(rate: float) -> None:
     with pytest.raises(DesignError, match="choose one between"):
-        threshold_for_rate_deg(rate, 1.0, 0.6, 0.01)
+        Noise(1.0, 0.6, 0.01).threshold_deg(rate)
 
 
 def test_no_noise_needs_no_threshold() -> None:
     with pytest.raises(DesignError, match="without noise"):
-        threshold_for_rate_deg(1e-3, 0.0, 0.6, 0.01)
-    assert false_alarms_per_hour(1.0, 0.0, 0.6, 0.01) == 0.0
+        Noise(0.0, 0.6, 0.01).threshold_deg(1e-3)
+    assert Noise(0.0, 0.6, 0.01).false_alarms_per_hour(1.0) == 0.0
 
 
 @pytest.mark.parametrize("correlation", [-0.7, 0.0, 0.5])
@@ -69,7 +68,7 @@ def test_the_rate_of_crossings_is_that_of_the_bivariate_normal_law(correlation: 
         float(multivariate_normal.cdf([-z, -z], cov=[[1.0, rho], [rho, 1.0]])) for rho in (correlation, -correlation)
     )
     exact_per_hour = 2.0 * 3600.0 / 0.01 * (float(ndtr(-z)) - same - other)
-    assert false_alarms_per_hour(3.0 * z, 3.0, correlation, 0.01) == pytest.approx(exact_per_hour, rel=1e-6)
+    assert Noise(3.0, correlation, 0.01).false_alarms_per_hour(3.0 * z) == pytest.approx(exact_per_hour, rel=1e-6)
 
 
 @pytest.mark.parametrize("mean_deg", [0.0, -0.3])

@@ -10,7 +10,7 @@ import pytest
 
 from servofd.aircraft.series import WARM_UP_STEPS
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.probability import false_alarms_per_hour
+from servofd.detection.probability import Noise
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.seen import odds
 from servofd.detection.wiring import wiring_problem
@@ -61,11 +61,11 @@ def test_the_odds_of_a_log_are_those_of_its_colour_offset_and_healthy_part(colou
     residuals: Any = SimpleNamespace(settled=settled, time_s=time_s, residual_deg=residual_deg)
     counted = healthy_deg[settled & (time_s < 300.0)]
     alike = float(np.corrcoef(counted[:-1], counted[1:])[0, 1])
-    expected = false_alarms_per_hour(1.5 - abs(counted.mean()), float(np.std(counted)), alike, 0.02)
+    expected = Noise(float(np.std(counted)), alike, 0.02, float(counted.mean())).false_alarms_per_hour(1.5)
     found = odds(residuals, 300.0, 0.02, 1.5)
     assert found == pytest.approx(expected, rel=5e-3)
     assert alike == pytest.approx(colour, abs=0.02)
-    assert found != pytest.approx(false_alarms_per_hour(1.5, float(np.std(counted)), alike, 0.02), rel=0.5)
+    assert found != pytest.approx(Noise(float(np.std(counted)), alike, 0.02).false_alarms_per_hour(1.5), rel=0.5)
 
 
 def test_what_comes_too_slowly_for_long_fills_no_memory_and_delays_nothing() -> None:

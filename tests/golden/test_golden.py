@@ -15,7 +15,7 @@ import pytest
 
 from servofd.core.errors import DesignError
 from servofd.detection.nullspace import design_nullspace_filter
-from servofd.detection.probability import false_alarms_per_hour
+from servofd.detection.probability import Noise
 from servofd.detection.pulse import design_pulse_filter
 from servofd.servo.transfer import TransferFunction
 
@@ -136,13 +136,13 @@ def test_false_alarm_rate() -> None:
     table = RESIDUAL["pfa_per_hour_100Hz_HS225eq"]
     rho = RESIDUAL["HS225BB_eq3_1"]["rho"][1]
     for z, expected in zip(table["z"], table["upcross"], strict=True):
-        assert 1.0 - np.exp(-false_alarms_per_hour(z, 1.0, rho, 0.01)) == pytest.approx(expected, rel=1e-3)
+        assert 1.0 - np.exp(-Noise(1.0, rho, 0.01).false_alarms_per_hour(z)) == pytest.approx(expected, rel=1e-3)
     for target, z in RESIDUAL["z_for_target_pfa_per_hour"].items():
-        rate = -np.expm1(-false_alarms_per_hour(z, 1.0, rho, 0.01))
+        rate = -np.expm1(-Noise(1.0, rho, 0.01).false_alarms_per_hour(z))
         assert rate == pytest.approx(float(target), rel=2e-3)
 
 
 def test_false_alarm_rate_at_the_ends() -> None:
-    assert false_alarms_per_hour(1.5, 0.0, 0.5, 0.01) == 0.0
-    assert false_alarms_per_hour(60.0, 1.0, 0.5, 0.01) == 0.0
-    assert 0.0 < false_alarms_per_hour(0.1, 1.0, 0.999, 0.01) < 360_000.0
+    assert Noise(0.0, 0.5, 0.01).false_alarms_per_hour(1.5) == 0.0
+    assert Noise(1.0, 0.5, 0.01).false_alarms_per_hour(60.0) == 0.0
+    assert 0.0 < Noise(1.0, 0.999, 0.01).false_alarms_per_hour(0.1) < 360_000.0

@@ -10,9 +10,7 @@ import pytest
 
 from servofd.detection.probability import (
     Noise,
-    false_alarms_per_hour,
     smallest_offset_deg,
-    threshold_for_rate_deg,
 )
 from servofd.detection.pulse import design_pulse_filter
 from servofd.servo.library import servo_named
@@ -32,7 +30,7 @@ def within_an_hour(rate_per_hour: float) -> float:
     [(4.25, 0.99942), (4.5, 0.90828), (4.75, 0.51312), (5.0, 0.18440), (5.25, 0.05283), (5.5, 0.01350)],
 )
 def test_chance_of_a_false_alarm_within_an_hour(z: float, chance: float) -> None:
-    assert within_an_hour(false_alarms_per_hour(z, 1.0, UNIT.correlation, T)) == pytest.approx(chance, abs=1e-5)
+    assert within_an_hour(UNIT.false_alarms_per_hour(z)) == pytest.approx(chance, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +38,7 @@ def test_chance_of_a_false_alarm_within_an_hour(z: float, chance: float) -> None
 )
 def test_chance_of_a_false_alarm_in_4000_simulated_hours(z: float, chance: float) -> None:
     standard_error = np.sqrt(chance * (1.0 - chance) / 4000.0)
-    predicted = within_an_hour(false_alarms_per_hour(z, 1.0, UNIT.correlation, T))
+    predicted = within_an_hour(UNIT.false_alarms_per_hour(z))
     assert abs(predicted - chance) < 2.5 * standard_error
 
 
@@ -48,7 +46,7 @@ def test_chance_of_a_false_alarm_in_4000_simulated_hours(z: float, chance: float
     ("z", "rate"), [(6.0, 7.08e-4), (6.5, 2.89e-5), (7.0, 9.21e-7), (7.5, 2.297e-8), (8.0, 4.48e-10)]
 )
 def test_rare_false_alarms(z: float, rate: float) -> None:
-    assert false_alarms_per_hour(z, 1.0, UNIT.correlation, T) == pytest.approx(rate, rel=2e-3)
+    assert UNIT.false_alarms_per_hour(z) == pytest.approx(rate, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -57,7 +55,7 @@ def test_rare_false_alarms(z: float, rate: float) -> None:
 )
 def test_threshold_for_a_chance_per_hour(chance: float, z: float) -> None:
     rate = -np.log1p(-chance)
-    assert threshold_for_rate_deg(rate, 1.0, UNIT.correlation, T) == pytest.approx(z, abs=LAST_DIGIT * 1e-3)
+    assert UNIT.threshold_deg(rate) == pytest.approx(z, abs=LAST_DIGIT * 1e-3)
 
 
 def test_the_bias_response_overshoots_by_two_percent() -> None:
