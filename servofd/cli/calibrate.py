@@ -71,9 +71,7 @@ def _has_feedback(paths: list[str]) -> bool:
 def _run_axes(options: Options, text: str = "") -> int:
     """Calibrate what motion tells of axes, write it after what is known already, then print."""
     per_hour = _PER_HOUR if options.false_alarms_per_hour is None else options.false_alarms_per_hour
-    model = calibrate_axes(
-        options.logs, false_alarms_per_hour=per_hour, spans=_spans(options), own_days=options.own_days
-    )
+    model = calibrate_axes(options.logs, false_alarms_per_hour=per_hour, spans=_spans(options))
     head = text or f'name = "{Path(options.output).stem}"\n'
     write_whole(options.output, f"{head.rstrip()}\n\n{motion_to_toml(model)}".encode())
     print_document(motion_report(model))

@@ -242,7 +242,6 @@ def _calibrate(parser: Parser) -> None:
         "--motion",
         "calibrate the axes by the aircraft's motion (which is what happens where no servo reports)",
     )
-    parser.flag("--own-days", "of motion: flights of one date differ as days do, in payload, trim or wind")
     parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
     rate = (
         "wanted of all axes together, where motion is calibrated (default: 1); of servos that report their "
@@ -381,10 +380,6 @@ def _simulate(parser: Parser) -> None:
         "faults stuck, loss_of_effectiveness, slow and bias, each with value=... (deg, share left, s, deg)"
     )
     parser.add_argument("--airframe", metavar="MIXER", help=airframe)
-    gusts = "of an airframe: 1 is gusts of 1.5 m/s (default: 1)"
-    parser.add_argument("--turbulence", type=float, metavar="X", help=gusts)
-    glides = "of an airframe: from when on it glides [s]"
-    parser.add_argument("--engine-cut", type=float, metavar="S", help=glides)
     _stream(parser.add_argument_group("with --stream"))
 
 

@@ -34,8 +34,8 @@ _LOOP_HZ = 50.0
 """Main loop of a simulated vehicle, as ArduPlane's [Hz]."""
 _FILE_S, _LIVE_S = 60.0, 600.0
 """Duration of a simulated log, and of a simulated vehicle [s]."""
-_AIRFRAME_S, _STORM = 180.0, 10.0
-"""Duration of a flight without servo feedback [s], and the strongest turbulence."""
+_AIRFRAME_S = 180.0
+"""Duration of a flight without servo feedback [s]."""
 _MOST_CLOCK_S = 1e7
 """Latest start of the vehicle's clock [s]: 116 days."""
 _OF_STREAM = (
@@ -47,7 +47,7 @@ _OF_STREAM = (
 
 def run(options: Options) -> int:
     """Simulate, and write or fly."""
-    if options.airframe is not None or options.turbulence is not None or options.engine_cut is not None:
+    if options.airframe is not None:
         return _run_airframe(options)
 
     if options.stream is None:
@@ -85,15 +85,10 @@ def run(options: Options) -> int:
 
 def _run_airframe(options: Options) -> int:
     """An aeroplane that answers its surfaces, as the log of its autopilot."""
-    if options.airframe is None:
-        raise ConfigError("--turbulence and --engine-cut are of an airframe: --airframe plain")
     if not options.output or Path(options.output).suffix.lower() != ".bin":
         raise ConfigError(f"{options.output or options.stream}: --airframe writes ArduPlane's log, a .bin")
     if options.seed < 0:
         raise ConfigError(f"--seed {options.seed}: give a whole number of zero or more")
-    turbulence = 1.0 if options.turbulence is None else options.turbulence
-    if not 0.0 <= turbulence <= _STORM:
-        raise ConfigError(f"--turbulence {turbulence:g}: from 0 to {_STORM:g}")
     faults = []
     for text in options.fault:
         surface, _, rest = text.partition(":")
@@ -109,9 +104,7 @@ def _run_airframe(options: Options) -> int:
         options.seed,
         mixer=options.airframe,
         duration_s=_AIRFRAME_S if options.duration is None else options.duration,
-        turbulence=turbulence,
         faults=tuple(faults),
-        engine_cut_s=math.inf if options.engine_cut is None else options.engine_cut,
     )
     write_whole(options.output, airframe_log(flight))
     say(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.mixer.names)}, no feedback")

@@ -163,7 +163,6 @@ def calibrate_axes(
     *,
     false_alarms_per_hour: float = 1.0,
     spans: tuple[Span, ...] = (),
-    own_days: bool = False,
 ) -> MotionModel:
     """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good."""
     from servofd.axes.calibrate import calibrate_motion
@@ -183,8 +182,6 @@ def calibrate_axes(
         flight if flight.rate_hz < _SAME_RATE * rate_hz else motion_of(log, rate_hz)
         for log, flight in zip(logs, flights, strict=True)
     ]
-    if own_days:
-        flights = [replace(flight, day=f"{flight.day}, {place}") for place, flight in enumerate(flights)]
     if spans:
         flights = [flight.within(spans) for flight in flights]
     model = calibrate_motion(flights, false_alarms_per_hour=false_alarms_per_hour)

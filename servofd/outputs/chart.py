@@ -404,7 +404,7 @@ def current_charts(surface: SurfaceAudit) -> list[Chart]:
 
 _NEAR_S = 10.0
 """Time before the onset and after the alarm in a close-up of a current [s]."""
-_WITHIN_SIGMAS = 3.0
+WITHIN_SIGMAS = 3.0
 """Half width of the band in which a healthy current stays, in standard deviations."""
 
 
@@ -416,7 +416,7 @@ def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Pa
     healthy_a, sigma_a, time_s = current.healthy_a, current.sigma_a, current.time_s
     if healthy_a is None or sigma_a is None:
         return []
-    width_a = _WITHIN_SIGMAS * sigma_a
+    width_a = WITHIN_SIGMAS * sigma_a
     curves = (
         Curve("good servo", "simulated", time_s, healthy_a),
         Curve("drawn", "measured", time_s, current.current_a),

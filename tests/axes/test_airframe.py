@@ -45,8 +45,6 @@ def test_a_jam_takes_half_of_the_roll_and_an_engine_cut_the_speed() -> None:
         (["--airframe", "plane"], "mixer"),
         (["--airframe", "plain", "--fault", "flap:stuck@1:value=0"], "surface"),
         (["--airframe", "plain", "--fault", "rudder:stuck@1"], "value=X"),
-        (["--airframe", "plain", "--turbulence", "-1"], "from 0"),
-        (["--engine-cut", "3"], "--airframe"),
     ],
 )
 def test_what_cannot_be_flown_is_one_line(

@@ -13,10 +13,10 @@ import numpy as np
 from logparsers.detect import RECORDING
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning, whole_file
+from servofd.outputs.chart import WITHIN_SIGMAS
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
-from servofd.outputs.recording.surface import WITHIN_SIGMAS
 from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context

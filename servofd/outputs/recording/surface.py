@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.outputs.chart import WITHIN_SIGMAS
 from servofd.outputs.recording.states import breaks_s, events, ratio, states
 from servofd.outputs.recording.stream import STATES, microseconds, seconds, surface_place
 
@@ -73,8 +74,6 @@ def send_surface(
 
 
 CURRENTS = ("drawn", "good servo", "+good ones differ by", "-good ones differ by")
-WITHIN_SIGMAS = 3.0
-"""Band of good servos."""
 
 
 def _send_current(recorder: Recorder, place: str, current: CurrentAudit, *, is_alone: bool) -> None:
