@@ -9,10 +9,15 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numba
 import platformdirs
-from numba.core.caching import FunctionCache
-from numba.core.runtime import rtsys
+
+try:
+    import numba
+    from numba.core.caching import FunctionCache
+    from numba.core.runtime import rtsys
+except ImportError:  # everything runs without it, slowly
+    numba = None
+    FunctionCache = object
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +38,11 @@ def cache_folder() -> Path:
     return Path(os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_path("servofd")).absolute()
 
 
+def has_compiler() -> bool:
+    """Whether there is one; without, everything runs as plain Python, slowly."""
+    return numba is not None
+
+
 def made_by() -> str:
     """Compiler and processor that kept machine code is for."""
     from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
@@ -48,7 +58,8 @@ def _keep_in_cache_folder() -> None:
             numba.config.CACHE_DIR = str(cache_folder())
 
 
-_keep_in_cache_folder()
+if numba is not None:
+    _keep_in_cache_folder()
 
 
 class _KeptCode(FunctionCache):  # type: ignore[misc]
@@ -96,6 +107,8 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
     >>> twice(21)
     42
     """
+    if numba is None:
+        return function
     made = numba.njit(nogil=True, no_cfunc_wrapper=True, **options)(function)
     with suppress(RuntimeError):  # no writable directory for the cache
         made._cache = _KeptCode(function)

@@ -319,8 +319,10 @@ def _named(text: str) -> str:
     return f"servofd_stepper_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
-def path_of() -> Path:
-    """File of the stepper for all effects."""
+def path_of() -> Path | None:
+    """File of the stepper for all effects; None where nothing is compiled."""
+    if not compiler.has_compiler():
+        return None
     effects = everything()
     text = text_of(_acts_of(effects)[0], fields_of(effects))
     return _written(compiler.cache_folder(), _named(text), text)

@@ -23,7 +23,8 @@ def compile_ahead(say: Callable[[str], None]) -> None:
     say : callable
         Shows a sentence to whoever waits.
     """
-    if is_compiling() or is_prepared():
+    path = None if is_compiling() else path_of()
+    if path is None or is_kept(path):
         return
     say(_ONCE)
     nothing = subprocess.DEVNULL
@@ -35,7 +36,8 @@ def compile_ahead(say: Callable[[str], None]) -> None:
 
 def is_prepared() -> bool:
     """Whether nothing has to be compiled any more before a servo is simulated."""
-    return is_kept(path_of())
+    path = path_of()
+    return path is None or is_kept(path)
 
 
 def keep() -> None:
@@ -48,4 +50,6 @@ def keep() -> None:
 
     machine = machine_of(TransferFunction((1.0,), (1.0, 1.0, 1.0)), (Physics(),))
     machine.run(machine.new_state(), (np.zeros(1), np.zeros(1), np.zeros(1)), np.zeros(1))
-    mark_kept(path_of())
+    path = path_of()
+    if path is not None:
+        mark_kept(path)
