@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _prepare() -> None:
     """Have compiled what a fresh machine compiles once."""
-    from servofd.servo.prepare import compile_ahead
+    from servofd.jobs.prepare import compile_ahead
 
     waits = sys.stderr is not None and sys.stderr.isatty()
     compile_ahead(lambda sentence: say_aside(sentence) if waits else None)

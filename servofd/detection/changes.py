@@ -22,12 +22,10 @@ Whole logs and streams are tested sample by sample the same; `servofd.detection.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from logparsers.compiled import compiled
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.evidence import Detectable
 from servofd.detection.glitches import decide, new_glitch_memory
@@ -36,6 +34,7 @@ from servofd.detection.threshold import Threshold
 from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.record import load_at
+from servofd.servo.loops import compiled, inner
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -145,6 +144,8 @@ class Memory:
         self.runs[0], self.runs[3] = -np.inf, -1.0
         self.sums = np.zeros(_MATRIX + _WIDTH + 4 + 4 * tests.spectrum.size + 2)
         self.ring = np.zeros((_BLOCKS, self.sums.size))
+        self.room = np.zeros((FITTED + 2, _WIDTH + 1))
+        """For what is worked out at one time; an array that the compiled loop makes would take a second to compile."""
 
 
 def follow(
@@ -162,19 +163,18 @@ def follow(
     grid_s, statistics = np.empty(room), np.zeros((room, _COLUMNS))
     sigma_deg, triple = np.empty(m), np.empty(m)
     count = _follow(
-        *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, _UNITS, tests.period_s, tests.missed_deg,
-        time_s, error_deg, slopes, noise_deg, sigma_deg, triple, grid_s, statistics,
+        *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, memory.room, _UNITS, tests.period_s,
+        tests.missed_deg, time_s, error_deg, slopes, noise_deg, sigma_deg, triple, grid_s, statistics,
     )  # fmt: skip
     return Tested(sigma_deg, triple, grid_s[:count], statistics[:count])
 
 
-@partial(compiled, error_model="numpy")
+@compiled
 def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     colour: FloatArray, root: FloatArray, precision: FloatArray, spectrum: FloatArray, before: FloatArray,
-    runs: FloatArray, sums: FloatArray, ring: FloatArray, units: FloatArray, period_s: float, missed_deg: float,
-    time_s: FloatArray,
-    error_deg: FloatArray, slopes: FloatArray, noise_deg: FloatArray, sigma_deg: FloatArray, triple: FloatArray,
-    grid_s: FloatArray, statistics: FloatArray,
+    runs: FloatArray, sums: FloatArray, ring: FloatArray, room: FloatArray, units: FloatArray, period_s: float,
+    missed_deg: float, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray, noise_deg: FloatArray,
+    sigma_deg: FloatArray, triple: FloatArray, grid_s: FloatArray, statistics: FloatArray,
 ) -> int:  # fmt: skip
     """Take all samples, and tell how many blocks were complete.
 
@@ -186,19 +186,20 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     bands = spectrum.shape[0]
     after_a = width * width
     after_b = after_a + width
-    z, w = np.empty(width + 1), np.empty(width + 1)
+    z, w = room[0], room[1]
     count = 0
     for i in range(time_s.shape[0]):
         t = time_s[i]
-        block = np.floor(t / 0.25)
+        block = np.floor(t / GRID_S)
         if runs[3] < 0.0:
             runs[3] = block
         if block > runs[3]:
             pushed = int(min(block - runs[3], ring.shape[0]))
             for k in range(pushed):
-                ring[int(block - 1 - k) % ring.shape[0]] = sums
+                for j in range(sums.shape[0]):
+                    ring[int(block - 1 - k) % ring.shape[0], j] = sums[j]
             runs[3] = block
-            _evaluate(ring, int(block) - 1, precision, spectrum, width, period_s, statistics[count])
+            _evaluate(ring, room, int(block) - 1, precision, spectrum, width, period_s, statistics[count])
             statistics[count, 0] = runs[6]
             runs[6] = 0.0
             grid_s[count] = t
@@ -243,27 +244,28 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         sums[-2] += 1.0  # these sums are of every judged sample, those above of samples that follow two others
         sums[after_b + 2] += u * u
         sums[after_b + 3] += 1.0 / total
-        turn = np.exp(-2j * np.pi * 0.1 * t)
-        phase = np.exp(-2j * np.pi * 1.0 * t)
+        turn_cos, turn_sin = np.cos(2.0 * np.pi * _SPACING_HZ * t), np.sin(2.0 * np.pi * _SPACING_HZ * t)
+        cos, sin = np.cos(2.0 * np.pi * _FIRST_HZ * t), np.sin(2.0 * np.pi * _FIRST_HZ * t)
         late = root[_DELAY, _DELAY] * units[_DELAY] * slopes[i, _DELAY] / total
         for k in range(bands):
             place = after_b + 4 + 4 * k
-            sums[place] += phase.real * u
-            sums[place + 1] += phase.imag * u
-            sums[place + 2] += phase.real * late
-            sums[place + 3] += phase.imag * late
-            phase *= turn
-        before[1] = before[0]
-        before[0] = z
+            sums[place] += cos * u
+            sums[place + 1] += sin * u
+            sums[place + 2] += cos * late
+            sums[place + 3] += sin * late
+            cos, sin = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
+        for k in range(width + 1):
+            before[1, k] = before[0, k]
+            before[0, k] = z[k]
         runs[1] = t
         runs[2] += 1.0
     return count
 
 
-@partial(compiled, error_model="numpy")
+@inner
 def _evaluate(
-    ring: FloatArray, last: int, precision: FloatArray, spectrum: FloatArray, width: int, period_s: float,
-    out: FloatArray,
+    ring: FloatArray, room: FloatArray, last: int, precision: FloatArray, spectrum: FloatArray, width: int,
+    period_s: float, out: FloatArray,
 ) -> None:  # fmt: skip
     """All statistics at one time."""
     after_b = width * width + width
@@ -275,23 +277,23 @@ def _evaluate(
         out[1 + place] = (end[after_b + 2] - begin[after_b + 2]) / n
     for place in range(3):
         begin = ring[(last - int(4.0 * WINDOWS_S[place])) % ring.shape[0]]
-        _test(end, begin, place, precision, width, period_s, out)
+        _test(end, begin, room, place, precision, width, period_s, out)
     begin = ring[(last - int(4.0 * _BAND_S)) % ring.shape[0]]
     out[_BAND] = _line(end, begin, after_b, spectrum, period_s)
     out[_COUNT] = _count(end, begin, after_b)
     out[_WEIGHT] = end[after_b + 3] - begin[after_b + 3]
 
 
-@partial(compiled, error_model="numpy")
+@inner
 def _test(
-    end: FloatArray, begin: FloatArray, window: int, precision: FloatArray, width: int, period_s: float, out: FloatArray
-) -> None:
+    end: FloatArray, begin: FloatArray, room: FloatArray, window: int, precision: FloatArray, width: int,
+    period_s: float, out: FloatArray,
+) -> None:  # fmt: skip
     """What no parameter explains of a window, and the scores of its changes."""
     fitted = precision.shape[0]
     after_a = width * width
     after_b = after_a + width
-    root = np.empty((fitted, fitted))
-    x, y = np.empty(fitted), np.empty(fitted)
+    x, y, root = room[0], room[1], room[2:]
     for j in range(fitted):  # Cholesky
         for k in range(j + 1):
             part = end[j * width + k] - begin[j * width + k] + precision[j, k]
@@ -330,7 +332,7 @@ def _test(
         out[_FIRST + test] = -value if h == 0 else abs(value) if h == 1 else value
 
 
-@partial(compiled, error_model="numpy")
+@inner
 def _line(end: FloatArray, begin: FloatArray, after_b: int, spectrum: FloatArray, period_s: float) -> float:
     """The strongest line of a window."""
     n = end[-2] - begin[-2]
@@ -347,7 +349,7 @@ def _line(end: FloatArray, begin: FloatArray, after_b: int, spectrum: FloatArray
     return float(np.sqrt(best))
 
 
-@partial(compiled, error_model="numpy")
+@inner
 def _count(end: FloatArray, begin: FloatArray, after_b: int) -> float:
     return float(end[after_b + 1] - begin[after_b + 1])
 

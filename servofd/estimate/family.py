@@ -46,7 +46,7 @@ _LEAST_ASKED_DEG: Final = 16.0
 """Smallest range for which steps of the simulation are planned [deg]."""
 _FINER: Final = 0.3
 """Steps are so much longer than elsewhere: errors of the position stay below 0.01 deg rms."""
-_EFFECTS: Final[tuple[type[Effect], ...]] = (
+EFFECTS: Final[tuple[type[Effect], ...]] = (
     CommandGain, DeadBand, MotorRate, Torque, Friction, StribeckFriction, AirLoad, AirTrim, ServoStop, Backlash, Bias,
     *ADDED,
 )  # fmt: skip
@@ -116,7 +116,7 @@ def new_state(count: int) -> Progress:
     >>> new_state(2).received
     0
     """
-    return Progress(machine_of(_LOOP, [_servo(_USUAL, 0.0)] * count, effects=_EFFECTS).new_state())
+    return Progress(machine_of(_LOOP, [_servo(_USUAL, 0.0)] * count, effects=EFFECTS).new_state())
 
 
 def _servo(row: FloatArray, furthest_deg: float) -> Physics:
@@ -139,7 +139,7 @@ def _servo(row: FloatArray, furthest_deg: float) -> Physics:
 def _machine(table: bytes, count: int, furthest_deg: float) -> Machine:
     """The servos of a table, made once: a stream asks for the same ones at each sample."""
     rows = np.frombuffer(table).reshape(count, -1)
-    return machine_of(_LOOP, [_servo(row, furthest_deg) for row in rows], _FINER, _EFFECTS)
+    return machine_of(_LOOP, [_servo(row, furthest_deg) for row in rows], _FINER, EFFECTS)
 
 
 def simulated(

@@ -18,6 +18,7 @@ from starlette.routing import Route
 
 from servofd.aircraft.columns import TIME_UNITS, UNITS
 from servofd.core.errors import ConfigError
+from servofd.jobs.prepare import is_prepared
 from servofd.outputs.compare_report import charts, compare_report
 from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
@@ -28,7 +29,6 @@ from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, RECORDING, curves_in, progress_in
 from servofd.serve.preview import preview
 from servofd.serve.viewer import FILES, viewer_files
-from servofd.servo.prepare import is_prepared
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -29,7 +29,7 @@ import numpy as np
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
 from servofd.servo.effect import Effect, Now, Slot
-from servofd.servo.registry import everything, fields_of
+from servofd.servo.registry import fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -319,11 +319,10 @@ def _named(text: str) -> str:
     return f"servofd_stepper_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
-def path_of() -> Path | None:
-    """File of the stepper for all effects; None where nothing is compiled."""
+def path_of(effects: tuple[type[Effect], ...]) -> Path | None:
+    """File of the stepper for some effects; None where nothing is compiled."""
     if not compiler.has_compiler():
         return None
-    effects = everything()
     text = text_of(_acts_of(effects)[0], fields_of(effects))
     return _written(compiler.cache_folder(), _named(text), text)
 
@@ -342,24 +341,23 @@ def mark_kept(path: Path) -> None:
         path.with_suffix(".kept").write_text(compiler.made_by(), encoding="utf-8")
 
 
-_compiling: subprocess.Popen[bytes] | None = None
+_compiling: list[subprocess.Popen[bytes]] = []
 
 
 def is_compiling() -> bool:
-    """Whether a process was started that compiles it."""
-    return _compiling is not None
+    """Whether processes were started that compile it."""
+    return bool(_compiling)
 
 
 def wait_for(process: subprocess.Popen[bytes]) -> None:
-    """Have the first that needs the stepper wait for a process that compiles it."""
-    global _compiling  # noqa: PLW0603 - one process compiles
-    _compiling = process
+    """Have the first that needs the stepper wait for a process that compiles ahead."""
+    _compiling.append(process)
 
 
 def _module(text: str) -> Any:  # noqa: ANN401 - a module
     """The text as a module in the cache folder, beside which the compiler keeps what it made."""
-    if _compiling is not None:
-        _compiling.wait()
+    for process in _compiling:
+        process.wait()
     name = _named(text)
     path = _written(compiler.cache_folder(), name, text)
     spec = importlib.util.spec_from_file_location(name, path)
