@@ -61,6 +61,8 @@ _TOLD = 0.8
 """A name of this probability is reported with the first look, others from the second one on."""
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
+_REVIEW_S = 20.0
+"""How often it is asked whether that is so on a link [s]."""
 _STEADY_S = 2.0
 _SAME_LEFT = 2.0
 """What a link leaves of a pace scatters by so many times."""
@@ -148,6 +150,8 @@ class SurfaceMonitor:
     """Whether positions have changed while the stream had not begun."""
     _told_still: bool = False
     _told_slow: bool = False
+    _reviewed: tuple[float, float] | None = None
+    """When it was last asked what share of the time is judged [s], and how much was judged by then [s]."""
     suspicions: tuple[Fault, ...] = ()
     """What the last look found that is no fault."""
     _slow: str = ""
@@ -623,6 +627,7 @@ class SurfaceMonitor:
             steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), OUTAGE_S)
             self._judged_s += float(steps_s[residuals.settled[valued]].sum())
             self._valued_s = float(valued_s[-1])
+            events += self._hardly_judged()
         last = int(residuals.time_s.size) - 1
         commands = self._stream.logged.commands().command_deg
         if self.listener is not None:
@@ -641,6 +646,18 @@ class SurfaceMonitor:
             bool(residuals.settled[last]),
         )
         return events
+
+    def _hardly_judged(self) -> list[Event]:
+        """Say once that a link leaves too few commands to judge the servo for most of the time."""
+        since_s, judged_s = self._reviewed or (self._valued_s, self._judged_s)
+        if self._reviewed is None or self._valued_s - since_s >= _REVIEW_S:
+            self._reviewed = self._valued_s, self._judged_s
+        share = (self._judged_s - judged_s) / max(self._valued_s - since_s, 1e-9)
+        if not self.is_periodic or self._valued_s - since_s < _REVIEW_S or share >= _MOST or self._told_slow:
+            return []
+        self._told_slow = True
+        text = f"judged for {share:.0%} of the last {_REVIEW_S:g} s: the link loses too many commands"
+        return [Event(self._valued_s, self.name, "no_data", text=text)]
 
     def _raised(self) -> list[Event]:
         """The alarm of a residual over its threshold, once all looks are made that were due before it."""
