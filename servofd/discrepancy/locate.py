@@ -12,26 +12,12 @@ if TYPE_CHECKING:
 
 _BINS, _FEWEST_PER_BIN = 14, 12
 """Bins of a quantity, and samples in each at least."""
-_SWING_S = 0.5
 REST, FAST = 0.3, 0.8
 """Quantiles of the speed below which a servo is taken to rest, and above which it is fast."""
 AFTER_REVERSAL_S = 0.3
 """Time after a reversal during which play and friction show [s]."""
-_CHANGES = 0.05
-"""What surrounds the aircraft is a condition only if it changes by this share."""
 _BAND = (5.0, 50.0, 95.0)
 """Percentiles of the error that are drawn over a quantity."""
-_STANDS_STILL = 1e-6
-"""In the unit of a quantity: less is rounding."""
-
-
-class Quantity(NamedTuple):
-    """Something that an error may depend on."""
-
-    name: str
-    unit: str
-    values: FloatArray
-    """Shape (n,), for all samples of the record."""
 
 
 class Bins(NamedTuple):
@@ -45,59 +31,18 @@ class Bins(NamedTuple):
     """95 % quantile."""
 
 
-def quantities(record: Record, simulated_deg: FloatArray) -> tuple[Quantity, ...]:
-    """What an error is drawn over: command rate, deflection, speed, amplitude, time, and the context that was logged.
-
-    Parameters
-    ----------
-    simulated_deg : ndarray, shape (n,)
-        Position of the better model, which knows the motion without the noise of the measurement [deg].
-
-    Examples
-    --------
-    >>> from servofd.discrepancy.record import record_of, simulate
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.series import Series
-    >>> from servofd.servo.library import servo_named
-    >>> t = np.arange(0.0, 10.0, 0.01)
-    >>> model = ServoModel.of(servo_named("hs225bb-eq31"))
-    >>> record = record_of(Series("x", t, 5.0 * np.sin(t), t, np.zeros(t.size)), model)
-    >>> found = {q.name: q for q in quantities(record, simulate(record, record.plant.neutral))}
-    >>> round(float(found["command rate"].values[:300].max()), 1)
-    5.0
-    """
-    time_s = record.time_s
-    command = np.interp(time_s, record.commands.effective_s, record.commands.command_deg)
-    speed = np.gradient(simulated_deg, time_s)
-    found = [
-        Quantity("command rate", "deg/s", np.gradient(smooth(command), time_s)),
-        Quantity("deflection", "deg", simulated_deg),
-        Quantity("speed", "deg/s", speed),
-        Quantity("amplitude of the command", "deg", _swing(command, max(1, round(_SWING_S / record.period_s)))),
-        Quantity("time", "s", time_s),
-    ]
-    for name, unit, values in (
-        ("dynamic pressure", "Pa", record.pressure_pa),
-        ("supply voltage", "V", record.voltage_v),
-        ("temperature", "°C", record.temperature_c),
-    ):
-        if values is not None and np.ptp(values[record.counts]) > _CHANGES * np.abs(values[record.counts]).max():
-            found.append(Quantity(name, unit, values))
-    return tuple(q for q in found if np.ptp(q.values[record.counts]) > _STANDS_STILL)
-
-
-def binned(quantity: Quantity, error_deg: FloatArray, counts: BoolArray) -> Bins:
+def binned(quantity: Map, error_deg: FloatArray, counts: BoolArray) -> Bins:
     """Quantiles of an error in bins of a quantity; bins of equal numbers of samples, of time equal lengths.
 
     Examples
     --------
     >>> x = np.linspace(0.0, 1.0, 1000)
-    >>> found = binned(Quantity("x", "deg", x), 2.0 * x, np.ones(1000, dtype=bool))
+    >>> found = binned(Map("x", "deg", x, 1.0, 0.8, 0.5), 2.0 * x, np.ones(1000, dtype=bool))
     >>> bool(np.allclose(found.median_deg, 2.0 * found.centre, atol=0.01))
     True
     """
-    values, error = quantity.values[counts], error_deg[counts]
-    if quantity.name == "time":
+    values, error = quantity.values, error_deg[counts]
+    if quantity.quantity == "time":
         edges = np.linspace(values.min(), values.max(), 4 * _BINS + 1)
     else:
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
@@ -114,13 +59,6 @@ def smooth(values: FloatArray) -> FloatArray:
     """Mean of each value and the two on either side."""
     smoothed: FloatArray = np.convolve(np.pad(values, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     return smoothed
-
-
-def _swing(values: FloatArray, width: int) -> FloatArray:
-    """Half of the range of the last `width` values."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, (width, 0), mode="edge"), width + 1)
-    swing: FloatArray = 0.5 * np.ptp(windows, axis=1)
-    return swing
 
 
 _PIECE_S, _PIECES, _FEWEST_SAMPLES = 4.0, 5.5, 32
@@ -213,6 +151,8 @@ class Map(NamedTuple):
 
     quantity: str
     unit: str
+    values: FloatArray
+    """At the samples that count."""
     share: float
     """Of the variance above the noise floor, predicted for samples that were not used: 1 is all of it."""
     above: float
@@ -239,7 +179,7 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
         top = size > above
         concentration = float(np.sum(error[top] ** 2 - sigma_deg**2)) / total if top.any() else 0.0
         share = max(float(_binned(values, error, record.block[where]).sum()) / total, 0.0)
-        found.append(Map(name, unit, share, above, concentration))
+        found.append(Map(name, unit, values, share, above, concentration))
     return tuple(sorted(found, key=lambda each: -each.share))
 
 

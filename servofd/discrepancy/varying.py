@@ -1,7 +1,6 @@
 """A value of an effect that goes with a condition of the runs: a rate limit that falls with the load.
 
-The search fits it as a line over what was logged beside the runs. Here it is reported, with the value that suits each
-run best by itself.
+The search fits it as a line over what was logged beside the runs. Here it is reported.
 """
 
 from __future__ import annotations
@@ -11,8 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.fitting import Noise, Problem, fit
-from servofd.discrepancy.noise import long_run_factor
 from servofd.discrepancy.record import simulate
 from servofd.servo.catalogue import ALIKE, is_law, law_of
 
@@ -22,13 +19,7 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.select import Selection
-    from servofd.servo.effect import Effect, Parameter
-
-_LEAST_SHARE, _SIGMAS = 0.5, 3.0
-"""Of the value that is common to all runs, the least that a run may have, and the inverse of the most; a run tells its
-own if it is so many standard deviations from both."""
-_STEP_SHARE, _STEPS = 0.02, 15
-"""Step of the derivatives as a share of the common value, and steps of the fit at most."""
+    from servofd.servo.effect import Effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +33,7 @@ class Varying:
     condition: FloatArray
     """In each run, shape (r,)."""
     values: FloatArray
-    """Of each run, shape (r,); NaN where it does not show."""
+    """Of each run, shape (r,)."""
     at_zero: float
     slope: float
     """Of the line through the values over the condition."""
@@ -76,7 +67,7 @@ class Varying:
             "conditions": list(self.conditions),
             "at_zero": self.at_zero,
             "slope": self.slope,
-            "values": [float(value) if np.isfinite(value) else None for value in self.values],
+            "values": self.values.tolist(),
             "common_rms_deg": self.common_rms_deg,
             "line_rms_deg": self.line_rms_deg,
         }
@@ -116,9 +107,8 @@ def _law(selection: Selection, index: int, effect: type[Effect], known: Mapping[
         other for other, its in known.items()
         if other != name and np.ptp(its) > 0.0 and abs(np.corrcoef(its, of)[0, 1]) > ALIKE
     ]  # fmt: skip
-    values = np.array([_own_value(selection, run, index, parameter) for run in record.runs])
     lines = at_zero, slope, common_deg, line_deg
-    return Varying(effect.name, parameter.name, (name, *alike), of, values, *lines)
+    return Varying(effect.name, parameter.name, (name, *alike), of, at_zero + slope * of, *lines)
 
 
 def _held_out(record: Record) -> BoolArray:
@@ -136,25 +126,6 @@ def _error_deg(selection: Selection, run: Record, index: int, value: float) -> F
     simulated_deg = simulate(run, physics._replace(**dict.fromkeys(fields, value)))
     error_deg: FloatArray = (run.measured_deg - simulated_deg)[run.counts]
     return error_deg
-
-
-def _own_value(selection: Selection, run: Record, index: int, parameter: Parameter) -> float:
-    """Best for one run; NaN where the run does not tell it from half and from twice the common value."""
-    common = float(selection.final.values[index])
-    ends = sorted((_LEAST_SHARE * common, common / _LEAST_SHARE))
-    low, high = max(ends[0], parameter.low), min(ends[1], parameter.high)
-    step = _STEP_SHARE * abs(common)
-    if not low + step < high:
-        return float("nan")
-
-    def error_deg(x: FloatArray) -> FloatArray:
-        return _error_deg(selection, run, index, float(x[0]))
-
-    bounds = np.array([low]), np.array([high])
-    found = fit(Problem.free(error_deg, bounds, Noise(), step), np.array([common]), steps=_STEPS)
-    value = float(found.x[0])
-    surely = _SIGMAS * float(np.sqrt(found.covariance(long_run_factor(found.error))[0, 0]))
-    return value if value - low > surely and high - value > surely else float("nan")
 
 
 def _rms_deg(selection: Selection, index: int, values: FloatArray, held_out: BoolArray) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.statistics import Z_95
-from servofd.discrepancy.locate import binned, maps, quantities, spectrum
+from servofd.discrepancy.locate import binned, maps, spectrum
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.explanation import Explanation
-    from servofd.discrepancy.varying import Varying
 
 _EXCERPT_S = 6.0
 """Length of the excerpt of the motion that is drawn [s]."""
@@ -34,8 +33,7 @@ def explain_charts(found: Explanation) -> dict[str, Chart]:
     """All charts of one explanation, by name: traces, what the error depends on, spectrum and correlation."""
     charts = {"traces": _traces(found, excerpt=True), "whole": _traces(found, excerpt=False)}
     charts |= {f"over-{one.axis.split(' [')[0].replace(' ', '-')}": one for one in _maps(found)}
-    charts |= {"spectrum": _spectrum(found), "correlation": _correlation(found)}
-    return charts | {f"varying-{k}": _varying(each) for k, each in enumerate(found.varying, start=1)}
+    return charts | {"spectrum": _spectrum(found), "correlation": _correlation(found)}
 
 
 def _traces(found: Explanation, *, excerpt: bool) -> Chart:
@@ -75,7 +73,9 @@ def _maps(found: Explanation) -> list[Chart]:
     """The error before and after, over each quantity that it may depend on."""
     record, selection = found.record, found.selection
     charts = []
-    for each in quantities(record, record.measured_deg - selection.final.error_deg):
+    for each in maps(record, selection.nominal.error_deg, selection.sigma_deg):
+        if not np.ptp(each.values) > 0.0 or not each.unit:  # the direction of motion is no axis
+            continue
         curves = []
         for name, role, fit in (("before", "before", selection.nominal), ("after", "after", selection.final)):
             bins = binned(each, fit.error_deg, record.counts)
@@ -88,7 +88,8 @@ def _maps(found: Explanation) -> list[Chart]:
             f"Median error, with the middle 90% of it as bars; noise is {2 * selection.sigma_deg:.2g} deg either way."
         )
         panel = Panel.around("error", "deg", curves)
-        charts.append(Chart(f"Error over {each.name}", text, *ends, (panel,), axis=f"{each.name} [{each.unit}]"))
+        name = each.quantity
+        charts.append(Chart(f"Error over {name}", text, *ends, (panel,), axis=f"{name} [{each.unit}]"))
     return charts
 
 
@@ -140,23 +141,6 @@ def _correlation(found: Explanation) -> Chart:
     text = "Residuals that are noise are not correlated: they stay between the level lines in 95% of all lags."
     panel = Panel.around("autocorrelation", "", curves)
     return Chart("Correlation of the error", text, 0.0, float(ends[1]), (panel,), axis="lag [s]")
-
-
-def _varying(each: Varying) -> Chart:
-    """A value of each run over the condition that it goes with."""
-    condition = np.asarray(each.condition, dtype=float)
-    (first, begin), (last, end) = each.ends
-    curves = (
-        Curve("each run by itself", "before", condition, np.asarray(each.values, dtype=float), "dots"),
-        Curve("what was found", "after", np.array([first, last]), np.array([begin, end])),
-    )
-    text = (
-        f"The value of {each.parameter} that suits each run best, where the run shows it, over {each.conditions[0]} as "
-        "it was logged. With one value for all, the runs that were held out are off by "
-        f"{each.common_rms_deg:.3g} deg rms; with the line, by {each.line_rms_deg:.3g}."
-    )
-    panel = Panel.around(each.parameter, "", curves)
-    return Chart(f"{each.parameter} over {each.conditions[0]}", text, first, last, (panel,), axis=each.conditions[0])
 
 
 _MOST_RIVALS = 5
