@@ -15,7 +15,7 @@ from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
 from servofd.core.evidence import ModelOrigin, what_is_unknown
-from servofd.core.statistics import Estimate
+from servofd.core.statistics import Z_95, Estimate
 from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
 from servofd.detection.evidence import is_blind
@@ -33,7 +33,7 @@ from servofd.detection.known import (
     tolerance_of,
 )
 from servofd.estimate.family import PRESSURE_PA
-from servofd.estimate.fit import WIDTHS, fit, worse_without
+from servofd.estimate.fit import WIDTHS, fit
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
 from servofd.servo.context import AIR_KG_M3
 
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from servofd.detection.flights import Flight
     from servofd.estimate.fit import Fit
 
-_PAYS: Final = 1.01
-"""Ratio of the error without an effect to that with it, on data not fitted, from which on the effect is listed."""
 _FAST_M_S: Final = 25.0
 """Airspeed for which the deflection under air load is given [m/s]."""
 
@@ -59,8 +57,6 @@ _VAGUE: Final = 4.0
 """A parameter is vague if its variance is so many times the usual one between flights."""
 
 _RESTING: Final = {"friction_deg": "friction", "deadband_deg": "dead band", "play_deg": "play"}
-_NOTHING: Final = 1e-3
-"""Parameters of an effect that are all smaller than this are none."""
 _FLYING: Final = 0.1
 """Median dynamic pressure, over its unit in the model, above which the calibration flew."""
 _LEAST_SHOWN_DEG: Final = 0.02
@@ -131,29 +127,34 @@ def _estimate(fitted: Fit, first: Fit, place: int) -> Estimate:
 
 
 def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Estimate]) -> tuple[str, ...]:
-    """Effects without which what was left out is predicted worse."""
+    """Effects that the flights show: those whose interval does not hold zero, the surest first."""
     flown = float(np.median(np.concatenate([record.load for record in records]))) > _FLYING
-
-    def gained(together: tuple[str, ...]) -> float:
-        if max(abs(float(fitted.theta[NAMES.index(each)])) for each in together) < _NOTHING:
-            return 0.0
-        return worse_without(fitted, records, together)
 
     def resting(key: str) -> str:
         return f"{_RESTING[key]} {_shown(estimates[key], least=flown and key == 'play_deg')}"
 
-    found = {resting(key): gained((key,)) for key in _RESTING}
-    if max(found.values()) < _PAYS:  # they may stand for each other
+    def sure(*keys: str) -> float:
+        return max(abs(estimates[key].value) / (Z_95 * estimates[key].deviation) for key in keys)
+
+    found = {resting(key): sure(key) for key in _RESTING if estimates[key].value > _LEAST_SHOWN_DEG}
+    if found and max(found.values()) < 1.0:  # they may stand for each other
         widest = max(_RESTING, key=lambda key: estimates[key].value * WIDTHS[key])
         others = " or ".join(name for key, name in _RESTING.items() if key != widest)
-        found = {f"{resting(widest)}, which may be {others}": gained(tuple(_RESTING))}
+        found = {f"{resting(widest)}, which may be {others}": _sure_together(fitted)}
     reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))
     pressure = 0.5 * AIR_KG_M3 * _FAST_M_S**2 / PRESSURE_PA
     gives = pressure * (abs(estimates["hinge"].value) * reach + abs(estimates["hinge_deg"].value))
-    found[f"gives way {gives:.2g} deg at {reach:.0f} deg and {_FAST_M_S:g} m/s"] = gained(("hinge", "hinge_deg"))
+    found[f"gives way {gives:.2g} deg at {reach:.0f} deg and {_FAST_M_S:g} m/s"] = sure("hinge", "hinge_deg")
     bend = max(abs(estimates[each].value) for each in ("bend2_deg", "bend3_deg"))
-    found[f"reading bent by {bend:.2g} deg"] = gained(("bend2_deg", "bend3_deg"))
-    return tuple(text for text, ratio in sorted(found.items(), key=lambda each: -each[1]) if ratio >= _PAYS)
+    found[f"reading bent by {bend:.2g} deg"] = sure("bend2_deg", "bend3_deg")
+    return tuple(text for text, ratio in sorted(found.items(), key=lambda each: -each[1]) if ratio > 1.0)
+
+
+def _sure_together(fitted: Fit) -> float:
+    """Width of dead band, friction and play together over the half of its interval."""
+    widths = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
+    wider = np.max((fitted.estimates[:, 1] / np.sqrt(np.diag(fitted.covariance)))[widths > 0.0])
+    return float(widths @ fitted.theta / (Z_95 * wider * np.sqrt(widths @ fitted.covariance @ widths)))
 
 
 def _shown(estimate: Estimate, *, least: bool) -> str:

@@ -166,25 +166,6 @@ def reach_of(records: Sequence[Record]) -> tuple[float, float]:
     return float(np.quantile(seen_deg, _SELDOM)), float(np.quantile(seen_deg, 1.0 - _SELDOM))
 
 
-def worse_without(fitted: Fit, records: Sequence[Record], effects: Sequence[str]) -> float:
-    """By how many times a servo without some effects, fitted to the same records, predicts unseen data worse.
-
-    Dead band, friction and play that are left may take over the width of those that are not.
-    """
-    held = np.array([name in effects for name in NAMES])
-    width_deg = float((_WIDTHS * fitted.theta)[held].sum())
-    begins = [np.where(held, 0.0, fitted.theta)]
-    for place in np.flatnonzero((_WIDTHS > 0.0) & ~held) if width_deg > 0.0 else ():
-        begins.append(begins[0].copy())
-        begins[-1][place] += width_deg / _WIDTHS[place]
-    flights = _Flights.of(records, fitted.reach_deg)
-    without = _best(flights.problem(fitted.sigma_deg, np.where(held, 0.0, np.nan)), begins, _FIRST_STEPS)
-    error, speed = flights.left(without.x)
-    noise = _noise(error, speed, records)
-    again = _reweighed(without, noise.sigma_deg(speed), _colour_length(noise))
-    return _left_out(records, again).rms_deg / fitted.held_out_rms_deg
-
-
 def residual(
     measured_deg: FloatArray, reading_deg: FloatArray, reach_deg: tuple[float, float]
 ) -> tuple[FloatArray, BoolArray]:
@@ -248,14 +229,11 @@ class _Flights(NamedTuple):
         found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
         return found
 
-    def problem(self, sigma: FloatArray, held: FloatArray | None = None) -> Problem:
-        """The servo of these flights; numbers `held` (13,) that are not NaN stay what they are."""
-        low, high = _LOWS, _HIGHS
-        if held is not None:
-            low, high = (np.where(np.isnan(held), ends, held) for ends in (low, high))
+    def problem(self, sigma: FloatArray) -> Problem:
+        """The servo of these flights."""
         noise = Scatter(huber=_HUBER, sigma=sigma, is_known=True)
         return Problem(
-            low, high, 1.0 / _SIGMAS, _VALUES, lambda theta: self.left(theta)[0], noise, derivatives=self.slopes
+            _LOWS, _HIGHS, 1.0 / _SIGMAS, _VALUES, lambda theta: self.left(theta)[0], noise, derivatives=self.slopes
         )
 
 
