@@ -10,7 +10,7 @@ import numpy as np
 from servofd.aircraft.series import Series
 from servofd.core.series import rms
 from servofd.discrepancy.fit import Fitter
-from servofd.discrepancy.locate import Block, blocks, sentences
+from servofd.discrepancy.locate import Block, Oscillation, blocks, oscillation, sentences
 from servofd.discrepancy.noise import at_rest, noise_floor_deg
 from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, step_size_deg
@@ -156,6 +156,8 @@ class Explanation:
     """Where it was not driven, which was left out."""
     varying: tuple[Varying, ...] = ()
     """Values that go with a condition of the runs."""
+    oscillation: Oscillation | None = None
+    """What most of the rest is."""
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -180,7 +182,7 @@ class Explanation:
     def has_fault(self) -> bool:
         """Whether a fault sets in, or the answer calls an effect more than a sound servo has."""
         worn = not (self.record.free_poles or _is_mostly_left(self)) and bool(_beyond_sound(self))
-        return self.fault_s is not None or worn
+        return self.fault_s is not None or worn or self.oscillation is not None
 
     @property
     def held_out_deg(self) -> tuple[float, float]:
@@ -283,6 +285,7 @@ class Explanation:
             "answer": self.answer,
             "runs": [each._asdict() for each in self.runs],
             "varying": [each.document() for each in self.varying],
+            "oscillation": self.oscillation and self.oscillation._asdict(),
             "simulations": selection.simulations,
         }
 
@@ -350,7 +353,7 @@ def explain_gap(
     ]
     check(joined([at_rest(each) for each in records]))
     record, stood = driven_part(records)
-    undriven = [*off, *stood]
+    whole, undriven = record, [*off, *stood]
     selection = select(record, progress)
     notes = [each.sentence(several=len(records) > 1) for each in undriven]
     notes += [
@@ -365,6 +368,8 @@ def explain_gap(
                 f"after {fault_s:.1f} s this is a fault, not a missing effect: only what came before is explained"
             )
     notes += _notes(record, selection)
+    is_left = fault_s is not None or bool(selection.adequacy.reasons)
+    wave = oscillation(whole, selection.final.error_deg, selection.sigma_deg) if is_left and not record.runs else None
     where = sentences(record, selection.nominal.error_deg, selection.sigma_deg)
     errors = run_errors(record, selection.fitter, selection.final)
     found = Explanation(
@@ -377,6 +382,7 @@ def explain_gap(
         fault_s,
         runs=errors,
         undriven=tuple(undriven),
+        oscillation=wave,
     )
     found = replace(found, notes=(*found.notes, *_unconfirmed(found)))
     # Manoeuvres are simulated, and how the servo moves must be known for that.
@@ -496,6 +502,7 @@ _NAMES = {
     "damping": "another damping",
     "supply_coupling": "a reading that moves with the current",
     "linkage_nonlinearity": "a crooked linkage",
+    "linkage_nonlinearity (up and down)": "another gain up than down",
 }
 _UNITS = (("deg_s_per_v", " deg/s per V"), ("deg_s", " deg/s"), ("_deg", " deg"), ("_s", " s"), ("_hz", " Hz"))
 _SOUND = {
@@ -520,12 +527,14 @@ def _answer(found: Explanation) -> str:
         parts.append(f"FAULT from {found.fault_s:.1f} s on: the servo no longer does what its command asks")
     elif found.undriven:
         parts.append("The servo was not driven for part of the record (times below); that part was left out")
+    if found.oscillation is not None:
+        parts.append(found.oscillation.sentence)
     if not steps and not reasons:
         text = "Before that, nothing is missing" if found.fault_s is not None else "Nothing is missing"
         parts.append(f"{text}: what is left is noise of {found.selection.sigma_deg:.3g} deg")
     elif not steps:
         parts.append(f"Unexplained: the model is wrong by {after:.3g} deg, and no effect that is known accounts for it")
-        if found.fault_s is None:
+        if not found.has_fault:
             parts.append("That alone is no sign of a fault")
     else:
         mostly = _is_mostly_left(found)
@@ -591,7 +600,8 @@ def _named(found: Explanation, index: int, *, judged: bool) -> str:
             sound = f": more than the {limit:g} deg of a sound hobby servo, which may be how this one is made"
         else:
             sound = f": FAULT, a sound hobby servo has at most {limit:g} deg"
-    return f"{_NAMES.get(effect.name, effect.name)} of {size}{instead}{sound}"
+    words = _NAMES.get(effect.key(), _NAMES.get(effect.name, effect.name))
+    return f"{words} of {size}{instead}{sound}"
 
 
 def _beyond_sound(found: Explanation) -> list[str]:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.series import stretches
+
 if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.record import Record
@@ -141,6 +143,66 @@ def coherent_to_hz(found: Spectrum) -> float | None:
     return float(found.frequency_hz[lost[0]]) if lost.size else None
 
 
+_OF_LINE, _ALONE, _ON = 0.5, 0.5, 0.5
+"""Share of the excess that a line of the spectrum holds, coherence that command and position have there at most, and
+share of its usual amplitude from which on it counts as there."""
+_CLEAR, _SHORTEST_S = 6.0, 3.0
+"""Amplitude over its standard deviation in a second of noise, and for how long it lasts at least [s]."""
+
+
+class Oscillation(NamedTuple):
+    """A line in an error that the command does not ask for."""
+
+    amplitude_deg: float
+    frequency_hz: float
+    start_s: float
+    end_s: float
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return (
+            f"An oscillation of {self.amplitude_deg:.2g} deg at {self.frequency_hz:.2g} Hz from {self.start_s:.0f} to "
+            f"{self.end_s:.0f} s, which the command does not ask for"
+        )
+
+
+def oscillation(record: Record, error_deg: FloatArray, sigma_deg: float) -> Oscillation | None:
+    """The oscillation that most of an error is, and when it lasts; None if it is none.
+
+    Parameters
+    ----------
+    error_deg : ndarray, shape (n,)
+        Measured minus simulated position [deg].
+    """
+    found = spectrum(record, error_deg)
+    if found is None:
+        return None
+    width_hz = found.frequency_hz[1]
+    excess = np.maximum(found.error_deg2_hz - sigma_deg**2 / found.frequency_hz[-1], 0.0)[1:]
+    top = int(np.argmax(excess))
+    line = slice(max(top - 1, 0), top + 2)
+    if excess[line].sum() < _OF_LINE * excess.sum() or found.coherence[top + 1] > _ALONE:
+        return None
+    frequency_hz = float(found.frequency_hz[1:][line] @ excess[line] / excess[line].sum())
+    start_s = float(record.time_s[0])
+    second = (record.time_s - start_s).astype(np.int64)[record.counts]
+    turned = error_deg[record.counts] * np.exp(-2j * np.pi * frequency_hz * record.time_s[record.counts])
+    count = np.bincount(second)
+    sums = np.bincount(second, turned.real) + 1j * np.bincount(second, turned.imag)
+    amplitude_deg = 2.0 * np.abs(sums) / np.maximum(count, 1)
+    usual_deg = float(np.quantile(amplitude_deg, _USUALLY))
+    spans = stretches(amplitude_deg > _ON * usual_deg)
+    first, last = max(spans, key=lambda span: span[1] - span[0], default=(0, 0))
+    noise_deg = sigma_deg * float(np.sqrt(2.0 * record.period_s))
+    if last - first < max(_SHORTEST_S, 1.0 / frequency_hz, 2.0 * width_hz) or usual_deg < _CLEAR * noise_deg:
+        return None
+    size_deg = float(np.median(amplitude_deg[first:last]))
+    return Oscillation(size_deg, frequency_hz, start_s + first, start_s + last)
+
+
+_USUALLY = 0.9
+"""Quantile of the amplitude of seconds that is that of an oscillation."""
 _BINS_OF_MAP, _FEWEST_IN_MAP = 12, 30
 """Bins of a quantity in a map, and samples in each at least."""
 _FOLDS = 2

@@ -403,8 +403,6 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
     for fit in search.visited.values():
         if fit is not best and (len(fit.effects) != size or not search.is_physical(fit)):
             continue
-        if _siblings_in(fit) > _siblings_in(best):
-            continue
         key = tuple(sorted(fit.names))
         share = float(np.exp(-0.5 * (_cost(search, fit) - least) / tempered))
         weight[key] = weight.get(key, 0.0) + share / _forms(search, fit)
@@ -435,12 +433,6 @@ def _beyond_noise(search: Search, best: Fit) -> float:
     whole = search.fitter.judged(best.effects, best.physics)
     left = whole.train / max(float(record.counts.sum()), 1.0)
     return max(0.0, 1.0 - (_MODEL_RATIO * floor_of(record, whole)) ** 2 / max(left, 1e-30))
-
-
-def _siblings_in(fit: Fit) -> int:
-    """How many effects are another way of what a further one is."""
-    families = [effect.family for effect in fit.effects if effect.family]
-    return len(families) - len(set(families))
 
 
 def _forms(search: Search, fit: Fit) -> float:

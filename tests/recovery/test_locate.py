@@ -14,6 +14,7 @@ from servofd.discrepancy.locate import (
     coherent_to_hz,
     excess_band_hz,
     maps,
+    oscillation,
     sentences,
     since_reversal_s,
     spectrum,
@@ -100,3 +101,21 @@ def test_a_short_record_has_no_spectrum() -> None:
     few = slice(0, 150)
     short = record_of(Series("x", TIME_S[few], flown()[0][few], TIME_S[few], made.measured_deg[few]), KNOWN)
     assert spectrum(short, error_deg[few]) is None
+
+
+@pytest.mark.parametrize(("hz", "size_deg", "from_s", "to_s"), [(3.0, 0.6, 30.0, 60.0), (5.2, 0.3, 20.0, 41.0)])
+def test_an_oscillation_is_told_with_its_span(hz: float, size_deg: float, from_s: float, to_s: float) -> None:
+    there = (from_s <= TIME_S) & (to_s > TIME_S)
+    found = oscillation(*record(np.where(there, size_deg * np.sin(2.0 * np.pi * hz * TIME_S), 0.0) + noise_deg(6)), 0.1)
+    assert found is not None
+    assert found.amplitude_deg == pytest.approx(size_deg, rel=0.2)
+    assert found.frequency_hz == pytest.approx(hz, abs=0.1)
+    assert found.start_s == pytest.approx(from_s, abs=1.0)
+    assert found.end_s == pytest.approx(to_s, abs=1.0)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+def test_neither_noise_nor_a_servo_that_lags_oscillates(memory: float) -> None:
+    _, moved_deg = flown()
+    assert oscillation(*record(noise_deg(7, memory)), NOISE_DEG) is None
+    assert oscillation(*record(np.roll(moved_deg, 4) - moved_deg + noise_deg(7)), NOISE_DEG) is None

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hidden_physics import hidden
 from servofd.aircraft.series import Series
 from servofd.core.errors import ConfigError
 from servofd.discrepancy.explanation import explain_gap, fault_start_s
@@ -130,3 +131,18 @@ def test_a_servo_that_runs_away_is_as_wrong_as_can_be() -> None:
     moved_deg = simulate(lifted, limited)
     assert np.abs(moved_deg).max() == 1e6
     assert np.isfinite(moved_deg @ moved_deg)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.nightly)])
+def test_another_gain_below_zero_is_an_effect_and_no_fault(seed: int) -> None:
+    """Flown by a simulator that shares nothing with the model; it was a fault from 15 s on."""
+    made = hidden(seed, {}, "flight", 0.0)
+    moved_deg = np.where(made.clean_deg > 0.0, 1.0, 0.92) * made.clean_deg
+    measured_deg = moved_deg + 0.05 * np.random.default_rng(seed).standard_normal(made.time_s.size)
+    found = explain_gap(Series("x", made.time_s, made.command_deg, made.time_s, measured_deg), KNOWN)
+    assert found.fault_s is None
+    assert found.conclusion == "explained"
+    values = dict(zip(found.selection.final.names, found.selection.final.values.tolist(), strict=True))
+    assert values["gain"] == pytest.approx(0.92, abs=0.005)
+    assert values["linkage_nonlinearity"] == pytest.approx(1.0 / 0.92, abs=0.005)

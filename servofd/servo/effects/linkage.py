@@ -187,6 +187,18 @@ class LinkageNonlinearity(Effect):
         return x * (1.0 + x * (quadratic + x * cubic))
 
 
+class UpperGain(Effect):
+    """Another ratio above zero than below: a horn that is set askew, or a sensor whose scale differs up and down."""
+
+    name, slot, form, rank = "linkage_nonlinearity", Slot.OUTPUT, "up and down", 34
+    surprise, instead = 12.0, ("gravity_load",)
+    parameters = (Parameter("upper_gain", ("upper_gain",), 0.5, 2.0, 1.0, 0.03, (0.9, 0.95, 1.05, 1.1), smallest=0.01),)
+
+    @staticmethod
+    def act(x: float, now: Now, upper_gain: float) -> float:
+        return x * upper_gain if x > 0.0 else x
+
+
 class Gain(Effect):
     """Horn or linkage of another ratio, or a sensor's scale."""
 
