@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.units import US_PER_S
 from servofd.aircraft.calibration import DegreeCalibration, PulseCalibration, RadianCalibration
 from servofd.aircraft.names import short_names
 from servofd.aircraft.outputs import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.types import FloatArray
 
+Setting = float | tuple[float, ...] | None
+"""Of a surface in the script; None is left out."""
 LONGEST_NAME = 21
 """With " not moved by sticks" it fills the 41 characters that ArduPilot keeps of a reason to refuse arming
 (``AP_Arming::aux_auth_str_len`` less the end of the string, which it does not set itself)."""
@@ -51,6 +54,8 @@ _TRIED_STEP_S = 0.02
 _ALIKE = 1e-6
 """Share below which signals are the same one."""
 _SIGNALS = 6
+_MODE_NUMBERS = 4
+"""Of a mode, in the script."""
 _PERSISTENCE = 3
 """Residuals in a row on one side of an alarm at least: a glitch lasts for two."""
 _NEVER = 1e9
@@ -82,16 +87,6 @@ line needs in the loop, with 64 bits."""
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
-    """One mode of the linear servo, as `servofd.servo.transfer.Modes` has it."""
-
-    decay_rad_s: float
-    turn_rad_s: float
-    weight: float
-    weight_turn: float
-
-
-@dataclass(frozen=True, slots=True)
 class OnboardSurface:
     """One surface; angles in degrees of deflection."""
 
@@ -101,39 +96,16 @@ class OnboardSurface:
     """As the aircraft file names it."""
     output: int
     """Number of the autopilot's output, from 1."""
-    from_servo: bool
-    """Whether the command is the one that the servo repeats [deg], not the pulse on the output [us - 1500]."""
-    command: tuple[float, float, float, float]
-    """Polynomial that makes a deflection of it, lowest power first."""
-    position: tuple[float, float]
-    """Scale and offset of the position [deg]."""
-    saturation_deg: tuple[float, float] | None
-    stops_deg: tuple[float, float] | None
-    delay_s: float
-    modes: tuple[Mode, ...]
-    dc_gain: float
-    """Of the linear servo, before its linkage."""
-    rates_deg_s: tuple[float, float, float] | None
-    """Up and down, and of a slower motor; None without a limit."""
-    lag_s: float
-    """By which the linear servo is behind a command that rises steadily."""
-    noise_deg: float
-    """Of a reading at rest."""
-    jitter_s: float
-    """What noise grows by with the speed, over it."""
-    doubt: tuple[float, ...]
-    """Upper triangle (21,) of a root of the covariance of what good servos leave, by the signals of the script."""
-    limit: float
-    """Ratio to the standard deviation that so many residuals in a row must pass."""
-    energies: tuple[float, float]
-    """Mean squares of the ratio that make an alarm over 0.5 and 2 s."""
-    persistence: int
+    settings: tuple[dict[str, Setting], ...]
+    """What the script knows of how it is wired, of its servo, and of how far good ones differ; a line each."""
 
     @property
     def instructions(self) -> int:
         """Of Lua's virtual machine in a call that judges this surface, at most."""
-        limited = _RATE_COST + len(self.modes) * _RATE_MODE_COST if self.rates_deg_s else 0
-        return _SURFACE_COST + len(self.modes) * _MODE_COST + limited
+        servo = self.settings[1]
+        modes = len(servo["modes"]) // _MODE_NUMBERS  # type: ignore[arg-type]
+        limited = _RATE_COST + modes * _RATE_MODE_COST if servo["rates"] else 0
+        return _SURFACE_COST + modes * _MODE_COST + limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +214,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     else:
         gain, bias_deg = gain * known.parameters["gain"], bias_deg + known.parameters["bias_deg"]
     modes = _modes(model, gain)
-    if sum(math.hypot(mode.weight, mode.weight_turn) for mode in modes) > _MOST_CANCELLATION * abs(gain):
+    if sum(map(math.hypot, modes[2::_MODE_NUMBERS], modes[3::_MODE_NUMBERS])) > _MOST_CANCELLATION * abs(gain):
         raise DesignError("its servo model loses all digits of a 32-bit number: use a model of lower order")
     limit = (
         min(physics.follow_up_deg_s, physics.rate_up_deg_s),
@@ -255,33 +227,38 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     )
     constant = surface.threshold == "constant"
     limits = thresholds_of(known)
-    return OnboardSurface(
-        name=short,
-        surface=name,
-        output=output,
-        from_servo=COMMANDS_OF_SERVO.fullmatch(surface.command.channel) is not None,
-        command=_polynomial(surface),
-        position=(scale, offset_deg - bias_deg),
-        saturation_deg=surface.command_saturation_deg,
-        stops_deg=(physics.lower_deg, physics.upper_deg)
-        if math.isfinite(physics.upper_deg - physics.lower_deg)
-        else None,
-        delay_s=delay_s,
-        modes=modes,
-        dc_gain=gain * model.transfer.dc_gain,
-        rates_deg_s=(gain * limit[0], gain * limit[1], gain * (1.0 - _SLOWER) * min(limit))
+    zero, slope, square, cubic = _polynomial(surface)
+    width_deg = _width_deg(physics)
+    wired: dict[str, Setting] = {
+        "gain": slope,
+        "offset": zero,
+        "curve": (square, cubic) if square or cubic else None,
+        "bounds": surface.command_saturation_deg,
+        "sense": scale,
+        "zero": offset_deg - bias_deg,
+        "telemetry": 1 if COMMANDS_OF_SERVO.fullmatch(surface.command.channel) else None,
+    }
+    servo: dict[str, Setting] = {
+        "delay_us": round(US_PER_S * delay_s),
+        "dc_gain": gain * model.transfer.dc_gain,
+        "lag": -float(np.sum(1.0 / model.transfer.poles_rad_s).real),
+        "rates": (gain * limit[0], gain * limit[1], gain * (1.0 - _SLOWER) * min(limit))
         if math.isfinite(min(limit))
         else None,
-        lag_s=-float(np.sum(1.0 / model.transfer.poles_rad_s).real),
-        noise_deg=known.noise.still_deg,
-        jitter_s=0.0 if constant else known.noise.lag_s,
-        doubt=_constant_doubt(surface.threshold_deg + _width_deg(physics))
-        if constant
-        else _doubt(known, on_board, named),
-        limit=1.0 if constant else float(limits[0]),
-        energies=(_NEVER, _NEVER) if constant else (float(limits[1]), float(limits[2])),
-        persistence=max(surface.persistence, _PERSISTENCE),
-    )
+        "stops": (physics.lower_deg, physics.upper_deg)
+        if math.isfinite(physics.upper_deg - physics.lower_deg)
+        else None,
+        "modes": modes,
+    }
+    doubt: dict[str, Setting] = {
+        "noise": known.noise.still_deg,
+        "jitter": 0.0 if constant else known.noise.lag_s,
+        "limit": 1.0 if constant else float(limits[0]),
+        "energies": (_NEVER, _NEVER) if constant else (float(limits[1]), float(limits[2])),
+        "persistence": max(surface.persistence, _PERSISTENCE),
+        "doubt": _constant_doubt(surface.threshold_deg + width_deg) if constant else _doubt(known, on_board, named),
+    }
+    return OnboardSurface(short, name, output, (wired, servo, doubt))
 
 
 def _output(surface: Surface) -> int:
@@ -363,8 +340,11 @@ def _polynomial(surface: Surface) -> tuple[float, float, float, float]:
     return constant, slope, square, cubic
 
 
-def _modes(model: ServoModel, gain: float) -> tuple[Mode, ...]:
-    """Modes of the linear servo times the gain of its linkage, none too close to another for 32-bit numbers."""
+def _modes(model: ServoModel, gain: float) -> tuple[float, ...]:
+    """Modes of the linear servo times the gain of its linkage, none too close to another for 32-bit numbers.
+
+    Each has four numbers: its decay and turn [rad/s], its weight, and that of its turning part.
+    """
     from servofd.servo.transfer import TransferFunction
 
     transfer = model.transfer
@@ -379,10 +359,10 @@ def _modes(model: ServoModel, gain: float) -> tuple[Mode, ...]:
     scale = transfer.dc_gain * denominator[-1] / transfer.numerator[-1]
     apart = TransferFunction(tuple(scale * c for c in transfer.numerator), tuple(denominator.tolist()))
     modes = apart.modes()
-    return tuple(
-        Mode(float(a.real), float(a.imag), gain * float(w.real), gain * float(w.imag))
-        for a, w in zip(modes.decay_rad_s, modes.weight, strict=True)
+    rows = np.stack(
+        [modes.decay_rad_s.real, modes.decay_rad_s.imag, gain * modes.weight.real, gain * modes.weight.imag]
     )
+    return tuple(rows.T.ravel().tolist())
 
 
 def _constant_doubt(level_deg: float) -> tuple[float, ...]:

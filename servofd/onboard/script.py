@@ -6,14 +6,13 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError
 from servofd.onboard.plan import LONGEST_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.onboard.plan import OnboardPlan, OnboardSurface
+    from servofd.onboard.plan import OnboardPlan, OnboardSurface, Setting
 
 _STREAM_HZ = 25.0
 """Rate at which the script sends positions [Hz]."""
@@ -80,49 +79,21 @@ def _comment(text: str) -> str:
 
 
 def _entry(surface: OnboardSurface) -> str:
-    """Settings of a surface as lines of text: what is wired, its servo, and how far good ones differ."""
-    start, slope, square, cubic = surface.command
-    modes = [(mode.decay_rad_s, mode.turn_rad_s, mode.weight, mode.weight_turn) for mode in surface.modes]
-    wired: dict[str, Any] = {
-        "name": surface.name,
-        "output": surface.output,
-        "gain": slope,
-        "offset": start,
-        "curve": (square, cubic) if square or cubic else None,
-        "bounds": surface.saturation_deg,
-        "sense": surface.position[0],
-        "zero": surface.position[1],
-        "telemetry": int(surface.from_servo) or None,
-    }
-    servo: dict[str, Any] = {
-        "delay_us": round(US_PER_S * surface.delay_s),
-        "dc_gain": surface.dc_gain,
-        "lag": surface.lag_s,
-        "rates": surface.rates_deg_s,
-        "stops": surface.stops_deg,
-        "modes": [number for mode in modes for number in mode],
-    }
-    doubt: dict[str, Any] = {
-        "noise": surface.noise_deg,
-        "jitter": surface.jitter_s,
-        "limit": surface.limit,
-        "energies": surface.energies,
-        "persistence": surface.persistence,
-        "doubt": [float(f"{number:.5g}") for number in surface.doubt],
-    }
-    lines = (" ".join(f"{k}={_text(v)}" for k, v in each.items() if v is not None) for each in (wired, servo, doubt))
+    """Settings of a surface as lines of text."""
+    lines = [" ".join(f"{key}={_text(v)}" for key, v in each.items() if v is not None) for each in surface.settings]
+    lines[0] = f"name={surface.name} output={surface.output} {lines[0]}"
     return ",\n     ".join(f'"{line}"' for line in lines)
 
 
-def _text(value: Any) -> str:  # noqa: ANN401 - whatever a setting is
+def _text(value: Setting) -> str:
     """A setting, with as many digits as 32 bits hold.
 
-    >>> _text([1.0, 0.1]), _text(3), _text("a")
-    ('1.0,0.1', '3', 'a')
+    >>> _text((1.0, 0.1)), _text(3)
+    ('1.0,0.1', '3')
     """
-    if isinstance(value, list | tuple):
+    if isinstance(value, tuple):
         return ",".join(_text(item) for item in value)
-    if isinstance(value, str | int):
+    if isinstance(value, int):
         return str(value)
     text = f"{value:.9g}"
     return text if any(letter in text for letter in ".e") else f"{text}.0"

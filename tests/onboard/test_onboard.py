@@ -168,12 +168,9 @@ def test_whatever_a_surface_is_made_of_it_takes_hardly_more_memory(tmp_path: Pat
     """A Lua table doubles where it has more than 64 entries: the settings and states of a surface stay below."""
     plane = many(6)
     plan, flight = plan_onboard(plane), wiggled(plane, jammed=3)
-    most: dict[str, Any] = {
-        "stops_deg": (-60.0, 60.0),
-        "saturation_deg": (-55.0, 55.0),
-        "command": (0.0, 0.09, 1e-7, 1e-9),
-    }
-    full = replace(plan, surfaces=tuple(replace(surface, **most) for surface in plan.surfaces))
+    most: dict[str, Any] = {"curve": (1e-7, 1e-9), "bounds": (-55.0, 55.0), "stops": (-60.0, 60.0)}
+    surfaces = [replace(each, settings=(each.settings[0] | most, *each.settings[1:])) for each in plan.surfaces]
+    full = replace(plan, surfaces=tuple(surfaces))
     usual_kb, full_kb = (fly(watch_script(each), flight, tmp_path).heap_kb for each in (plan, full))
     assert full_kb - usual_kb <= 6 * 0.35
 

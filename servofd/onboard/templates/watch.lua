@@ -75,7 +75,7 @@ local function arrive(s, until_us)
    local due = s.due
    while s.first < s.last do
       local k = 2 * (s.first % (#due // 2))
-      if until_us - due[k + 1] < 0 and s.last - s.first < #due // 2 then
+      if until_us - due[k + 1] < 0 then
          return
       end
       if s.at_us then
@@ -230,17 +230,16 @@ end
 -- loud, and the residual by less than 0.45 of that, quietly. A residual counts for 6 deviations at most.
 local function decide(s, now_us, residual, sigma, measured, simulated, step)
    local level, size, quiet, ratio, sure = s.limit * sigma, abs(residual), s.quiet, residual / sigma, min(6.0, 1.5 * s.limit)
-   s.count = min(s.count + 1.0, 1000.0)
-   s.typical = s.typical + (sigma - s.typical) / s.count
    local energy = min(ratio * ratio, 36.0)
    s.short = s.short + (energy - s.short) * min(4.0 * step, 0.3)
    s.long = s.long + (energy - s.long) * min(step, 0.1)
    quiet[2], quiet[3] = min(quiet[2], simulated), max(quiet[3], simulated)
    quiet[4], quiet[5], quiet[6] = min(quiet[4], residual), max(quiet[5], residual), max(quiet[6], s.peak)
+   quiet[7], quiet[8] = quiet[7] + sigma, quiet[8] + 1.0
    local loud = size >= 0.5 * level or s.short >= 0.25 * s.energies[1]
    if loud or now_us - quiet[1] >= 800000 then
       local way = quiet[3] - quiet[2]
-      if s.alarm and not loud and quiet[6] >= s.brisk and way >= sure * max(s.typical, sigma)
+      if s.alarm and not loud and quiet[6] >= s.brisk and way * quiet[8] >= sure * quiet[7]
          and quiet[5] - quiet[4] <= 0.45 * way then
          s.alarm, s.long = false, s.short
          gcs:send_text(WARNING, s.name .. " follows again")
@@ -250,6 +249,7 @@ local function decide(s, now_us, residual, sigma, measured, simulated, step)
       end
       s.loud = loud
       quiet[1], quiet[2], quiet[3], quiet[4], quiet[5], quiet[6] = now_us, simulated, simulated, residual, residual, 0.0
+      quiet[7], quiet[8] = 0.0, 0.0
    end
    local side = size < level and 0 or residual > 0.0 and 1 or -1
    s.row = s.row * side > 0 and s.row + side or side
@@ -337,6 +337,7 @@ local function watch(s, now_us)
    if fresh or not s.telemetry then -- a servo that is silent repeats no command either
       hear(s, now_us, telemetry)
    end
+   arrive(s, now_us)
    if not fresh then
       return
    end
@@ -350,10 +351,9 @@ local function watch(s, now_us)
    if sending then
       gcs:send_named_float(s.stream, raw)
    end
-   if not s.command then
-      return
+   if not s.command or (raw == s.reading and now_us ~= s.changed_us and now_us - s.changed_us < 150000) then
+      return -- a reading that the bus repeats may be an old one; a surface that stands still is judged a moment later
    end
-   arrive(s, now_us)
    local measured = s.sense * raw + s.zero
    if s.at_us then
       move(s, now_us)
@@ -494,14 +494,14 @@ local function prepare(s, now_us)
       s.modes[k // 4] = { flat[k - 3], flat[k - 2], flat[k - 1], flat[k], 0.0, 0.0, 0.0, 0.0 }
    end
    s.due = {}
-   for k = 1, 2 * (s.delay_us // (PERIOD_MS * 1000) + 8) do -- commands on their way, and when they arrive
+   for k = 1, 2 * (s.delay_us // (PERIOD_MS * 1000) + 3) do -- commands on their way, and when they arrive
       s.due[k] = 0.0
    end
-   for key in string.gmatch("position weak simulated measured peak short long count first last resolution typical row "
+   for key in string.gmatch("position weak simulated measured peak short long first last resolution row "
                             .. "held_back reading", "%S+") do
       s[key] = 0
    end
-   s.quiet = { now_us, 0.0, 0.0, 0.0, 0.0, 0.0 }
+   s.quiet = { now_us, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 }
    s.alarm, s.silent, s.loud, s.brisk = false, false, false, 0.0 -- a table that grows in flight would have to be copied
    s.seen_us, s.changed_us, s.lowest, s.highest = now_us, now_us, 1e9, -1e9
    s.stream = "SRVP" .. s.output
