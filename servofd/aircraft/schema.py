@@ -169,11 +169,6 @@ class Surface(_Entry):
         return self.tolerance or Tolerance().scaled(max(1.0, self.threshold_deg / DEFAULT_THRESHOLD_DEG))
 
     @property
-    def is_calibrated(self) -> bool:
-        """Whether it is judged by what was fitted to its good flights."""
-        return self.calibrated is not None and self.threshold != "constant"
-
-    @property
     def tells_small_faults(self) -> bool:
         """Whether the model is exact enough for suspicions below the threshold, as drafted thresholds are not."""
         known = self.tolerance is not None or self.threshold_deg <= DEFAULT_THRESHOLD_DEG

@@ -12,21 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.series import (
-    SLOWEST_LEFT_HZ,
-    SLOWEST_RATE_HZ,
-    TOO_MANY_LOST,
     WARM_UP_STEPS,
     Series,
     bus_of,
     cut,
-    sent_period_s,
     too_far,
 )
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.evidence import reported, status_of
 from servofd.detection.known import crude_line
-from servofd.detection.seen import TooShortError, beside_good_flights, beside_its_model
+from servofd.detection.seen import TooShortError, healthy_of, too_few
 from servofd.detection.verdict import CommonCause, LogAudit, Statistics, SurfaceAudit, describe
 from servofd.estimate.record import Record
 
@@ -35,6 +31,7 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.detection.seen import Healthy
     from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import Fault
 
@@ -131,7 +128,9 @@ def audit_segment(
     name = segment.surface
     surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
     verdict = _verdict_on(name, surface, expected=expected)
-    problem = _too_little(segment, is_calibrated=surface.is_calibrated)
+    # Whoever names a level wants to know what reaches it, and that alone.
+    healthy = healthy_of(surface, aircraft.model(name), asked=threshold_deg is not None)
+    problem = _too_little(segment, healthy)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
     if not surface.model.predicts:
@@ -139,11 +138,7 @@ def audit_segment(
         reason, tried = _unpredicted(surface, segment, asked_deg), asked_deg >= _HARDLY_ASKED_DEG
         return verdict(status="unknown", reason=reason, segment=segment, tried=tried)
     try:
-        if surface.is_calibrated:
-            seen = beside_good_flights(segment, surface)
-        else:
-            # Whoever names a level wants to know what reaches it, and that alone.
-            seen = beside_its_model(segment, surface, aircraft.model(name), asked=threshold_deg is not None)
+        seen = healthy.beside(segment)
     except (DesignError, TooShortError) as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
     rows, residuals = seen.residuals.settled, seen.residuals
@@ -214,20 +209,21 @@ def _is_expected(log: FlightLog, aircraft: Aircraft, name: str) -> bool:
     return any(difflib.get_close_matches(channel, unclaimed, n=1, cutoff=0.8) for channel in wanted)
 
 
-def _too_little(segment: Series, *, is_calibrated: bool) -> str:
+def _too_little(segment: Series, healthy: Healthy) -> str:
     """Why this segment cannot be judged, or nothing."""
     if not segment.period_s > 0.0:
         return "fewer than two position samples"
-    rate_hz = 1.0 / segment.period_s
-    is_lossy = segment.sent_period_s is not None and sent_period_s(segment.command_s[: WARM_UP_STEPS + 1]) is not None
-    least_hz = SLOWEST_LEFT_HZ if is_lossy and is_calibrated else SLOWEST_RATE_HZ
-    if rate_hz < least_hz:
-        return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {least_hz:g} Hz"
-    if is_lossy and not is_calibrated and sent_period_s(segment.measured_s[: WARM_UP_STEPS + 1]) is not None:
-        return TOO_MANY_LOST
-    if rate_hz > _FASTEST_RATE_HZ:
-        return f"position comes at {rate_hz:.2g} Hz: check the unit of the time stamps"
-    return too_far(segment)
+    if 1.0 / segment.period_s > _FASTEST_RATE_HZ:
+        return f"position comes at {1.0 / segment.period_s:.2g} Hz: check the unit of the time stamps"
+    first = slice(WARM_UP_STEPS + 1)
+    few = too_few(
+        healthy,
+        segment.period_s,
+        segment.command_s[first],
+        segment.measured_s[first],
+        is_link=segment.sent_period_s is not None,
+    )
+    return few or too_far(segment)
 
 
 USUAL_GAINS = (0.8, 1.25)

@@ -16,14 +16,11 @@ import numpy as np
 from servofd.aircraft.series import (
     OUTAGE_S,
     SAME_PACE,
-    SLOWEST_LEFT_HZ,
     SLOWEST_RATE_HZ,
-    TOO_MANY_LOST,
     WARM_UP_S,
     WARM_UP_STEPS,
     link_period_s,
     pace_steps,
-    sent_period_s,
 )
 from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
@@ -31,7 +28,8 @@ from servofd.core.series import latest
 from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
 from servofd.detection.faults import AGAIN_S, LOOKS_BACK_S, LOOKS_S
 from servofd.detection.residual import rhythm, thinned_rhythm
-from servofd.detection.stream import BY_WINDOWS, Remembered, stream_of
+from servofd.detection.seen import healthy_of, least_rate_hz, too_few
+from servofd.detection.stream import BY_WINDOWS, Remembered
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -41,6 +39,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.event import EventKind
+    from servofd.detection.seen import Healthy
     from servofd.detection.stream import CalibratedStream, Piece, Stream
     from servofd.detection.verdict import Fault
     from servofd.servo.context import Context
@@ -281,11 +280,11 @@ class SurfaceMonitor:
     @property
     def needs(self) -> frozenset[str]:
         """What acts on its servo beside the command, by the names of `servofd.aircraft.series.SURROUNDINGS`."""
-        known = self.surface.calibrated
-        if known is None or not self.surface.is_calibrated:
-            return self.model.needs
-        acting = {"airspeed_m_s": known.airspeed_m_s != 0.0, "servo_voltage_v": known.supply_v > 0.0}
-        return self.model.needs | {need for need, acts in acting.items() if acts}
+        return self._healthy.needs
+
+    @property
+    def _healthy(self) -> Healthy:
+        return healthy_of(self.surface, self.model)
 
     @property
     def rate_hz(self) -> float:
@@ -469,7 +468,7 @@ class SurfaceMonitor:
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
-        look = self._look() if not self.is_calm or not self.surface.is_calibrated else None
+        look = self._look()
         return events + (self.told(look, look.judge()) if look is not None else [])
 
     def restart(self) -> list[Event]:
@@ -566,10 +565,12 @@ class SurfaceMonitor:
         beat = rhythm(logged_s)
         if self.is_periodic and not np.isfinite(beat.period_s):
             beat = thinned_rhythm(logged_s)
-        problem, stream = self._too_little(logged_s, valued_s, sent_s), None
+        self._least_hz = least_rate_hz(self._healthy, logged_s, is_link=sent_s is not None)
+        few = too_few(self._healthy, self._period_s, logged_s, valued_s, is_link=sent_s is not None)
+        problem, stream = few or self._thin, None
         if not problem:
             try:
-                stream = stream_of(self.surface, self.model, self._period_s, logged_s, sent_s, beat)
+                stream = self._healthy.stream(self._period_s, logged_s, sent_s, beat)
             except DesignError as error:
                 problem = str(error)
         if stream is None:
@@ -584,17 +585,6 @@ class SurfaceMonitor:
         self._waiting = ([], [])
         self._hand_over(commands, positions)
         return self._evaluated(self._stream.evaluate())
-
-    def _too_little(self, logged_s: FloatArray, valued_s: FloatArray, sent_s: float | None) -> str:
-        """Why commands and positions at these times [s] are too few to judge a servo by; empty if they are not."""
-        is_lossy = sent_s is not None and sent_period_s(logged_s) is not None
-        self._least_hz = SLOWEST_LEFT_HZ if is_lossy and self.surface.is_calibrated else SLOWEST_RATE_HZ
-        if 1.0 / self._period_s < self._least_hz:
-            rate_hz = 1.0 / self._period_s
-            return f"position comes at {rate_hz:.2g} Hz; a servo cannot be judged below {self._least_hz:g} Hz"
-        if is_lossy and sent_period_s(valued_s) is not None and not self.surface.is_calibrated:
-            return TOO_MANY_LOST
-        return self._thin
 
     def _hand_over(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> None:
         if self._stream is not None:

@@ -2,15 +2,17 @@
 
 A healthy servo is calibrated on good flights, fitted to a part of the log, or named. The first two are judged by the
 error of the prediction; a named one by the residual of the nullspace filter, and both by the same windows.
+`healthy_of` makes the healthy servo of a surface, and whoever judges asks it, not where it came from.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from servofd.aircraft.series import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOST, sent_period_s
 from servofd.core.errors import ServofdError
 from servofd.detection.changes import detectable, shown, thresholds_of
 from servofd.detection.evidence import passing, too_short
@@ -18,16 +20,19 @@ from servofd.detection.faults import as_raised, judged, watched_calibrated
 from servofd.detection.named import judge
 from servofd.detection.probability import Noise
 from servofd.detection.residual import ResidualGenerator, prepared
+from servofd.detection.stream import CalibratedStream, Stream
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import load_at
 
 if TYPE_CHECKING:
+    from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.schema import Surface
     from servofd.aircraft.series import Series
     from servofd.core.evidence import Detectable
+    from servofd.core.types import FloatArray
     from servofd.detection.changes import Watched
     from servofd.detection.faults import Found
-    from servofd.detection.residual import Residuals
+    from servofd.detection.residual import Residuals, Rhythm
     from servofd.detection.threshold import Threshold
     from servofd.servo.servo_model import ServoModel
 
@@ -92,75 +97,193 @@ class Seen:
         return odds(self.residuals, first_s, self.segment.period_s, self.threshold.typical_deg)
 
 
-def beside_good_flights(segment: Series, surface: Surface) -> Seen:
-    """See a surface beside the servo that was fitted to good flights, or to a part of this log."""
-    known = surface.calibrated
-    if known is None:
-        raise ValueError(f"{segment.surface}: not calibrated")
-    flight = watched_calibrated(known, segment)
-    record, rows = flight.record, flight.judged
-    judged_s = float(np.nansum(np.minimum(np.diff(record.time_s, append=np.nan), 3.0 * segment.period_s)[rows]))
-    beyond = _beyond(flight)
-    if too_short(judged_s):
-        raise TooShortError(beyond or too_short(judged_s))
-    residuals, threshold = shown(
-        (record.time_s, flight.reading_deg, record.measured_deg, flight.error_deg),
-        rows,
-        np.isfinite(record.start_deg),
-        thresholds_of(known)[0],
-        flight.sigma_deg,
-    )
-    peak = np.flatnonzero(rows)[np.argmax(np.abs(flight.error_deg[rows]))]
-    is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
-    where = ", in motion faster than theirs" if is_unknown else ""
-    own_s = surface.model.fitted_between_s
-    like = "as in its good flights" if own_s is None else f"as from {own_s[0]:.0f} to {own_s[1]:.0f} s of this log"
-    notes = []
-    if known.airspeed_m_s and not segment.context.airspeed_s.size:
-        notes.append(f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights")
-    if not known.airspeed_m_s and segment.context.airspeed_s.size:
-        notes.append("its good flights hold no airspeed: calibrate it on logs that do, for fewer false alarms")
-    like = f"{like} (largest residual {{largest}} deg{where})"
-    time_s = segment.measured_s
+class Healthy(Protocol):
+    """The healthy servo of a surface, beside which a log or a stream of it is seen."""
 
-    def look(from_s: float, to_s: float) -> Found:
-        return judged(watched_calibrated(known, segment.at((time_s >= from_s) & (time_s <= to_s))))
+    @property
+    def stands_loss(self) -> bool:
+        """Whether it is judged where a link loses most of what is sent: its delay is known from good flights."""
+        ...
 
-    found = as_raised(flight, judged(flight), look)
-    return Seen(
-        segment, residuals, threshold, flight, found, judged_s, like, tuple(notes), doubt=known.doubt, beyond=beyond
-    )
+    @property
+    def needs(self) -> frozenset[str]:
+        """What acts on it beside the command, by the names of `servofd.aircraft.series.SURROUNDINGS`."""
+        ...
+
+    def beside(self, segment: Series) -> Seen:
+        """See a log beside it."""
+        ...
+
+    def stream(
+        self, period_s: float, command_s: FloatArray, sent_s: float | None, beat: Rhythm
+    ) -> Stream | CalibratedStream:
+        """See a stream beside it.
+
+        Its positions come at a period [s], its first commands at `command_s`, in a rhythm; `sent_s` is the period with
+        which commands were sent on a link [s].
+        """
+        ...
 
 
-def beside_its_model(segment: Series, surface: Surface, model: ServoModel, *, asked: bool = False) -> Seen:
-    """See a surface beside the servo that is named; `asked`: the user named the level, which alone counts then."""
-    generator = ResidualGenerator.fitting(model, segment, surface.filter_pole_rad_s)
-    segment, residuals, notes = prepared(generator, segment)
-    judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
-    if too_short(judged_s):
-        raise TooShortError(too_short(judged_s))
-    rows = residuals.settled
-    if not np.isfinite(residuals.residual_deg[rows]).all():
-        raise TooShortError("the residual is not a number: check model and units")
-    threshold, flight, found = judge(generator, segment, residuals, surface, asked=asked)
+def healthy_of(surface: Surface, model: ServoModel, *, asked: bool = False) -> Healthy:
+    """The healthy servo of a surface; `asked`: the user named the level, which alone counts for a named servo.
 
-    def look(from_s: float, to_s: float) -> Found:
-        near = segment.at((segment.measured_s >= from_s) & (segment.measured_s <= to_s))
-        return judge(generator, near, generator.run(near), surface, asked=asked).found
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
+    >>> healthy_of(aircraft.surfaces["rudder"], aircraft.model("rudder")).stands_loss
+    False
+    """
+    if surface.calibrated is None or surface.threshold == "constant":
+        return OfModel(surface, model, asked)
+    return OfFlights(surface, model, surface.calibrated)
 
-    found = as_raised(flight, found, look)
-    notes = (*notes, *_reservations(model, segment, surface))
-    level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
-    if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
-        within = f"the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
-        notes = (within, *notes)
-    above = (np.abs(residuals.residual_deg[rows]) > threshold.level_deg[rows]).any()
-    passed = ", which single readings passed" if above else ""
-    like = f"followed its command as its servo should, within {{largest}} deg (threshold {level_deg:.2g} deg{passed})"
-    against = wiring_problem(residuals) if found.faults or found.suspicions else ""
-    by_level = flight.alone and not surface.tells_small_faults
-    level = (generator, surface.persistence) if by_level else None
-    return Seen(segment, residuals, threshold, flight, found, judged_s, like, notes, against=against, level=level)
+
+def least_rate_hz(healthy: Healthy, command_s: FloatArray, *, is_link: bool) -> float:
+    """Rate below which positions are too far apart [Hz], by the times of the first commands [s]; a link loses some."""
+    is_lossy = is_link and sent_period_s(command_s) is not None
+    return SLOWEST_LEFT_HZ if is_lossy and healthy.stands_loss else SLOWEST_RATE_HZ
+
+
+def too_few(healthy: Healthy, period_s: float, command_s: FloatArray, measured_s: FloatArray, *, is_link: bool) -> str:
+    """Why positions of a period [s], and first commands and positions at these times [s], are too few to judge by.
+
+    Empty if they are not. Of a link commands and positions get lost.
+    """
+    least_hz = least_rate_hz(healthy, command_s, is_link=is_link)
+    if 1.0 / period_s < least_hz:
+        return f"position comes at {1.0 / period_s:.2g} Hz; a servo cannot be judged below {least_hz:g} Hz"
+    both = is_link and all(sent_period_s(time_s) is not None for time_s in (command_s, measured_s))
+    return TOO_MANY_LOST if both and not healthy.stands_loss else ""
+
+
+@dataclass(frozen=True, slots=True)
+class OfFlights:
+    """A servo that was fitted to good flights, or to a part of the log."""
+
+    surface: Surface
+    model: ServoModel
+    known: CalibratedServo
+
+    @property
+    def stands_loss(self) -> bool:
+        """It is judged there."""
+        return True
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Airspeed and supply, where its flights showed what they do."""
+        acting = {"airspeed_m_s": self.known.airspeed_m_s != 0.0, "servo_voltage_v": self.known.supply_v > 0.0}
+        return self.model.needs | {need for need, acts in acting.items() if acts}
+
+    def stream(self, period_s: float, command_s: FloatArray, sent_s: float | None, beat: Rhythm) -> CalibratedStream:
+        """See a stream beside it; the rhythm is that of the commands."""
+        del beat  # what gets lost of its commands is unknown, and not put back
+        return CalibratedStream(self.known, self.surface, period_s, command_s, sent_s)
+
+    def beside(self, segment: Series) -> Seen:
+        """See a log beside it."""
+        known, surface = self.known, self.surface
+        flight = watched_calibrated(known, segment)
+        record, rows = flight.record, flight.judged
+        judged_s = float(np.nansum(np.minimum(np.diff(record.time_s, append=np.nan), 3.0 * segment.period_s)[rows]))
+        beyond = _beyond(flight)
+        if too_short(judged_s):
+            raise TooShortError(beyond or too_short(judged_s))
+        residuals, threshold = shown(
+            (record.time_s, flight.reading_deg, record.measured_deg, flight.error_deg),
+            rows,
+            np.isfinite(record.start_deg),
+            thresholds_of(known)[0],
+            flight.sigma_deg,
+        )
+        peak = np.flatnonzero(rows)[np.argmax(np.abs(flight.error_deg[rows]))]
+        is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
+        where = ", in motion faster than theirs" if is_unknown else ""
+        own_s = surface.model.fitted_between_s
+        like = "as in its good flights" if own_s is None else f"as from {own_s[0]:.0f} to {own_s[1]:.0f} s of this log"
+        notes = []
+        if known.airspeed_m_s and not segment.context.airspeed_s.size:
+            notes.append(
+                f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights"
+            )
+        if not known.airspeed_m_s and segment.context.airspeed_s.size:
+            notes.append("its good flights hold no airspeed: calibrate it on logs that do, for fewer false alarms")
+        like = f"{like} (largest residual {{largest}} deg{where})"
+        time_s = segment.measured_s
+
+        def look(from_s: float, to_s: float) -> Found:
+            return judged(watched_calibrated(known, segment.at((time_s >= from_s) & (time_s <= to_s))))
+
+        found = as_raised(flight, judged(flight), look)
+        return Seen(
+            segment, residuals, threshold, flight, found, judged_s, like, tuple(notes), doubt=known.doubt, beyond=beyond
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class OfModel:
+    """A servo that is named."""
+
+    surface: Surface
+    model: ServoModel
+    asked: bool
+
+    @property
+    def stands_loss(self) -> bool:
+        """It is not judged there."""
+        return False
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What its effects depend on."""
+        return self.model.needs
+
+    def stream(self, period_s: float, command_s: FloatArray, sent_s: float | None, beat: Rhythm) -> Stream:
+        """See a stream beside it.
+
+        Raises
+        ------
+        DesignError
+            If no residual filter suits the servo at this pace.
+        """
+        del command_s, sent_s  # their rhythm says it
+        generator = ResidualGenerator.fitting_pace(self.model, period_s, self.surface.filter_pole_rad_s)
+        return Stream(generator, self.surface, period_s, beat)
+
+    def beside(self, segment: Series) -> Seen:
+        """See a log beside it."""
+        surface, model = self.surface, self.model
+        generator = ResidualGenerator.fitting(model, segment, surface.filter_pole_rad_s)
+        segment, residuals, notes = prepared(generator, segment)
+        judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
+        if too_short(judged_s):
+            raise TooShortError(too_short(judged_s))
+        rows = residuals.settled
+        if not np.isfinite(residuals.residual_deg[rows]).all():
+            raise TooShortError("the residual is not a number: check model and units")
+        threshold, flight, found = judge(generator, segment, residuals, surface, asked=self.asked)
+
+        def look(from_s: float, to_s: float) -> Found:
+            near = segment.at((segment.measured_s >= from_s) & (segment.measured_s <= to_s))
+            return judge(generator, near, generator.run(near), surface, asked=self.asked).found
+
+        found = as_raised(flight, found, look)
+        notes = (*notes, *_reservations(model, segment, surface))
+        level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
+        if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
+            within = f"the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
+            notes = (within, *notes)
+        above = (np.abs(residuals.residual_deg[rows]) > threshold.level_deg[rows]).any()
+        passed = ", which single readings passed" if above else ""
+        like = (
+            f"followed its command as its servo should, within {{largest}} deg (threshold {level_deg:.2g} deg{passed})"
+        )
+        against = wiring_problem(residuals) if found.faults or found.suspicions else ""
+        by_level = flight.alone and not surface.tells_small_faults
+        level = (generator, surface.persistence) if by_level else None
+        return Seen(segment, residuals, threshold, flight, found, judged_s, like, notes, against=against, level=level)
 
 
 _LACKING = {

@@ -68,7 +68,6 @@ if TYPE_CHECKING:
     from servofd.detection.residual import Rhythm
     from servofd.detection.threshold import ThresholdKind
     from servofd.servo.context import Context
-    from servofd.servo.servo_model import ServoModel
 
 _DROPPED = 4
 """One part in so many is dropped when the room is full."""
@@ -613,26 +612,3 @@ class CalibratedStream(_Waiting):
         raised = self._alarms(time_s, triple / self._limits[0], grid_s, table[:, : len(STATISTICS)])
         self.history.append(History.packed(residuals, threshold))
         return Piece(residuals, threshold, raised)
-
-
-def stream_of(
-    surface: Surface,
-    model: ServoModel,
-    period_s: float,
-    command_s: FloatArray,
-    sent_s: float | None,
-    beat: Rhythm,
-) -> Stream | CalibratedStream:
-    """The stream of a surface whose positions come at a period [s], by the times of its first commands [s].
-
-    `sent_s` is the period with which commands were sent on a link [s], `beat` their rhythm.
-
-    Raises
-    ------
-    DesignError
-        If no residual filter suits the named servo at this pace.
-    """
-    if surface.calibrated is not None and surface.is_calibrated:
-        return CalibratedStream(surface.calibrated, surface, period_s, command_s, sent_s)
-    generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
-    return Stream(generator, surface, period_s, beat)

@@ -19,7 +19,7 @@ from servofd.core.errors import NoMeasurement
 from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.statistics import Estimate, correlation_factor
 from servofd.detection.residual import noise_deg
-from servofd.detection.seen import beside_good_flights, beside_its_model
+from servofd.detection.seen import healthy_of
 from servofd.estimate.fit import reading, residual
 from servofd.estimate.record import usual_supply_v
 
@@ -134,8 +134,7 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
     """
     surface = aircraft.surfaces[segment.surface]
     model = aircraft.model(segment.surface)
-    is_calibrated = surface.is_calibrated
-    seen = beside_good_flights(segment, surface) if is_calibrated else beside_its_model(segment, surface, model)
+    seen = healthy_of(surface, model).beside(segment)
     count = np.count_nonzero(seen.flight.judged)
     if count < _LEAST_SAMPLES:
         raise NoMeasurement(f"only {count} samples that can be judged; too short a flight")

@@ -12,7 +12,7 @@ from servofd.core.types import FloatArray
 from servofd.detection.event import Event, Quiet
 from servofd.detection.flights import Flight
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.seen import beside_good_flights
+from servofd.detection.seen import healthy_of
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0
@@ -98,7 +98,8 @@ def test_a_calibrated_servo_is_no_longer_at_fault_two_seconds_after_it(by_good_f
     assert events[-1].event == "clear"
     assert ENDS_S - 1.5 <= events[-1].time_s <= ENDS_S + WITHIN_S
     time_s, command_deg, measured_deg = faulty(kind, 6)
-    audited = beside_good_flights(Series("x", time_s, command_deg, time_s, measured_deg), by_good_flights.surfaces["x"])
+    healthy = healthy_of(by_good_flights.surfaces["x"], by_good_flights.model("x"))
+    audited = healthy.beside(Series("x", time_s, command_deg, time_s, measured_deg))
     assert audited.found.faults[0].alarm_s == pytest.approx(events[0].time_s, abs=0.05)
 
 
