@@ -365,7 +365,7 @@ _STANDS_STILL = "all servos stopped reporting anything new while they were asked
 
 _STILL_S, _STILL_DEG_S, _THERE_DEG = 0.02, 10.0, 0.25
 """A servo that is no faster than this from its first reading to the next that is so much later, and either stands where
-it is asked to or is asked to be no faster, began at rest: nothing is unknown of it. Less than the delay of the slowest
+it is asked to or is asked nothing new, began at rest: nothing is unknown of it. Less than the delay of the slowest
 hobby servo (0.03 s), more than a period at 50 Hz; a servo at that speed is twice as far from where it would be at rest,
 after its lag of 0.05 s, as one that turns back may be."""
 
@@ -395,7 +395,7 @@ def settled_from_s(
     still_deg = _STILL_DEG_S * float(measured_s[then] - measured_s[first])
     is_followed = abs(float(measured_deg[first] - asked_deg[0])) <= _THERE_DEG
     if abs(float(measured_deg[then] - measured_deg[first])) <= still_deg and (
-        is_followed or abs(float(asked_deg[1] - asked_deg[0])) <= still_deg
+        is_followed or asked_deg[0] == asked_deg[1]
     ):
         return float(measured_s[then])
     return float(np.nextafter(begun_s + UNSETTLED_S, np.inf))

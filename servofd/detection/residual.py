@@ -170,11 +170,6 @@ class ResidualGenerator:
         """Time after a start during which the residual is not judged [s]."""
         return _BLANKING_TIME_CONSTANTS / self.pole_rad_s
 
-    @property
-    def memory_s(self) -> float:
-        """Time after which the servo has forgotten where, and how fast, it began [s]."""
-        return remembered_s(self.model)
-
     def longest_gap_s(self, segment: Series) -> float:
         """Longest interval between samples that the filter bridges; after a longer one it starts anew [s]."""
         return self.longest_gap_s_at(segment.period_s)
@@ -336,16 +331,6 @@ def thinned_rhythm(command_s: FloatArray) -> Rhythm:
     return Rhythm(period_s, _LOST_SAMPLE[0] * period_s)
 
 
-_LONGEST_MEMORY_S, _TIME_CONSTANTS = 0.5, 12.0
-"""Time for which a servo remembers where it began [s] at most, and time constants of its slowest pole."""
-
-
-def remembered_s(model: ServoModel) -> float:
-    """Time after which a servo has forgotten where, and how fast, it began [s]."""
-    slowest_rad_s = float(np.abs(model.transfer.poles_rad_s.real).min())
-    return min(_LONGEST_MEMORY_S, _TIME_CONSTANTS / slowest_rad_s) + model.delay_s
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulator:
     """Commands and starts of a segment, which do not depend on the servo that is simulated."""
@@ -366,7 +351,7 @@ class Simulator:
             segment.command_s,
             segment.measured_s,
             segment.measured_deg,
-            (gap_s, rhythm(segment.command_s).longest_s, generator.blanking_s, generator.memory_s),
+            (gap_s, rhythm(segment.command_s).longest_s, generator.blanking_s),
         )
         starts = starts._replace(settled=starts.settled & segment.counts)
         return cls(segment, commands_at_servo(segment, 0.0, gap_s), starts, gap_s)
@@ -462,12 +447,12 @@ def mark_starts(
     command_s: FloatArray,
     measured_s: FloatArray,
     measured_deg: FloatArray,
-    limits_s: tuple[float, float, float, float],
+    limits_s: tuple[float, float, float],
 ) -> Starts:
     """Mark the next samples, of shape (n,); the memory moves on with them, `command_s` are all commands so far.
 
     Limits are the longest interval without commands or positions that is bridged, the age of a command beyond which
-    the next one is known to have been lost, and for how long nothing is judged after a start, and after the first.
+    the next one is known to have been lost, and for how long after a start nothing is judged.
     """
     size = measured_s.size
     starts = Starts(np.empty(size), np.empty(size, dtype=np.int8), np.empty(size, dtype=bool))
@@ -481,12 +466,12 @@ def _mark(
     command_s: FloatArray,
     measured_s: FloatArray,
     measured_deg: FloatArray,
-    limits_s: tuple[float, float, float, float],
+    limits_s: tuple[float, float, float],
     usable_deg: FloatArray,
     restart: NDArray[np.int8],
     settled: BoolArray,
 ) -> None:
-    longest_gap_s, fresh_s, blanking_s, memory_s = limits_s
+    longest_gap_s, fresh_s, blanking_s = limits_s
     c = int(memory[4])
     servo_known, filter_known = memory[0] != 0.0, memory[1] != 0.0
     last_used_s, last_start_s = memory[2], memory[3]
@@ -507,9 +492,7 @@ def _mark(
             restart[k] = RESTART_FILTER
             filter_known = True
         if restart[k] != RESTART_NONE:
-            last_start_s = max(now, last_start_s)
-            if last_used_s == -np.inf:  # how fast it was as the log began is not known
-                last_start_s = max(now + memory_s - blanking_s, now)
+            last_start_s = now
         if usable:
             last_used_s = now
         usable_deg[k] = measured_deg[k] if usable else np.nan

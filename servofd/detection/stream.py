@@ -387,7 +387,7 @@ class Stream(_Waiting):
     def _simulated(self, ready: FloatArray) -> list[FloatArray]:
         """What a healthy servo would have done, the slowest one tolerated, what lost commands may add; then slopes."""
         time_s, measured_deg = ready
-        limits_s = self.longest_gap_s, self._beat.longest_s, self._generator.blanking_s, self._generator.memory_s
+        limits_s = self.longest_gap_s, self._beat.longest_s, self._generator.blanking_s
         starts = mark_starts(self._starts, self.logged.time_s, time_s, measured_deg, limits_s)
         if np.isnan(self._begun_s) and self._logged_s < np.inf:
             self._begun_s = max(self._logged_s, float(time_s[0]))

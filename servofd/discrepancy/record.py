@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.detection.residual import Commands, commands_at_servo, remembered_s, rhythm
+from servofd.detection.residual import Commands, commands_at_servo, rhythm
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
 from servofd.servo.motion import machine_of, received
@@ -82,8 +82,12 @@ manoeuvres."""
 _CYCLE, _ASIDE, _FEWEST_FOR_THREE = 10, 4, 1000
 """Of so many blocks, or runs, which one is untouched; and samples of which a tenth tells something, and can be missed:
 of 560 with a load on the horn the rest no longer tells the load."""
+_START_S = 0.5
+"""Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
 _HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
 """A hole is longer than so many periods, and than so many seconds."""
+_TIME_CONSTANTS = 12.0
+"""Time constants of the slowest pole after which a servo has forgotten where it was."""
 _BETWEEN_RUNS_S = 1.0
 """Runs are laid one after the other for pictures and words; nothing is simulated across."""
 
@@ -192,7 +196,8 @@ def record_of(
     plant = plant_of(model)
     hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
     known = np.isfinite(measured_deg)
-    start_s = remembered_s(model)
+    slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
+    start_s = min(_START_S, _TIME_CONSTANTS / slowest) + model.delay_s
     starts_s = [-np.inf] if at_rest else [time_s[known][0], segment.command_s[0]]
     for times in (time_s[known], segment.command_s):
         starts_s += times[1:][np.diff(times) > hole_s].tolist()

@@ -149,7 +149,7 @@ class TestVerdicts:
 
         time_s = np.arange(200) / 100.0
         kept = (time_s <= 1.0) | (time_s >= 1.04)
-        starts = mark_starts(new_starts_memory(), time_s[kept], time_s, np.zeros(200), (0.1, 0.0175, 0.16, 0.16))
+        starts = mark_starts(new_starts_memory(), time_s[kept], time_s, np.zeros(200), (0.1, 0.0175, 0.16))
         assert not starts.settled[102:104].any()
         assert starts.settled[[101, 104]].all()
 

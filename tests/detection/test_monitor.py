@@ -356,9 +356,7 @@ def test_memory_is_bounded() -> None:
 
 
 class TestStarts:
-    """Commands every 0.1 s but for a hole of 0.7 s; 0.3 s are bridged, 0.125 s after a start is blank (0.15 after the
-    first).
-    """
+    """Commands every 0.1 s but for a hole of 0.7 s; 0.3 s are bridged, an eighth of a second after a start is blank."""
 
     command_s = np.array([0.0, 0.1, 0.2, 0.3, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6])
 
@@ -369,9 +367,7 @@ class TestStarts:
         memory, found = new_starts_memory(), []
         for first in range(0, 12, cut):
             here = slice(first, first + cut)
-            found.append(
-                mark_starts(memory, self.command_s, measured_s[here], measured_deg[here], (0.3, 0.18, 0.125, 0.15))
-            )
+            found.append(mark_starts(memory, self.command_s, measured_s[here], measured_deg[here], (0.3, 0.18, 0.125)))
         restart, settled, usable_deg = (
             np.concatenate([getattr(piece, name) for piece in found]) for name in ("restart", "settled", "measured_deg")
         )
