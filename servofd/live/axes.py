@@ -37,8 +37,6 @@ _LOGGED = (
 _EVERY_S = 1.0
 _KEPT_S, _LONGEST_S = 150.0, 300.0
 """What is judged grows to the longer, then falls back to the shorter: several times the longest window."""
-_NEW_S = 2.0
-"""An axis is judged once a second; news of an alarm that stands already is published within twice that."""
 _NAMED_S = 2.0
 """So long after an alarm it is said which axis is the cause, and whether it acts late or too little."""
 
@@ -65,7 +63,6 @@ class AxisWatch:
     _begun_s: float = math.nan
     _standing: dict[str, float] = field(default_factory=dict)
     """Alarms that stand: when each was raised [s]."""
-    _named: set[str] = field(default_factory=set)
 
     @property
     def channels(self) -> list[str]:
@@ -125,23 +122,13 @@ class AxisWatch:
                 self.has_suspect = True
                 yield Event(now_s, axis, "alarm", "unknown", text=f"{named(audit.members, axis)}: alarm of its motion")
             return
-        further = next(
-            (event for event in ongoing if now_s - event.alarm_s < _NEW_S and event.alarm_s > raised_s), None
-        )
-        if further is not None and axis in self._named:
-            self._standing[axis] = further.alarm_s
-            self._named.discard(axis)
-            yield Event(now_s, axis, "alarm", "unknown", text=f"{named(audit.members, axis)}: its motion changed again")
-            return
-        if axis not in self._named and now_s - raised_s >= _NAMED_S:
+        if now_s - raised_s >= _NAMED_S:
             event = max(audit.events, key=lambda one: one.score, default=None)
             if event is not None:
-                self._named.add(axis)
                 yield Event(now_s, axis, "named", _kind(event, axis, audit), text=audit.reason)
         self.has_fault |= audit.status == "fault"
         if audit.score.size and not ongoing and not any(event.cause for event in audit.events if event.end_s is None):
             del self._standing[axis]
-            self._named.discard(axis)
             yield Event(now_s, axis, "clear", text="answers its command again")
 
     def _forget(self, now_s: float) -> None:

@@ -64,7 +64,6 @@ class Losses:
 
     received: int = 0
     lost: int = 0
-    repeated: int = 0
     _next: int | None = None
 
     def count(self, sequence: int) -> None:
@@ -73,7 +72,6 @@ class Losses:
         ahead = 0 if self._next is None else (sequence - self._next) % 256
         if ahead >= _REORDERED:
             # It came late, and was counted as lost; or twice.
-            self.repeated += 1
             self.lost = max(self.lost - 1, 0)
             return
         self.lost += ahead
@@ -146,7 +144,6 @@ class Vehicle:
     """Whether it has sent any measured position."""
     log: RemoteLog | None = None
     """Its own log, where its channels are in that."""
-    autopilot: int | None = None
     is_stream: bool = True
     """False where samples of any channel are given directly."""
     messages: set[str] = field(init=False)
@@ -245,9 +242,7 @@ class Vehicle:
         self.losses.setdefault(message.component, Losses()).count(message.sequence)
         self.received_s = arrival_s
         self._met_s = min(self._met_s, arrival_s)
-        if message.name == "HEARTBEAT" and message.component == Component.AUTOPILOT1:
-            self.autopilot = int(message.fields["autopilot"])
-        elif message.name == "PARAM_VALUE" and message.component == Component.AUTOPILOT1:
+        if message.name == "PARAM_VALUE" and message.component == Component.AUTOPILOT1:
             events += self._set(message.fields)
         if not self.clock.is_set(arrival_s) and not self.clock.is_reference(message):
             if message.name in self._table.messages:
