@@ -288,7 +288,7 @@ def _losses(aircraft: Aircraft, name: str) -> list[str]:
             f"{name} is not calibrated: the script alarms at a constant {surface.threshold_deg:g} deg{wider}; "
             "`servofd calibrate` of good flights makes that follow the command, down to the noise at rest"
         ]
-    if surface.is_calibrated and surface.measured and POSITIONS_FROM_1.fullmatch(surface.measured.channel):
+    if surface.calibrated and surface.measured and POSITIONS_FROM_1.fullmatch(surface.measured.channel):
         return [f"{name} is calibrated on a link, which is later than the autopilot: calibrate a log of its card"]
     known = surface.tolerance is not None
     return [] if known else [f"{name} is not calibrated: it may differ as much as a fleet of HS-225BB does"]
