@@ -111,6 +111,8 @@ _SURE_SHARE, _BLOCKS = 0.999, 10
 _NOT_SHOWN = "its motion shows no more of it than is known of any servo"
 _WIDTHS = {"deadband_deg": 1.0, "play_deg": 1.0, "friction_deg": 2.0}
 """How much of a change of direction each takes, in times its size."""
+_RESTING = {"deadband_deg": "deadband_deg", "play_deg": "backlash_deg", "friction_deg": "friction_deg"}
+"""The same of a model."""
 
 
 class ServoEstimate(NamedTuple):
@@ -143,10 +145,15 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
     if unfit:
         return ServoEstimate(values, dict.fromkeys(of_servo, unfit))
     found = _Servo.of(seen.flight)
+    # A named servo rests as its own model does, and not as the one of the family that is most like it.
+    usual: dict[str, float] = {}
+    if seen.flight.own is not None:
+        usual = {name: float(getattr(model.physics, field)) for name, field in _RESTING.items()}
+    width_deg = sum(_WIDTHS[name] * size for name, size in usual.items()) if usual else None
     own = {
-        "dead_band_deg": found.told(_WIDTHS),
-        "play_deg": found.told({"play_deg": 1.0}),
-        "friction_deg": found.told({"friction_deg": 1.0}),
+        "dead_band_deg": found.told(_WIDTHS, width_deg),
+        "play_deg": found.told({"play_deg": 1.0}, usual.get("play_deg")),
+        "friction_deg": found.told({"friction_deg": 1.0}, usual.get("friction_deg")),
         "bias_deg": found.told({"bias_deg": 1.0}),
         "gain": found.told({"gain": 1.0}, 1.0),
         "delay_s": found.told({"delay_s": 1.0}, model.delay_s),
