@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from logparsers.units import S_PER_HOUR
 from servofd.batch.key import page_name
 from servofd.outputs.json_report import worst_outline
-from servofd.outputs.sentence import STATUSES
+from servofd.outputs.sentence import STATUSES, gravity_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,7 +76,7 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
             _where(log) | {"surface": name} | fault for log, name, entry in every for fault in entry["faults"]
         ),
         not_judged=tuple(_where(log) | {"reason": log["not_judged"]} for log in ordered if log["not_judged"]),
-        flights=tuple(sorted(map(_flight, ordered), key=lambda flight: _RANK.index(flight["status"]))),
+        flights=tuple(map(_flight, sorted(ordered, key=lambda log: (_RANK.index(log_status(log)), _gravity(log))))),
         residuals=tuple(
             _where(log) | {"surface": name, "status": entry["status"], "share": _share(entry)}
             for log, name, entry in every
@@ -90,6 +90,11 @@ def log_status(log: dict[str, Any]) -> str:
     if log["not_judged"] and "suspect" not in statuses:
         return "not_judged"
     return next((status for status in STATUSES if status in statuses), "not_judged")
+
+
+def _gravity(log: dict[str, Any]) -> int:
+    """Place of a log among others, by what its faults may do to the aircraft; the worst is first."""
+    return gravity_of(fault["kind"] for entry in log["document"]["surfaces"].values() for fault in entry["faults"])
 
 
 def _axes(log: dict[str, Any]) -> dict[str, Any]:

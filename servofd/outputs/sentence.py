@@ -10,7 +10,7 @@ from servofd.detection.kinds import KINDS, filled
 from servofd.detection.verdict import gravest, next_step
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from servofd.axes.verdict import AxisAudit
     from servofd.core.evidence import Detectable
@@ -102,7 +102,17 @@ def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> s
 
 def gravity(surface: SurfaceAudit) -> int:
     """Place of a surface among others, by what its faults or suspicions may do to the aircraft; the worst is first."""
-    kinds = {fault.kind for fault in surface.faults or surface.suspicions}
+    return gravity_of(fault.kind for fault in surface.faults or surface.suspicions)
+
+
+def gravity_of(kinds: Iterable[str]) -> int:
+    """Place of some kinds of faults among all, by what they may do to the aircraft; the worst is first.
+
+    Examples
+    --------
+    >>> gravity_of(["deadband", "hardover"]) < gravity_of(["stuck"]) < gravity_of([])
+    True
+    """
     gravest_first = tuple(KINDS)
     return min((gravest_first.index(kind) for kind in kinds if kind in KINDS), default=len(KINDS))
 

@@ -509,7 +509,7 @@ def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | Non
     parts = [part for from_, to in _spans(bounds) if (part := _within(whole, from_, to))]
     cut = tuple(piece for part in parts for piece in pieces(part.number, part.value, part.deviation))
     last = cut[-1]
-    has_line = last.number.size >= FEWEST_FOR_LINE
+    has_line = last.number.size >= FEWEST_FLIGHTS
     now = last.line.at(last.last) if has_line else _last_estimate(last)
     slope = last.line.slope_estimate if has_line else None
     return QuantityTrend(name, whole, cut, now, slope, limit, _forecast(name, last, now.value, limit))
