@@ -195,9 +195,15 @@ def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now
 def _notes(gain: float, known: CalibratedServo, surface: Surface, bandwidth_rad_s: Estimate) -> tuple[str, ...]:
     what = what_is_unknown(None, bandwidth_rad_s)
     notes = [f"these flights do not tell {what}"] if what else []
-    if isinstance(surface.command, DegreeCalibration) and surface.command.correction[0] < 0.0:
+    scale = surface.command.correction[0] if isinstance(surface.command, DegreeCalibration) else 1.0
+    if scale < 0.0:
         notes.append(
             "its position moves against its command, and this file takes that to be right: check the sign of both"
+        )
+    if not USUAL_GAINS[0] <= abs(scale) <= USUAL_GAINS[1]:
+        notes.append(
+            f"its position moves by {abs(scale):.3g} times its command, and this file takes that to be right: check "
+            "the units of both"
         )
     if not USUAL_GAINS[0] <= gain <= USUAL_GAINS[1]:
         notes.append(f"the position moves by {gain:.2f} times the command: check the scale in the aircraft file")

@@ -47,13 +47,19 @@ def config(tmp_path: Path) -> str:
 
 
 @pytest.mark.slow
-def test_a_position_that_moves_against_its_command_is_said_to(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("scale", "zero", "said"),
+    [(-1.0, 0.0, "moves against its command"), (11.4, 2048.0, "moves by 11")],
+    ids=["reversed", "counts"],
+)
+def test_a_position_in_another_sign_or_unit_is_said_to_be(
+    scale: float, zero: float, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flight = flown()
-    good = written(tmp_path, "good.csv", flight.time_s, flight.command_deg[:, 0], -flight.measured_deg[:, 0])
+    read = zero + scale * flight.measured_deg[:, 0]
+    good = written(tmp_path, "good.csv", flight.time_s, flight.command_deg[:, 0], read)
     assert main(["calibrate", good, "-o", str(tmp_path / "calibrated.toml")]) == 0
-    assert "rudder: note: its position moves against its command" in capsys.readouterr().out
+    assert f"rudder: note: its position {said}" in capsys.readouterr().out
 
 
 @pytest.mark.slow
