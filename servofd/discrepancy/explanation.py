@@ -76,8 +76,12 @@ def fault_start_s(record: Record, selection: Selection) -> float | None:
     return float(record.time_s[late][0]) if late.any() else start_s + float(edge[best]) + 1.0
 
 
+_MOST_FOLDS = 8
+"""Runs that are held out at the same time, where there are many."""
+
+
 class RunErrors(NamedTuple):
-    """Error of one run, by models that were fitted to other runs; of a few runs, to other blocks."""
+    """Error of one run, by models that were fitted to other runs."""
 
     run: int
     nominal_rms_deg: float
@@ -85,10 +89,17 @@ class RunErrors(NamedTuple):
 
 
 def run_errors(record: Record, fitter: Fitter, final: Fit) -> tuple[RunErrors, ...]:
-    """Each run as a servo predicts it that was not fitted to its fold; empty for a single run."""
-    both = fitter.halved(fitter.nominal()).held_out_deg, final.held_out_deg
-    each = [(record.run == k) & record.counts for k in range(len(record.runs))]
-    return tuple(RunErrors(k, *(rms(error_deg[there]) for error_deg in both)) for k, there in enumerate(each))
+    """Fit the servo with its effects again without each run, and judge that run; empty for a single run."""
+    if not record.runs:
+        return ()
+    left_out = [fitter.record.run % _MOST_FOLDS == k for k in range(min(len(record.runs), _MOST_FOLDS))]
+    before, after = (fitter.without(fit, left_out) for fit in (fitter.nominal(), final))
+    return tuple(
+        RunErrors(
+            k, *(rms(fits[k % _MOST_FOLDS].error_deg[(record.run == k) & record.counts]) for fits in (before, after))
+        )
+        for k in range(len(record.runs))
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,8 +141,6 @@ class Fit:
     """Mean square that is left of each run."""
     idle: tuple[int, ...] = ()
     """Which of the effects change nothing: a limit that is never reached."""
-    held_out_deg: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """Error of each sample by a servo not fitted to its fold, shape (n,); empty of a fit that was not halved."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -391,12 +389,10 @@ class Fitter:
     def halved(self, fit: Fit) -> Fit:
         """A fit with the errors that each of two folds has, predicted by the servo as the other one tells it."""
         whole, counts = self.judged(fit.effects, fit.physics), self.record.counts
-        error = self._beside_mean_reading(whole)
-        others = error.copy()
-        for held, judged in self._folds_predicted(fit):
-            others[held] = self._beside_mean_reading(judged)[held]
-        train, held_out = (float(each[counts] @ each[counts]) for each in (error, others))
-        return replace(whole, train=train, held_out=held_out, misfit=fit.misfit, held_out_deg=others)
+        error = self._beside_mean_reading(whole)[counts]
+        others = [self._beside_mean_reading(judged)[held] for held, judged in self._folds_predicted(fit)]
+        held_out = float(sum(each @ each for each in others))
+        return replace(whole, train=float(error @ error), held_out=held_out, misfit=fit.misfit)
 
     def prior(self, fit: Fit) -> float:
         """What it costs that the servo's own numbers are not those of its type."""
