@@ -102,7 +102,7 @@ _ORDINARY, _CLOSE = 3.0, 0.1
 standard deviation of a number makes 1 or more, by which a step must improve."""
 _MEMORY_S, _PARTS = 1.0, 8
 """Time over which errors are correlated [s], and parts of the flight whose disagreement shows the model's own error."""
-_TOLD = 0.9
+_SHOWN = 0.9
 """Share of what was known before, below which the interval of a number must be: else the flight tells nothing of it."""
 _LEAST_SAMPLES = 300
 """Judged samples that a flight needs."""
@@ -151,14 +151,14 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
         usual = {name: float(getattr(model.physics, field)) for name, field in _RESTING.items()}
     width_deg = sum(_WIDTHS[name] * size for name, size in usual.items()) if usual else None
     own = {
-        "dead_band_deg": found.told(_WIDTHS, width_deg),
-        "play_deg": found.told({"play_deg": 1.0}, usual.get("play_deg")),
-        "friction_deg": found.told({"friction_deg": 1.0}, usual.get("friction_deg")),
-        "bias_deg": found.told({"bias_deg": 1.0}),
-        "gain": found.told({"gain": 1.0}, 1.0),
-        "delay_s": found.told({"delay_s": 1.0}, model.delay_s),
-        "bandwidth_hz": found.told(_bandwidth(found.known), np.log(model.transfer.bandwidth_rad_s / (2.0 * np.pi))),
-        "rate_limit_deg_s": found.told({"ln_rate": 1.0}),
+        "dead_band_deg": found.shown(_WIDTHS, width_deg),
+        "play_deg": found.shown({"play_deg": 1.0}, usual.get("play_deg")),
+        "friction_deg": found.shown({"friction_deg": 1.0}, usual.get("friction_deg")),
+        "bias_deg": found.shown({"bias_deg": 1.0}),
+        "gain": found.shown({"gain": 1.0}, 1.0),
+        "delay_s": found.shown({"delay_s": 1.0}, model.delay_s),
+        "bandwidth_hz": found.shown(_bandwidth(found.known), np.log(model.transfer.bandwidth_rad_s / (2.0 * np.pi))),
+        "rate_limit_deg_s": found.shown({"ln_rate": 1.0}),
     }
     for name, estimate in own.items():
         if estimate is not None:
@@ -233,11 +233,11 @@ class _Servo:
             Estimate.of(noise, noise / np.sqrt(used.size)),
         )  # fmt: skip
 
-    def told(self, slopes: Mapping[str, float], usual: float | None = None) -> Estimate | None:
+    def shown(self, slopes: Mapping[str, float], usual: float | None = None) -> Estimate | None:
         """A sum of parameters, in place of the usual one; None if the flight tells no more than was known before."""
         slope = np.array([slopes.get(name, 0.0) for name in NAMES])
         deviation = float(np.sqrt(slope @ self.covariance @ slope))
-        if not deviation < _TOLD * float(np.linalg.norm(slope * self.before)):
+        if not deviation < _SHOWN * float(np.linalg.norm(slope * self.before)):
             return None
         start = float(slope @ self.known) if usual is None else usual
         return Estimate.of(start + float(slope @ (self.x - self.known)), deviation)
