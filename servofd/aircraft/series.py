@@ -330,7 +330,7 @@ def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
 _FRAME_S: Final = 0.02
 """An autopilot moves its servos so often or oftener: a link that brings fewer of its commands has lost the others."""
 _NEARLY: Final = 0.3
-"""Of such a period that a link may be slower, as one of 40 Hz is."""
+"""Share of that period by which a link may be slower, as one of 40 Hz is."""
 _BRIDGED_S: Final = 0.105
 """Longest period of a stream of which what was lost is put back: the quarter of a second that is bridged holds two
 periods of 10 Hz, whose stamps are not exact."""

@@ -91,7 +91,7 @@ class SurfaceMonitor:
     ...     here = slice(k, k + 1)
     ...     events += monitor.feed((time_s[here], command_deg[here]), (time_s[here], jammed_deg[here]))
     ...     if look := monitor.due():
-    ...         events += monitor.told(look, look.judge())
+    ...         events += monitor.events_of(look, look.judge())
     >>> [(event.event, event.kind, round(event.time_s, 1)) for event in events + monitor.finish()]
     [('alarm', 'unknown', 12.0), ('named', 'stuck', 12.3)]
     """
@@ -367,7 +367,7 @@ class SurfaceMonitor:
             self._looks_s.append(last_s + _LOOKS_AGAIN_S)
         return self._look(at_s)
 
-    def told(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
+    def events_of(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
         """Take what the bank made of a look.
 
         A fault that only the bank finds is one event, an alarm with its name. A name that comes later than `_NAMED_S`
@@ -469,7 +469,7 @@ class SurfaceMonitor:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
         look = self._look()
-        return events + (self.told(look, look.judge()) if look is not None else [])
+        return events + (self.events_of(look, look.judge()) if look is not None else [])
 
     def restart(self) -> list[Event]:
         """Begin anew, because the vehicle did; what was found is kept."""

@@ -62,7 +62,7 @@ def _load_bank() -> None:
         monitor.feed((time_s[piece], asked_deg[piece]), (time_s[piece], moved_deg[piece]))
         look = monitor.due()
         if look is not None:
-            monitor.told(look, look.judge())
+            monitor.events_of(look, look.judge())
 
 
 @dataclass(slots=True)
@@ -288,7 +288,7 @@ class Session:
         if self._pool is None:
             while looks := vehicle.due():
                 for monitor, look in looks:
-                    events += monitor.told(look, look.judge())
+                    events += monitor.events_of(look, look.judge())
             return events
         for monitor, look in vehicle.due():
             self._looks.append((vehicle, monitor, look, self._pool.submit(look.judge)))
@@ -300,7 +300,7 @@ class Session:
         for entry in self._looks:
             owner, monitor, look, verdict = entry
             if owner is vehicle and verdict.done():
-                events += monitor.told(look, verdict.result())
+                events += monitor.events_of(look, verdict.result())
             else:
                 still.append(entry)
         self._looks = still

@@ -48,18 +48,21 @@ _MOST_CANCELLATION = 400.0
 _SLOWER = 0.1
 """Share by which the motor is slower of which the script tells what a lower rate limit would leave."""
 _TRIED_S, _TRIED_HZ = 40.0, 3.0
-"""Length of the commands on which a servo's doubt is told, and the highest frequency of their chirp [Hz]."""
+"""Length of the commands on which a servo's covariance is worked out, and the highest frequency of their chirp [Hz]."""
 _TRIED_STEP_S = 0.02
 """Between two samples of them."""
 _ALIKE = 1e-6
 """Share below which signals are the same one."""
 _SIGNALS = 6
+"""Onto which the covariance of a servo is laid."""
 _MODE_NUMBERS = 4
 """Of a mode, in the script."""
 _PERSISTENCE = 3
 """Residuals in a row on one side of an alarm at least: a glitch lasts for two."""
 _NEVER = 1e9
+"""Limit of an energy that none reaches."""
 _CENTRE_US = 1500.0
+"""Pulse of a surface in its middle, by ArduPilot's convention [us]."""
 """Pulse width of a neutral servo, from which pulses are counted [us]."""
 _WIDTHS = {"deadband_deg": 0.5, "insensitive_deg": 0.5, "backlash_deg": 0.5, "friction_deg": 1.0}
 _WIDTHS |= {"command_step_deg": 0.5, "output_step_deg": 0.5}

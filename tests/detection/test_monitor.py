@@ -138,7 +138,7 @@ def watched(entry: Surface, model: ServoModel, segment: Series, piece: int = 1) 
         commands, positions = zip(asked, seen, strict=True)
         events += monitor.feed(commands, positions)
         while look := monitor.due():
-            events += monitor.told(look, look.judge())
+            events += monitor.events_of(look, look.judge())
     return monitor, events + monitor.finish()
 
 
@@ -218,7 +218,7 @@ class TestWhatTheBankTells:
         look = cast("Look", SimpleNamespace(at_s=at_s, residuals=levels, threshold=levels))
         wrong = tuple(fault for fault in faults if fault.kind != "healthy")
         right = tuple(fault for fault in faults if fault.kind == "healthy")
-        return [(event.time_s, event.event, event.kind) for event in monitor.told(look, (wrong, right, problem))]
+        return [(event.time_s, event.event, event.kind) for event in monitor.events_of(look, (wrong, right, problem))]
 
     def test_a_name_a_better_name_and_an_end(self) -> None:
         monitor = SurfaceMonitor("x", *surface())

@@ -63,7 +63,7 @@ def told(kind: str, seed: int, calibrated: Aircraft | None = None) -> list[Event
         events += monitor.feed((time_s[here], command_deg[here]), (time_s[here], measured_deg[here]))
         look = monitor.due()
         if look is not None:
-            events += monitor.told(look, look.judge())
+            events += monitor.events_of(look, look.judge())
     return events
 
 

@@ -81,7 +81,7 @@ def followed(aircraft: Aircraft, segment: Series) -> tuple[tuple[Fault, ...], Fl
         one = (np.array([time_s]), np.array([value]))
         monitor.feed(nothing if which else one, one if which else nothing)
         if look := monitor.due():
-            monitor.told(look, look.judge())
+            monitor.events_of(look, look.judge())
     monitor.finish()
     return monitor.faults, np.concatenate([piece.residuals.residual_deg for piece in pieces])
 
