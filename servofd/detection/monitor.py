@@ -312,6 +312,8 @@ class SurfaceMonitor:
     def excuse(self, gap_s: float, until_s: float) -> None:
         """Nothing of the vehicle was received for so long, until then [s]: that is no silence of this surface alone."""
         self._excused = until_s, gap_s
+        if self._reviewed is not None:
+            self._reviewed = self._reviewed[0] + gap_s, self._reviewed[1]
         for received in self._received.values():
             received[1] += gap_s
 
