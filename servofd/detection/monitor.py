@@ -28,7 +28,7 @@ from servofd.core.series import latest
 from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
 from servofd.detection.faults import AGAIN_S, LOOKS_BACK_S, LOOKS_S
 from servofd.detection.residual import rhythm, thinned_rhythm
-from servofd.detection.seen import healthy_of, least_rate_hz, too_few
+from servofd.detection.seen import Pace, healthy_of, least_rate_hz, too_few
 from servofd.detection.stream import BY_WINDOWS, Remembered
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
@@ -572,7 +572,7 @@ class SurfaceMonitor:
         problem, stream = few or self._thin, None
         if not problem:
             try:
-                stream = self._healthy.stream(self._period_s, logged_s, sent_s, beat)
+                stream = self._healthy.stream(Pace(self._period_s, logged_s, sent_s, beat))
             except DesignError as error:
                 problem = str(error)
         if stream is None:

@@ -8,7 +8,7 @@ error of the prediction; a named one by the residual of the nullspace filter, an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -97,6 +97,19 @@ class Seen:
         return odds(self.residuals, first_s, self.segment.period_s, self.threshold.typical_deg)
 
 
+class Pace(NamedTuple):
+    """How commands and positions of a stream come."""
+
+    period_s: float
+    """Between two positions."""
+    command_s: FloatArray
+    """When the first commands came, shape (n,) [s]."""
+    sent_s: float | None
+    """Between two commands as they were sent on a link, of which some are lost; None where that is not known."""
+    beat: Rhythm
+    """Of the commands that came."""
+
+
 class Healthy(Protocol):
     """The healthy servo of a surface, beside which a log or a stream of it is seen."""
 
@@ -114,14 +127,8 @@ class Healthy(Protocol):
         """See a log beside it."""
         ...
 
-    def stream(
-        self, period_s: float, command_s: FloatArray, sent_s: float | None, beat: Rhythm
-    ) -> Stream | CalibratedStream:
-        """See a stream beside it.
-
-        Its positions come at a period [s], its first commands at `command_s`, in a rhythm; `sent_s` is the period with
-        which commands were sent on a link [s].
-        """
+    def stream(self, pace: Pace) -> Stream | CalibratedStream:
+        """See a stream beside it."""
         ...
 
 
@@ -177,10 +184,9 @@ class OfFlights:
         acting = {"airspeed_m_s": self.known.airspeed_m_s != 0.0, "servo_voltage_v": self.known.supply_v > 0.0}
         return self.model.needs | {need for need, acts in acting.items() if acts}
 
-    def stream(self, period_s: float, command_s: FloatArray, sent_s: float | None, beat: Rhythm) -> CalibratedStream:
-        """See a stream beside it; the rhythm is that of the commands."""
-        del beat  # what gets lost of its commands is unknown, and not put back
-        return CalibratedStream(self.known, self.surface, period_s, command_s, sent_s)
+    def stream(self, pace: Pace) -> CalibratedStream:
+        """See a stream beside it; what gets lost of its commands is unknown, and not put back."""
+        return CalibratedStream(self.known, self.surface, pace.period_s, pace.command_s, pace.sent_s)
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
@@ -240,7 +246,7 @@ class OfModel:
         """What its effects depend on."""
         return self.model.needs
 
-    def stream(self, period_s: float, command_s: FloatArray, sent_s: float | None, beat: Rhythm) -> Stream:
+    def stream(self, pace: Pace) -> Stream:
         """See a stream beside it.
 
         Raises
@@ -248,9 +254,8 @@ class OfModel:
         DesignError
             If no residual filter suits the servo at this pace.
         """
-        del command_s, sent_s  # their rhythm says it
-        generator = ResidualGenerator.fitting_pace(self.model, period_s, self.surface.filter_pole_rad_s)
-        return Stream(generator, self.surface, period_s, beat)
+        generator = ResidualGenerator.fitting_pace(self.model, pace.period_s, self.surface.filter_pole_rad_s)
+        return Stream(generator, self.surface, pace.period_s, pace.beat)
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
