@@ -113,8 +113,9 @@ def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Seque
 
 
 _OF_MOTION: Final = 0.5
-"""Least share of what a healthy servo draws in motion that shows motion: where that is hardly known, it explains any
-current better than a rest does. A jammed elevon drew 0.24 A for 2.74 A, and its sensor was accused."""
+"""Share of what a healthy servo draws in motion, and its inverse, between which a current shows motion: where that is
+hardly known, it explains any current better than a rest does. A jammed elevon drew 0.24 A for 2.74 A, another that
+pushed against its stop 1.3 A for 0.15 A, and their sensors were accused."""
 
 
 def tells_motion(series: CurrentSeries, known: CalibratedCurrent, from_s: float, to_s: float) -> bool:
@@ -125,8 +126,10 @@ def tells_motion(series: CurrentSeries, known: CalibratedCurrent, from_s: float,
         return False
     healthy, *others = _accounts(seen, rows)
     use = np.flatnonzero(seen.usable[rows]) + rows.start
-    idle_a = series.current_a[use] - max(float(known.theta[0]), 0.0)
-    if idle_a.sum() < _OF_MOTION * (seen.healthy_a[use] - max(float(known.theta[0]), 0.0)).sum():
+    rest_a = max(float(known.theta[0]), 0.0)
+    idle_a = series.current_a[use] - rest_a
+    moving_a = float((seen.healthy_a[use] - rest_a).sum())
+    if not _OF_MOTION * moving_a <= idle_a.sum() <= moving_a / _OF_MOTION:
         return False
     resting = each_of(series) * float(_nats(idle_a, np.full(use.size, known.noise.still_a)).sum())
     return min(resting, *(one.total for one in others if one.kind != "binding"), np.inf) - healthy.total > _SURE

@@ -184,3 +184,13 @@ def test_cycles_of_a_bench_end_in_one_table_and_one_line(tmp_path: Path, capsys:
     told = capsys.readouterr()
     assert told.err.count("\n") <= 1
     assert told.out.count("run 7") == 1
+
+
+@pytest.mark.slow
+def test_a_jam_that_draws_more_than_any_motion_is_no_fault_of_the_sensor() -> None:
+    (result,) = servofd.audit(
+        Path(__file__).parents[2] / "sample_logs" / "ardupilot_volz_stuck.bin", surfaces=("elevator",)
+    )
+    (elevator,) = result.surfaces
+    assert [fault.kind for fault in elevator.faults] == ["stuck"]
+    assert "its sensor is at fault" not in elevator.reason
