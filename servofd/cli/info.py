@@ -40,9 +40,10 @@ def _report(found: dict[str, Any]) -> Document:
     }
     lines = [f"{name}: {value}" for name, value in about.items() if value]
     lines += [f"damage: {damage['kind']}: {damage['note']}" for damage in found["damage"]]
-    advice = [f"to audit this aircraft: {found['advice']}"] if found["advice"] else []
+    advice = [found["by_current"]] if found["by_current"] else []
+    advice += [f"to audit this aircraft: {found['advice']}"] if found["advice"] else []
     if not found["on_board"] and found["format"] in ("dataflash", "tlog") and found["surfaces"]:
-        advice.insert(0, _ON_BOARD)
+        advice.insert(bool(found["by_current"]), _ON_BOARD)
     surfaces = [
         (
             *(s["name"], s["verdict"], _rate(s["position_hz"]), _rate(s["command_hz"])),

@@ -11,12 +11,12 @@ from servofd.aircraft.current_source import current_sources, read_current
 from servofd.aircraft.schema import UNKNOWN_SERVO
 from servofd.aircraft.series import SURROUNDINGS
 from servofd.core.errors import CalibrationError, NoMeasurement
-from servofd.current.judge import judge_current, limits_of, tells_motion
+from servofd.current.judge import judge_current, limits_of, pushed, tells_motion
 from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.wear import features_of, wear_of
 from servofd.detection.kinds import STANDS_STILL
-from servofd.detection.verdict import CurrentAudit, SurfaceAudit
+from servofd.detection.verdict import SERVO_OR_SENSOR, CurrentAudit, SurfaceAudit, describe
 from servofd.servo.context import Context
 from servofd.servo.library import ORDINARY
 from servofd.servo.servo_model import ServoModel
@@ -28,13 +28,15 @@ if TYPE_CHECKING:
     from servofd.aircraft.current import CalibratedCurrent, CurrentSource
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import FloatArray
-    from servofd.detection.verdict import LogAudit
+    from servofd.detection.verdict import Fault, LogAudit
 
 _GRAVEST: Final = ("fault", "suspect", "healthy", "unknown", "no_data")
 _MARGIN: Final = 1.3
 """Times what good flights reach, that a fault has to exceed."""
 _AGREE_S: Final = 15.0
 """Two witnesses tell of one event if they notice it within so much of each other."""
+_AT_REST: Final = ("blocked", "unpowered")
+"""What a current tells of a servo that stands still."""
 
 
 def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAudit:
@@ -174,9 +176,13 @@ def _judged(
         # What this servo draws when well is not known, and one that is blocked or has no power does not follow.
         return replace(found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=())
     still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]
-    if still and not found.faults:
+    if still and not found.faults and surface.segment is not None:
         to_s = np.inf if still[0].end_s is None else still[0].end_s
-        if tells_motion(series, known, still[0].start_s, to_s):
+        where = surface.segment.measured_s, surface.segment.measured_deg
+        pushes = pushed(series, known, still[0], where)
+        if pushes is not None:
+            found = replace(found, faults=(pushes,), status="fault", reason=f"by its current: {describe(pushes)}")
+        elif tells_motion(series, known, still[0].start_s, to_s):
             found = replace(found, reason=f"{found.reason}; {_SENSOR}")
     return found
 
@@ -192,7 +198,8 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
     joined = replace(surface, current=current)
     if current.time_s is None:  # it could not be judged, which takes nothing from what the position says
         return joined if surface.is_judged else replace(joined, reason=f"{surface.reason}; {current.reason}")
-    faults = tuple(sorted((*surface.faults, *current.faults), key=lambda fault: fault.start_s))
+    told, left = _confirmed(surface.faults, current.faults)
+    faults = tuple(sorted((*told, *left), key=lambda fault: fault.start_s))
     suspicions = tuple(sorted((*surface.suspicions, *current.suspicions), key=lambda fault: fault.start_s))
     joined = replace(joined, faults=faults, suspicions=suspicions)
     if surface.segment is None:  # nothing but its current tells
@@ -208,12 +215,37 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
     if surface.status in ("unknown", "no_data") and current.status == "healthy":
         status = surface.status  # a current alone clears no position that was there and could not be judged
     reason = surface.reason
-    if current.status in ("fault", "suspect") or _SENSOR in current.reason:
+    for before, now in zip(surface.faults, told, strict=True):
+        reason = reason.replace(describe(before), describe(now))
+    if told and all(fault.confirmed_by for fault in told):
+        reason = reason.replace(SERVO_OR_SENSOR, "servo: ")
+    if left or current.status == "suspect" or _SENSOR in current.reason:
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
-    if _agree(surface, current):
+    if any(abs(a.start_s - b.start_s) <= _AGREE_S for a in told for b in left):
         reason += "; position and current agree"
     return replace(joined, status=status, reason=reason)
 
 
-def _agree(surface: SurfaceAudit, current: CurrentAudit) -> bool:
-    return any(abs(a.start_s - b.start_s) <= _AGREE_S for a in surface.faults for b in current.faults)
+def _confirmed(positions: Sequence[Fault], currents: Sequence[Fault]) -> tuple[list[Fault], list[Fault]]:
+    """Faults that a position tells, those made surer that its current tells as well; and what it tells beside them.
+
+    A servo that stands still while it pushes, or without power, is one fault. Two witnesses that err independently
+    multiply their odds, and what only one of them takes for possible is none of its alternatives any more.
+    """
+    told, left = list(positions), list(currents)
+    for place, fault in enumerate(told):
+        until_s = np.inf if fault.end_s is None else fault.end_s
+        same = [c for c in left if c.kind in _AT_REST and fault.start_s - _AGREE_S <= c.start_s <= until_s]
+        if fault.kind in STANDS_STILL and same:
+            wrong, other = 1.0 - fault.probability, 1.0 - same[0].probability
+            right = fault.probability * same[0].probability
+            told[place] = replace(
+                fault,
+                start_s=min(fault.start_s, same[0].alarm_s),
+                alarm_s=min(fault.alarm_s, same[0].alarm_s),
+                probability=right / (right + wrong * other),
+                alternatives=(),
+                confirmed_by=same[0],
+            )
+            left = [c for c in left if c not in same]
+    return told, left

@@ -112,6 +112,9 @@ def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Seque
     )
 
 
+_HELD_S, _HELD_SHARE = 0.5, 0.95
+"""For so long, but for moments, a servo must have been asked to be elsewhere before what it draws is a push: several
+times the time in which hobby servos come where they are asked to be."""
 _OF_MOTION: Final = 0.5
 """Share of what a healthy servo draws in motion, and its inverse, between which a current shows motion: where that is
 hardly known, it explains any current better than a rest does. A jammed elevon drew 0.24 A for 2.74 A, another that
@@ -133,6 +136,30 @@ def tells_motion(series: CurrentSeries, known: CalibratedCurrent, from_s: float,
         return False
     resting = each_of(series) * float(_nats(idle_a, np.full(use.size, known.noise.still_a)).sum())
     return min(resting, *(one.total for one in others if one.kind != "binding"), np.inf) - healthy.total > _SURE
+
+
+def pushed(
+    series: CurrentSeries, known: CalibratedCurrent, still: Fault, position: tuple[FloatArray, FloatArray]
+) -> Fault | None:
+    """What tells that a servo which its position (times [s], [deg]) shows at rest pushes with all it has; else None.
+
+    It does where it draws more than motion ever takes while it has long been asked to be elsewhere.
+    """
+    seen = see(series, known)
+    motion, (time_s, read_deg) = series.motion, position
+    given = np.isfinite(read_deg)
+    stands_deg = np.interp(motion.time_s, time_s[given], read_deg[given])
+    away = (np.abs(motion.asked_deg - stands_deg) > _SLACK_DEG[1]).astype(np.float64)
+    (share,) = motion.rows(series.time_s, known.lag_s, known.width_s + _HELD_S, away).T
+    to_s = np.inf if still.end_s is None else still.end_s
+    held = (share > _HELD_SHARE) & (series.time_s >= still.start_s) & (series.time_s <= to_s)
+    drawn_a = series.current_a[held] - max(float(known.theta[0]), 0.0)
+    if drawn_a.size < 2 or float(np.quantile(drawn_a, 0.1)) < _least_stall(seen):
+        return None
+    stall_a, at_s = float(np.median(drawn_a)), float(series.time_s[held][0])
+    deviation_a = float(np.std(drawn_a)) / float(np.sqrt(drawn_a.size))
+    parameters = {"current_a": Estimate.of(stall_a, max(deviation_a, known.noise.still_a))}
+    return Fault("blocked", still.start_s, at_s, still.end_s, parameters, _SUREST, (), named_s=at_s, witness="current")
 
 
 def each_of(series: CurrentSeries) -> float:

@@ -23,7 +23,7 @@ from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.evidence import reported, status_of
 from servofd.detection.known import crude_line
 from servofd.detection.seen import TooShortError, healthy_of, too_few
-from servofd.detection.verdict import CommonCause, LogAudit, Statistics, SurfaceAudit, describe
+from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, LogAudit, Statistics, SurfaceAudit, describe
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -376,7 +376,7 @@ def _convicted(surface: SurfaceAudit, given: Fault) -> SurfaceAudit:
     fault = replace(given, kind="slow", level="fault")
     suspicions = tuple(one for one in surface.suspicions if one is not given)
     faults = tuple(sorted((*surface.faults, fault), key=lambda one: one.start_s))
-    reason = f"servo or its feedback: {'; then '.join(describe(one) for one in faults)}; others show the same at once"
+    reason = f"{SERVO_OR_SENSOR}{'; then '.join(describe(one) for one in faults)}; others show the same at once"
     return replace(surface, status="fault", faults=faults, suspicions=suspicions, reason=reason)
 
 

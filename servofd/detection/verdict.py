@@ -48,6 +48,8 @@ class Fault:
     """When there were data enough for this name [s]."""
     witness: Literal["position", "current", "motion"] = "position"
     """What tells of it."""
+    confirmed_by: Fault | None = None
+    """The same event as another witness tells it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +237,8 @@ _SAMPLES_PER_PERIOD = 4.0
 """Of the servo's bandwidth; twice what the sampling theorem asks for."""
 SURE, WORTH_TELLING = 0.95, 0.02
 """Probabilities from which a name counts as certain, and an alternative is worth mentioning."""
+SERVO_OR_SENSOR = "servo or its feedback: "
+"""What a position alone tells is of one of these."""
 EXPLAINED = "the tolerances of a working servo explain it"
 """Why an alarm is taken back."""
 
@@ -263,7 +267,14 @@ def describe(fault: Fault) -> str:
         doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":
         text = "crossed the threshold, but the tolerances of a working servo explain it"
-    return f"{text} {since}{doubt} (alarm at {fault.alarm_s:.2f} s)"
+    confirmed = "" if fault.confirmed_by is None else f", and {_confirmation(fault.confirmed_by)}"
+    return f"{text} {since}{doubt}{confirmed} (alarm at {fault.alarm_s:.2f} s)"
+
+
+def _confirmation(other: Fault) -> str:
+    """What another witness says of the same event."""
+    values = {name: estimate.value for name, estimate in other.parameters.items()}
+    return f"by its {other.witness} {filled(KINDS[other.kind].clause, values)}"
 
 
 def _perhaps(fault: Fault) -> str:
@@ -284,7 +295,7 @@ def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s:
 
 def meaning(fault: Fault) -> str:
     """What may have happened to the aircraft, in a sentence."""
-    return KINDS[fault.kind].meaning
+    return KINDS[(fault.confirmed_by or fault).kind].meaning
 
 
 def gravest(faults: Sequence[Fault]) -> Fault:
@@ -295,8 +306,10 @@ def gravest(faults: Sequence[Fault]) -> Fault:
 def next_step(surface: SurfaceAudit) -> str:
     """What to do about a verdict, in a sentence; empty if there is nothing to do."""
     if surface.status == "fault":
-        check = KINDS[gravest(surface.faults).kind].check
-        return f"do not fly; on the ground, {check}; if it moves as asked, its position sensor is at fault"
+        worst = gravest(surface.faults)
+        by_position = worst.witness == "position" and worst.confirmed_by is None
+        sensor = "; if it moves as asked, its position sensor is at fault" if by_position else ""
+        return f"do not fly; on the ground, {KINDS[(worst.confirmed_by or worst).kind].check}{sensor}"
     if surface.status == "suspect":
         check = KINDS[gravest(surface.suspicions).kind if surface.suspicions else "unknown"].check
         return (

@@ -26,7 +26,9 @@ _GAP_PERIODS = 5.0
 """Longer than so many sample periods is a gap."""
 _RATE_PER_BANDWIDTH = 10.0
 """Samples that a period of the fastest motion needs, so that a residual filter can follow it."""
-_BY_CURRENT = "by its current whether it is blocked or has no power, and once calibrated whether it binds or wears"
+_BY_CURRENT = (
+    "by its current: whether a servo is blocked or has no power, and once calibrated whether it binds or wears"
+)
 
 
 def survey(
@@ -69,6 +71,7 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict
         "channels": len(log.channels),
         "damage": [asdict(damage) for damage in log.damage_summary],
         "surfaces": surfaces,
+        "by_current": _BY_CURRENT if any(surface["current_hz"] for surface in surfaces) else None,
         "on_board": _on_board(log, aircraft),
         "channel_details": [_channel(log[name]) for name in log.channels] if every_channel else [],
         "advice": (what_to_log(log) if unfit and log.is_of_autopilot else "") or None,
@@ -91,7 +94,7 @@ def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[dict[str, Any
                 found["verdict"] += f"; {reason}"
             else:
                 can = found["verdict"]
-                found["verdict"] = f"{can}; and {_BY_CURRENT}" if can.startswith("yes") else f"yes, {_BY_CURRENT}"
+                found["verdict"] = f"{can}; and by its current" if can.startswith("yes") else "yes, by its current"
         yield found
 
 

@@ -243,10 +243,20 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
             or _MISSING,
             f"{100.0 * fault.probability:.3g}%",
             ", ".join(fault.alternatives).replace("_", " ") or _MISSING,
+            " and ".join(one.witness for one in (fault, fault.confirmed_by) if one is not None),
         )
         for fault in found
     ]
-    head = ("kind", "onset [s]", "alarm [s]", "end [s]", "parameters (95% intervals)", "probability", "alternatives")
+    head = (
+        "kind",
+        "onset [s]",
+        "alarm [s]",
+        "end [s]",
+        "parameters (95% intervals)",
+        "probability",
+        "alternatives",
+        "by its",
+    )
     numbers: list[Part] = [
         Table("Faults and suspicions", head, rows),
         Table("Residual and threshold", ("quantity", "value"), _statistics(surface)),

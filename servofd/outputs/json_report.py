@@ -162,6 +162,7 @@ def _fault(identity: str, fault: Fault) -> dict[str, Any]:
     return _named(fault, _OF_FAULT) | {
         "id": identity,
         "witness": fault.witness,
+        "confirmed_by": None if fault.confirmed_by is None else _fault(f"{identity}-confirmed", fault.confirmed_by),
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
         "alternatives": list(fault.alternatives),

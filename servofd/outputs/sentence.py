@@ -201,7 +201,11 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
 
 def _what(fault: Fault) -> str:
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
-    return filled(KINDS[fault.kind].headline, {"since": clock(fault.start_s), **values})
+    text = filled(KINDS[fault.kind].headline, {"since": clock(fault.start_s), **values})
+    if fault.confirmed_by is None:
+        return text
+    drawn_a = fault.confirmed_by.parameters["current_a"].value
+    return f"{text}, confirmed by its current ({KINDS[fault.confirmed_by.kind].perhaps}, {drawn_a:.2g} A)"
 
 
 def _surfaces(surfaces: Sequence[SurfaceAudit]) -> str:

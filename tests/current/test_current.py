@@ -80,10 +80,29 @@ def test_the_sensor_is_at_fault_where_the_current_says_that_it_moves(tmp_path: P
 
 
 def test_two_witnesses_agree(tmp_path: Path) -> None:
-    found = servofd.audit(written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=True))
+    log = written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=True)
+    alone = tmp_path / "alone.csv"
+    alone.write_text("\n".join(line.rsplit(",", 2)[0] + "," + line.rsplit(",", 1)[1] for line in _lines(log)))
+    (by_position,) = servofd.audit(alone)["aileron"].faults
+    found = servofd.audit(log)
     assert found["aileron"].feedback == "both"
-    assert {one.witness for one in found["aileron"].faults} == {"position", "current"}
-    assert "position and current agree" in found["aileron"].reason
+    (fault,) = found["aileron"].faults  # one event, told by both
+    assert (fault.kind, fault.witness) == ("stuck", "position")
+    assert fault.confirmed_by is not None
+    assert (fault.confirmed_by.kind, fault.confirmed_by.witness) == ("blocked", "current")
+    assert fault.probability >= by_position.probability
+    assert fault.alarm_s <= by_position.alarm_s
+    assert found["aileron"].reason.startswith("servo: stuck at")
+    assert "confirmed by its current (blocked" in found.sentence
+
+
+def test_a_servo_without_power_is_one_fault_of_both_witnesses(tmp_path: Path) -> None:
+    flight = flown(9, 25.0, "unpowered")
+    held_deg = flight.position_deg
+    held_deg[flight.current_s > START_S] = held_deg[flight.current_s > START_S][0]  # a gear that holds by itself
+    (fault,) = servofd.audit(written(tmp_path / "flight.csv", flight, position=True))["aileron"].faults
+    assert fault.confirmed_by is not None
+    assert (fault.kind, fault.confirmed_by.kind) == ("stuck", "unpowered")
 
 
 def test_a_position_that_follows_takes_back_what_an_unknown_current_looks_like(tmp_path: Path) -> None:
@@ -119,6 +138,10 @@ def test_a_current_that_stands_still_for_a_part_of_the_log_ends_in_a_verdict(tmp
     path, kept = tmp_path / "flight.csv", iter(range(10**6))
     path.write_text(_current(flown(10, 10.0, seconds=60.0).csv("aileron"), lambda a: a * (next(kept) > 400)))
     assert servofd.audit(path)["aileron"].status in ("healthy", "suspect", "fault", "unknown")
+
+
+def _lines(log: str) -> list[str]:
+    return Path(log).read_text().splitlines()
 
 
 def _current(text: str, change: object) -> str:
@@ -166,7 +189,12 @@ def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["info", written(tmp_path / "flight.csv", flown(5, 10.0, seconds=40.0)), "--json"]) == 0
     (surface,) = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]
     assert surface["current"] == "aileron_current_a"
-    assert surface["verdict"].startswith("yes, by its current")
+    assert surface["verdict"] == "yes, by its current"
+
+
+def test_info_says_once_what_currents_allow(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(Path(__file__).parents[2] / "sample_logs" / "ardupilot_volz_stuck.bin")]) == 0
+    assert capsys.readouterr().out.count("blocked") == 1
 
 
 def test_cycles_of_a_bench_end_in_one_table_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,5 +220,8 @@ def test_a_jam_that_draws_more_than_any_motion_is_no_fault_of_the_sensor() -> No
         Path(__file__).parents[2] / "sample_logs" / "ardupilot_volz_stuck.bin", surfaces=("elevator",)
     )
     (elevator,) = result.surfaces
-    assert [fault.kind for fault in elevator.faults] == ["stuck"]
-    assert "its sensor is at fault" not in elevator.reason
+    (fault,) = elevator.faults
+    assert fault.kind == "stuck"
+    assert fault.confirmed_by is not None
+    assert 1.0 < fault.confirmed_by.parameters["current_a"].value < 1.4  # the simulated stall
+    assert "sensor" not in elevator.reason

@@ -184,7 +184,7 @@ def _current(entry: Mapping[str, Any]) -> CurrentAudit | None:
         return None
     current = entry["current"]
     faults, suspicions = (
-        tuple(fault for one in entry[which] if (fault := _fault(one)).witness == "current")
+        tuple(told for one in entry[which] if (told := _told_by_current(_fault(one))) is not None)
         for which in ("faults", "suspicions")
     )
     return CurrentAudit(
@@ -196,6 +196,10 @@ def _current(entry: Mapping[str, Any]) -> CurrentAudit | None:
         suspicions,
         judged_share=current["judged_share"],
     )
+
+
+def _told_by_current(fault: Fault) -> Fault | None:
+    return fault if fault.witness == "current" else fault.confirmed_by
 
 
 def _fault(entry: Mapping[str, Any]) -> Fault:
@@ -211,4 +215,5 @@ def _fault(entry: Mapping[str, Any]) -> Fault:
         entry["level"],
         entry["named_s"],
         entry.get("witness", "position"),
+        _fault(entry["confirmed_by"]) if entry.get("confirmed_by") else None,
     )
