@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from reading import make_bin, make_tlog, make_ulg
 from tests.parsers import dataflash_writer, tlog_writer, writers
-from tests.parsers.test_many_names import exported, named_values
+from tests.parsers.test_many_names import named_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -126,22 +126,6 @@ def values(rows: int, names: int = 40) -> bytes:
     return b"".join(out)
 
 
-def mavlogdumps(rows: int) -> bytes:
-    head = b"timestamp,TimeUS,Id,Pos,PosCmd,Volt\n"
-    lines = (b"%.6f,%d,%d,%.4f,%.4f,7.4\n" % (1.7e9 + 0.02 * k, 20_000 * k, k % 6, k % 7, k % 9) for k in range(rows))
-    return head + b"".join(lines)
-
-
-def message(rows: int) -> dict[str, np.ndarray]:
-    return {"TimeUS": 20_000.0 * np.arange(1, rows + 1), **{f"C{n}": 1500.0 + np.arange(rows) % 99 for n in range(14)}}
-
-
-def mission_planner(rows: int) -> dict[str, object]:
-    columns = message(rows)
-    labels = np.array([["LineNo"], *([name] for name in columns)], object)
-    return {"RCOU": np.column_stack([np.arange(rows), *columns.values()]), "RCOU_label": labels}
-
-
 def mat(rows: int, make: Callable[[int], Mapping[str, object]], *, compressed: bool = False) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "a.mat")
@@ -204,13 +188,9 @@ MAKERS: dict[str, Callable[[Path, int], None]] = {
     "table_digits": rows_of(digits),
     "table_empty": rows_of(empty),
     "table_header": rows_of(header),
-    "mavlogdump_table": rows_of(mavlogdumps),
-    "ulog_table": rows_of(exported),
     "level4": rows_of(level4),
     "level5": rows_of(partial(mat, make=faser)),
     "level5_packed": rows_of(partial(mat, make=faser, compressed=True)),
-    "mavlogdump_mat": rows_of(partial(mat, make=lambda rows: {"RCOU": message(rows)})),
-    "mission_planner_mat": rows_of(partial(mat, make=mission_planner)),
     "hdf5": hdf5,
     "hdf5_packed": partial(hdf5, chunks=True),
 }

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logparsers.detect import detect, read_messages, read_text
+from logparsers.detect import detect, read_text
 from logparsers.errors import (
     ClockError,
     EmptyLog,
@@ -21,17 +19,13 @@ from logparsers.errors import (
     UnknownFormat,
     UnreadableLog,
 )
-from logparsers.exports import flights, read_part
 from logparsers.only import Only
 from logparsers.records import Channel, Damage, FlightLog, Text
-from logparsers.source import LogFile, files_of, opened, sources
+from logparsers.source import LogFile, sources
 from logparsers.table import TableLayout
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from logparsers.exports import Part
-    from logparsers.source import Source
+    from collections.abc import Sequence
 
 __all__ = [
     "Channel",
@@ -63,8 +57,7 @@ def read(path: LogFile, layout: TableLayout | None = None, *, only: Sequence[str
     Parameters
     ----------
     path : str, PathLike or BinaryIO
-        The file, or a binary file object that can seek; it is read from its beginning and left open. A name with ``*``
-        in it, as ``"log_7_*.csv"``, stands for the tables of messages of one flight.
+        The file, or a binary file object that can seek; it is read from its beginning and left open.
     layout : TableLayout, optional
         How to read a text table with names of its own; other formats describe themselves.
     only : sequence of str, optional
@@ -124,51 +117,20 @@ def read_all(
     >>> [(log.run, log["meas"].values.size) for log in read_all(bench, TableLayout(time="t_s", run="run"))]
     [('a', 2), ('b', 1)]
     """
-    wanted, at = (
-        Only.of(only),
-        Path(path) if isinstance(path, (str, PathLike)) else Path(str(getattr(path, "name", "<file>"))),
-    )
+    wanted = Only.of(only)
     logs: list[FlightLog] = []
-    parts: list[Part] = []
     problems: list[LogError] = []
     strange: list[Damage] = []
     with np.errstate(all="ignore"):  # what overflows is counted as damage
-        for source in _tables_of(at) if _is_pattern(at) else sources(path):
+        for source in sources(path):
             reader = None
             try:
                 reader = detect(source.head, str(source.path))
-                if source.archive and reader is read_messages and layout is None:
-                    parts.append(read_part(source, _beginning(at)))
-                else:
-                    logs += [source.packed(log) for log in reader(source, layout, wanted)]
+                logs += [source.packed(log) for log in reader(source, layout, wanted)]
             except LogError as error:
                 problems.append(error)
                 if not isinstance(error, _NO_LOG) or reader not in (None, read_text):
                     strange.append(Damage("corrupt", f"not read: {error}"))
-        if parts:
-            logs += flights(parts, at, wanted)
     if not logs:
         raise problems[0]
     return (replace(logs[0], damage=(*strange, *logs[0].damage)), *logs[1:])
-
-
-def _is_pattern(path: Path) -> bool:
-    """Whether the name stands for the tables of one flight, as in ``log_7_*.csv``."""
-    return "*" in path.name and not path.exists()
-
-
-def _beginning(pattern: Path) -> str:
-    """What the files of a flight have in common, if a pattern tells."""
-    return pattern.name.partition("*")[0].rstrip("._-") if _is_pattern(pattern) else ""
-
-
-def _tables_of(pattern: Path) -> Iterator[Source]:
-    """Tables of messages that fit a pattern, one after the other."""
-    found = False
-    for path in files_of(pattern):
-        with opened(path) as source:
-            if detect(source.head, str(path)) is read_messages:
-                found = True
-                yield replace(source, archive=pattern.parent)
-    if not found:
-        raise MissingLog(f"{pattern}: no table of messages fits this name; it stands for the CSV files of one flight")

@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from logparsers.errors import UnknownFormat
-from logparsers.exports import flights, kind_of, read_part
 from logparsers.mat import HEADER4, header4
 from logparsers.protocol import frame_bytes
 from logparsers.table import TableLayout, read_table
@@ -168,13 +167,6 @@ def _of_autopilot(kind: str) -> Reader:
 _dataflash, _telemetry, _ulog = map(_of_autopilot, ("dataflash", "telemetry", "ulog"))
 
 
-def read_messages(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
-    """Read one table of messages alone; with a layout it is a table like any other."""
-    if layout is not None:
-        return tuple(log.only(only) for log in read_table(source, layout))
-    return flights([read_part(source)], source.path, only)
-
-
 read_text = _eager(read_table)
 
 FORMATS = (
@@ -219,7 +211,6 @@ FORMATS = (
     Format("MATLAB level 4", _is_level4, read_level4),
     Format("damaged ArduPilot DataFlash log", _has_dataflash, _dataflash),
     Format("damaged MAVLink telemetry log", _has_telemetry, _telemetry),
-    Format("table of messages", lambda head: _is_text(head) and bool(kind_of(head)), read_messages),
     Format("text table", _is_text, read_text),
     Format("text with control characters in its first line", _has_control, "take them out of the names"),
 )

@@ -1,8 +1,8 @@
-"""MATLAB files of level 4, 5 and 7: numbers, texts, cells and structures of them, as views of the file.
+"""MATLAB files of level 4, 5 and 7: numbers and structures of them, as views of the file.
 
-A file is a chain of variables, each with its size before it. Objects, functions, sparse and complex arrays are stepped
-over; nothing is copied but what was compressed, and that only up to what its header promises and `archive.check_size`
-allows.
+A file is a chain of variables, each with its size before it. Texts, cells, objects, functions, sparse and complex
+arrays are stepped over; nothing is copied but what was compressed, and that only up to what its header promises and
+`archive.check_size` allows.
 """
 
 from __future__ import annotations
@@ -26,12 +26,10 @@ if TYPE_CHECKING:
 
 CODES4: Final = ("f8", "f4", "i4", "i2", "u2", "u1")
 CODES5: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-UTF8: Final = 16
-"""Number of UTF-8 text among the data types of MAT-files of level 5."""
 MATRIX, COMPRESSED = 14, 15
 """Numbers of an array and of a compressed element among them."""
-CELL, STRUCTURE, TEXT, NUMERIC = 1, 2, 4, range(6, 16)
-"""Numbers of the array classes: cell, structure, text, and all numeric ones."""
+STRUCTURE, NUMERIC = 2, range(6, 16)
+"""Numbers of the array classes: structure, and all numeric ones."""
 COMPLEX: Final = 0x0800
 """Flag of an array that has imaginary parts."""
 HEADER4: Final = struct.calcsize("5i")
@@ -43,7 +41,7 @@ BEGIN5: Final = 128
 DEEPEST: Final = 16
 """Structures within structures; deeper ones are forged."""
 MOST_PARTS: Final = 200_000
-"""Cells and fields of a file: each costs memory of its own, however small it is."""
+"""Arrays and fields of a file: each costs memory of its own, however small it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +108,9 @@ def level4(path: Path, content: memoryview) -> dict[str, Any]:
 
 
 def level5(path: Path, content: memoryview) -> dict[str, Any]:
-    """Decode every real array of a level-5 file, its texts, and the cells and structures that hold them.
+    """Decode every real array of a level-5 file, and the structures that hold them.
 
-    Result: by name, in the order of the file: numbers in the type of the file, texts as str, a cell as a list (column
-    after column), a structure by the names of its fields.
+    Result: by name, in the order of the file: numbers in the type of the file, a structure by the names of its fields.
     """
     reading = _Level5(path, "<" if bytes(content[BEGIN5 - 2 : BEGIN5]) == b"IM" else ">")
     found: dict[str, Any] = {}
@@ -185,7 +182,7 @@ class _Level5:
         self.parts += 1
         if self.parts > MOST_PARTS:
             raise UnreadableLog(
-                f"{self.path}: more than {MOST_PARTS} cells and fields: no flight log; save plain vectors"
+                f"{self.path}: more than {MOST_PARTS} arrays and fields: no flight log; save plain vectors"
             )
         if not content:  # an empty field
             return "", None
@@ -194,7 +191,7 @@ class _Level5:
         parts = self.elements(content)
         (word,) = struct.unpack_from(self.order + "I", next(parts)[1])
         kind = word & 0xFF
-        if word & COMPLEX or not (kind in (CELL, STRUCTURE, TEXT) or kind in NUMERIC):
+        if word & COMPLEX or not (kind == STRUCTURE or kind in NUMERIC):
             return "", None  # an object has no dimensions, but the names of its class
         shape = tuple(np.frombuffer(next(parts)[1], self.order + "i4").tolist())
         name = bytes(next(parts)[1]).decode("ascii", "replace")
@@ -202,9 +199,7 @@ class _Level5:
             return name, None
         if kind == STRUCTURE:
             return name, self.structure(parts, depth) if prod(shape) == 1 else None
-        if kind == CELL:
-            return name, [self.array(part, depth - 1)[1] for _, part in parts]
-        return name, (self.texts if kind == TEXT else self.numbers)(*next(parts), shape)
+        return name, self.numbers(*next(parts), shape)
 
     def structure(self, parts: Iterator[tuple[int, memoryview]], depth: int) -> Mapping[str, Any]:
         (width,) = struct.unpack_from(self.order + "i", next(parts)[1])
@@ -220,19 +215,6 @@ class _Level5:
         if kind not in CODES5:
             raise ValueError(f"values of unknown type {kind}")
         return np.frombuffer(content, self.order + CODES5[kind], prod(shape)).reshape(shape, order="F")
-
-    def texts(self, kind: int, content: memoryview, shape: tuple[int, ...]) -> NDArray[np.str_] | None:
-        """One text for each row of characters, without the blanks at its end; None if they are none."""
-        raw = bytes(content)
-        if kind == UTF8:
-            raw, code = raw.decode("utf-8", "replace").encode("utf-32-le"), "<u4"
-        else:
-            code = self.order + ("u1" if CODES5.get(kind) in ("i1", "u1") else "u2")
-        letters = np.frombuffer(raw, code)
-        if len(shape) != 2 or letters.size != prod(shape):
-            return None
-        rows = np.ascontiguousarray(letters.reshape(shape, order="F"), np.uint32)
-        return np.char.rstrip(rows.view(f"U{shape[1]}")[:, 0])
 
 
 def _cut(path: Path, name: str, size: int, needed: int) -> TruncatedLog:

@@ -130,19 +130,6 @@ def sources(file: LogFile) -> Generator[Source]:
                 yield replace(inner, archive=source.path if several else None, damage=damage)
 
 
-def files_of(path: Path) -> list[Path]:
-    """Files that a path stands for: itself, or all that fit a name with ``*`` in it.
-
-    Examples
-    --------
-    >>> [file.name for file in files_of(Path("sample_logs/px4_*.ulg"))]
-    ['px4_stuck.ulg']
-    """
-    if "*" not in path.name or path.exists():
-        return [path]
-    return sorted(file for file in path.parent.glob(path.name) if file.is_file())
-
-
 def heads(file: LogFile, size: int) -> list[bytes]:
     """First bytes of a log, or of each file of an archive, of which no more is unpacked.
 

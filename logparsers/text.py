@@ -10,7 +10,7 @@ import csv
 import io
 import re
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.channels import MOST_CHANNELS
-from logparsers.errors import EmptyLog, LogError, MissingChannel, UnreadableLog
+from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
 from logparsers.records import Damage, rows_text
 
 if TYPE_CHECKING:
@@ -84,24 +84,6 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
     if b'"' in content:
         rest = _unquoted(path, rest, delimiter, skipped)
     return _rows(path, names, rest, delimiter, skipped)
-
-
-def header_cells(head: bytes) -> tuple[str, ...]:
-    r"""Names in the first line that is neither blank nor a comment; none if there is no such line.
-
-    Examples
-    --------
-    >>> header_cells(b"# by hand\n\ntime_s; x\n0;1\n")
-    ('time_s', 'x')
-    """
-    path = Path("<head>")
-    try:
-        text = head.rpartition(b"\n")[0] or head
-        _check_text(path, text)
-        _, _, first, _ = _header(path, _blocks(text))
-        return _names(path, first, _delimiter(first), 1)
-    except LogError:
-        return ()
 
 
 def _delimiter(first: bytes) -> str:
@@ -366,21 +348,6 @@ def convert(grid: Grid, texts: Collection[str] = ()) -> dict[str, Cells]:
                 columns[place].cells(at, cells[place :: len(grid.names)])
         at += rows
     return {grid.names[place]: column.done() for place, column in columns.items()}
-
-
-def texts_of(grid: Grid, names: Collection[str]) -> dict[str, NDArray[np.object_]]:
-    r"""Texts of some columns.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from logparsers.text import read_grid
-    >>> texts_of(read_grid(Path("a.csv"), b"time_s,x\n0,on\n1,off\n"), ["x"])["x"].tolist()
-    ['on', 'off']
-    """
-    chosen = tuple(name if name in names else "" for name in grid.names)
-    found = convert(replace(grid, names=chosen), names) if names else {}
-    return {name: cells.texts for name, cells in found.items()}
 
 
 class _Column:

@@ -64,22 +64,3 @@ def split_rows(values: Sequence[Any], codes: NDArray[Any]) -> dict[Any, NDArray[
     if ends.size and ends[-1] < order.size:
         order = order[: ends[-1]].copy()
     return dict(zip(values, np.split(order, ends[:-1]), strict=True))
-
-
-def rows_by_text(texts: NDArray[Any], most: int) -> dict[str, NDArray[np.intp]]:
-    """Rows of each text, which takes less than three numbers a row.
-
-    `texts` (shape (n,)): one for each row. `most`: of more texts than that, only so many.
-
-    Examples
-    --------
-    >>> {text: rows.tolist() for text, rows in rows_by_text(np.array(["b", "a", "b"], object), 9).items()}
-    {'a': [1], 'b': [0, 2]}
-    >>> rows_by_text(np.array(["b", "a", "c"], object), 1), rows_by_text(np.array([], object), 9)
-    ({'a': array([1])}, {})
-    """
-    order = np.argsort(texts, kind="stable")
-    ordered = texts[order]
-    begins = np.flatnonzero(np.append(texts.size > 0, ordered[1:] != ordered[:-1]))[: most + 1]
-    names = [str(name) for name in ordered[begins[:most]]]
-    return dict(zip(names, np.split(order, begins[1:]), strict=False))

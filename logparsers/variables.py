@@ -1,7 +1,7 @@
-"""MATLAB files of any level and HDF5: vectors beside a clock, as FASER and RAPTRS log them, and what others export.
+"""MATLAB files of any level and HDF5: vectors beside a clock, as FASER and RAPTRS log them.
 
 FASER logs its commands ahead of the saturation in the PWM code, so that deflections beyond 25 deg are legal; its
-positions may be raw counts. Messages that mavlogdump or Mission Planner took out of a log make that log again.
+positions may be raw counts.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ import numpy as np
 
 from logparsers.assemble import Column, assemble
 from logparsers.channels import together
-from logparsers.dataflash.exported import is_exported
 from logparsers.errors import MissingChannel, decoding
-from logparsers.exports import dataflash_log, labelled_messages
 from logparsers.mat import level4, level5
 from logparsers.records import Damage, FlightLog
 from logparsers.text import check_names
@@ -47,12 +45,9 @@ def read_level4(source: Source, layout: TableLayout | None, only: Only) -> tuple
 
 
 def read_level5(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
-    """Read a MATLAB level-5 or level-7 file: plain variables, structures, or messages of an autopilot."""
+    """Read a MATLAB level-5 or level-7 file: plain variables and structures."""
     with decoding(source.path, "MATLAB level-5 file"):
         variables = level5(source.path, source.mapped().data)
-        messages = labelled_messages(variables)
-        if layout is None and is_exported(messages):
-            return (dataflash_log(messages, source.path, only),)
     return (from_variables(source.path, variables, layout).only(only),)
 
 

@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import tempfile
-from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import logparsers
 from logparsers import EmptyLog, LogError
 from logparsers.detect import detect
-from logparsers.exports import flight_of, kind_of
-from logparsers.source import HEAD_BYTES, files_of, heads
+from logparsers.source import HEAD_BYTES, heads
 from servofd.core.errors import ConfigError, needs, without
 
 if TYPE_CHECKING:
@@ -96,8 +94,6 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
         skipped |= {one.path: one for one in passed}
     if not logs:
         raise ConfigError("; ".join(problems) or "no log was named")
-    if layout is None:
-        logs = _with_flights_joined(logs)
     return Found(tuple(logs.values()), tuple(skipped.values()), tuple(problems))
 
 
@@ -128,42 +124,6 @@ def is_folder(text: str) -> bool:
         return Path(text).is_dir()
     except OSError:  # no file can have this name
         return False
-
-
-def flights_joined(paths: Iterable[str]) -> list[str]:
-    """The same logs, but for the tables of messages of one flight a pattern, as in ``"log_7_*.csv"``.
-
-    Examples
-    --------
-    >>> flights_joined(["sample_logs/px4_stuck.ulg"])
-    ['sample_logs/px4_stuck.ulg']
-    """
-    logs = [(path, _flight_of(path)) for path in paths]
-    tables = Counter(pattern for _, pattern in logs if pattern)
-    joined = [pattern if tables[pattern] > 1 else path for path, pattern in logs]
-    return [path for k, path in enumerate(joined) if tables[path] < 2 or path not in joined[:k]]
-
-
-def _with_flights_joined(logs: dict[str, LogSource]) -> dict[str, LogSource]:
-    known = {log.path: log for log in logs.values()}
-    joined = (known.get(path) or _together(path) for path in flights_joined(known))
-    return {os.path.normpath(log.path) if not is_address(log.path) else log.path: log for log in joined}
-
-
-def _together(pattern: str) -> LogSource:
-    return LogSource(pattern, sum(_size_bytes(str(file)) for file in files_of(Path(pattern))))
-
-
-def _flight_of(path: str) -> str:
-    """Pattern for the tables of the same flight; empty if it is none, or nothing tells their names."""
-    if not path.lower().endswith(".csv") or not is_plain_file(path):
-        return ""
-    try:
-        kind = kind_of(b"".join(heads(path, HEAD_BYTES)))
-    except LogError:
-        return ""
-    flight = flight_of(Path(path), kind)
-    return str(Path(path).with_name(f"{flight}*{Path(path).suffix}")) if kind else ""
 
 
 def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list[Skipped]]:

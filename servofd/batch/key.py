@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from logparsers.source import files_of
 from servofd.aircraft.schema import UNKNOWN_SERVO, explained_in
 from servofd.batch.find import is_address
 from servofd.core.files import distinct_file_names
@@ -99,9 +98,8 @@ def content_key(path: str) -> str:
         system, name = url_to_fs(path)
         return _digest(str(system.ukey(name)).encode())
     content = hashlib.blake2b(digest_size=_DIGEST_BYTES)
-    for member in files_of(Path(path)):
-        with member.open("rb") as file:
-            hashlib.file_digest(file, lambda: content)
+    with Path(path).open("rb") as file:
+        hashlib.file_digest(file, lambda: content)
     return content.hexdigest()
 
 

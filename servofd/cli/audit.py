@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo
-from servofd.batch.find import flights_joined, is_address, is_folder, is_pattern
+from servofd.batch.find import is_address, is_folder, is_pattern
 from servofd.batch.key import Job
 from servofd.cli.terminal import (
     check_targets,
@@ -25,7 +25,7 @@ from servofd.cli.terminal import (
 from servofd.core.errors import ConfigError, needs
 from servofd.core.files import distinct_file_names, make_folder
 from servofd.core.series import outline
-from servofd.feedback.flown import known_aircraft, layout_of
+from servofd.feedback.flown import known_aircraft
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.sentence import sparkline
@@ -108,7 +108,7 @@ def judged_logs(options: Options) -> list[LogAudit | FailedLog]:
     """Every run of every log that was named; what cannot be read does not stop the others."""
     job = job_of(options)
     results: list[LogAudit | FailedLog] = []
-    for path in options.logs if layout_of(job.aircraft) else flights_joined(options.logs):
+    for path in options.logs:
         with progress(Path(path).name, len(job.aircraft.surfaces) or 1 if job.aircraft else 1) as step:
             results += judged(path, job, progress=step)
     return results

@@ -48,9 +48,7 @@ if TYPE_CHECKING:
 __all__ = ["DOORS", "Door", "entered"]
 
 Refusal = (LogError, ServofdError)
-_PLANES = {kind: kind for kind in ("dataflash", "dataflash_text", "tlog", "ulog")} | dict.fromkeys(
-    ("packed", "mavlogdump_matlab", "mission_planner_matlab", "exported_table"), "dataflash"
-)
+_PLANES = {kind: kind for kind in ("dataflash", "dataflash_text", "tlog", "ulog")} | {"packed": "dataflash"}
 """Logs that have an aircraft file beside them, and the kind of log that it is drafted from."""
 _JUDGED, _DRAFTED, _SHOWN, _USED = 50, 2500, 1000, 5
 """One in so many sound logs is judged, and one with an aircraft drafted from it, which takes a second, as does the page
@@ -311,10 +309,6 @@ DOORS: Mapping[str, Door] = MappingProxyType(
         "dataflash_text": _logs("dataflash_text", mutate.LINES),
         "tlog": _logs("tlog", mutate.TELEMETRY),
         "packed": _logs("packed", mutate.BYTES),
-        "mavlogdump_matlab": _logs("mavlogdump_matlab", mutate.BYTES),
-        "mission_planner_matlab": _logs("mission_planner_matlab", mutate.BYTES),
-        "exported_table": _logs("exported_table", mutate.LINES),
-        "ros_table": _logs("ros_table", mutate.LINES),
         "old_text": _logs("old_text", mutate.LINES),
         "one_frame": _logs("one_frame", mutate.TELEMETRY),
         "ulog": _logs("ulog", mutate.ULOG),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import io
-from typing import Any
 
 import numpy as np
 
@@ -14,37 +13,7 @@ from logparsers.dataflash.encode import encode
 from tests.parsers import dataflash_writer, tlog_writer, ulog_writer, writers
 from tests.parsers.writers import COMMAND, FLIGHT, TIME_S
 
-STAMPS = 1_000_000 + 20_000 * np.arange(TIME_S.size)
-MESSAGES: dict[str, dict[str, Any]] = {
-    "CSRV": {"TimeUS": STAMPS, "Id": STAMPS // 20_000 % 2, "Pos": COMMAND},
-    "RCOU": {"TimeUS": STAMPS, "C1": STAMPS},
-}
-SAID: dict[str, dict[str, Any]] = {
-    "MSG": {"TimeUS": STAMPS[:2], "Message": ["ArduPlane V4.5.1", "ready"]},
-    "PARM": {"Name": ["A"], "Value": [1.0]},
-}
-LABELLED = {
-    **{name: np.column_stack([STAMPS, *columns.values()]) for name, columns in MESSAGES.items()},
-    **{f"{name}_label": np.array([["LineNo"], *([c] for c in columns)], object) for name, columns in MESSAGES.items()},
-    "MSG1": np.array([[np.array([["MSG"], [1e6], ["ready"]], object)]], object),
-    "PARM": np.array([["A", 1.0], ["B", 2.0]], object),
-}
-
-
 SEEDS = {
-    "mavlogdump_mat": writers.matlab({**MESSAGES, **SAID}),
-    "mission_planner_mat": writers.matlab(LABELLED),
-    "mavlogdump_table": writers.table({"timestamp": TIME_S, **MESSAGES["CSRV"]}),
-    "telemetry_table": writers.table(
-        {
-            "timestamp": TIME_S,
-            "SERVO_OUTPUT_RAW.time_usec": STAMPS,
-            "SERVO_OUTPUT_RAW.servo1_raw": STAMPS,
-            "NAMED_VALUE_FLOAT.name": ["SRVP1", "POS"] * (TIME_S.size // 2),
-        }
-    ),
-    "ulog_table": writers.table({"timestamp": STAMPS, "control[0]": COMMAND, "name": ["SRVP"] * TIME_S.size}),
-    "ros_table": writers.table({"%time": STAMPS * 1000, "field.data": COMMAND, "field.frame": ["a"] * TIME_S.size}),
     "gzipped": gzip.compress(writers.table({"time_s": TIME_S, "tail_cmd_deg": COMMAND}), mtime=0),
     "zipped": writers.zipped({"a": writers.matlab(FLIGHT), "b": b"\x89PNG"}),
     "level4": writers.flight_level4(),

@@ -36,7 +36,7 @@ from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
 from tests.fuzz.harness import SEEDS
 from tests.live.vehicles import plane_file
-from tests.parsers import dataflash_writer, export_writer, tlog_writer, writers
+from tests.parsers import dataflash_writer, tlog_writer, writers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -141,10 +141,6 @@ _ALIKE = {
     "matlab4": ("level4",),
     "matlab5": ("level5",),
     "hdf5": ("matlab73", "raptrs"),
-    "mavlogdump_matlab": ("mavlogdump_mat",),
-    "mission_planner_matlab": ("mission_planner_mat",),
-    "exported_table": ("mavlogdump_table", "telemetry_table", "ulog_table"),
-    "ros_table": ("ros_table",),
     "packed": ("gzipped", "zipped"),
     "table": ("table", "quoted", "blanks"),
 }
@@ -199,27 +195,6 @@ def logs_of(kind: str) -> list[bytes]:
     return [*(_MAKERS[kind]() if kind in _MAKERS else [_written(_SUFFIXES[kind])]), *sound]
 
 
-def _exported_log() -> bytes:
-    return encode(dataflash_writer.servo_flight(2.0))
-
-
-def _exported_tables() -> list[bytes]:
-    words = ("--format", "csv", "--types")
-    tables = [export_writer.mavlogdump(_exported_log(), *words, name) for name in ("CSRV", "RCOU")]
-    asked = "SERVO_OUTPUT_RAW,NAMED_VALUE_FLOAT,VFR_HUD"
-    return [*tables, export_writer.mavlogdump(tlog_writer.flight(2.0), *words, asked, suffix=".tlog")]
-
-
-def _ros_tables() -> list[bytes]:
-    """As ``rostopic echo -p`` prints a topic: one of numbers and text, one of arrays."""
-    rows = [(1_531_000_000_000_000_000 + 20_000_000 * k, k) for k in range(60)]
-    head = b"%time,field.header.seq,field.header.stamp,field.header.frame_id,"
-    imu = head + b"field.angular_velocity.x,field.angular_velocity.y\n"
-    imu += b"".join(b"%d,%d,%d,base_link,%.4f,-0.25\n" % (at, k, at - 9000, k / 8) for at, k in rows)
-    outputs = b"%time,field.header.seq,field.channels0,field.channels1\n"
-    return [imu, outputs + b"".join(b"%d,%d,%d,1000\n" % (at, k, 1500 + k) for at, k in rows)]
-
-
 def _one_frame() -> list[bytes]:
     """Telemetry of a single message, and of two and three; with times of arrival and without."""
     beats = [tlog_writer.frame("HEARTBEAT", {"type": 1, "autopilot": 3}, sequence=k, version=1 + k % 2) for k in (0, 1)]
@@ -236,10 +211,6 @@ _MAKERS: Mapping[str, Callable[[], list[bytes]]] = {
     "matlab5": lambda: [writers.matlab(_faser()), writers.matlab(_faser(), compressed=True)],
     "hdf5": lambda: [writers.matlab73(_faser())],
     "packed": lambda: [pack(_written(suffix)) for pack in _PACKERS for suffix in (".csv", ".bin")],
-    "mavlogdump_matlab": lambda: [export_writer.mavlogdump_mat(_exported_log(), *more) for more in ((), ("-c",))],
-    "mission_planner_matlab": lambda: [export_writer.mission_planner_mat(_exported_log())],
-    "exported_table": _exported_tables,
-    "ros_table": _ros_tables,
     "old_text": lambda: [dataflash_writer.before_stamps(60, gps=gps) for gps in ("Time", "TimeMS", "T", "Hour")],
     "one_frame": _one_frame,
 }

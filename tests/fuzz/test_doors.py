@@ -20,8 +20,6 @@ CHEAP = (
     "hdf5",
     "table",
     "packed",
-    "exported_table",
-    "ros_table",
     "old_text",
     "one_frame",
     "results",

@@ -351,24 +351,11 @@ def test_a_function_of_an_output_that_is_no_number() -> None:
     ).keys() == {3}
 
 
-def test_commands_of_an_exported_table_that_are_words() -> None:
-    rows = "".join(f"1.0,{20000 * k},1,{k},[[[\n" for k in range(1, 50))
-    log = logparsers.read(io.BytesIO(f"timestamp,TimeUS,Id,Pos,PosCmd\n{rows}".encode()))
-    np.testing.assert_array_equal(log["CSRV[1].Pos"].values, np.arange(1.0, 50.0))
-
-
 def test_pulses_and_positions_whose_squares_are_none() -> None:
     time_s = np.arange(9.0)
     huge = [Channel(name, time_s, 1e300 * np.sin(time_s), "", name) for name in ("RCOU.C1", "CSRV[1].Pos")]
     log = FlightLog(Path("a.bin"), "dataflash", {channel.name: channel for channel in huge})
     assert len(find_pairs(log)) == 1
-
-
-def test_a_clock_of_an_exported_table_that_is_words() -> None:
-    head = "timestamp,VFR_HUD.airspeed,NAMED_VALUE_FLOAT.time_boot_ms,NAMED_VALUE_FLOAT.value\n"
-    rows = "".join(f"{1.7e9 + 0.02 * k:.2f},{k},[[[,{k}\n" for k in range(1, 50))
-    log = logparsers.read(io.BytesIO((head + rows).encode()))
-    np.testing.assert_array_equal(log["VFR_HUD.airspeed"].values, np.arange(1.0, 50.0))
 
 
 def test_stamps_of_damaged_records_that_lie_centuries_apart(tmp_path: Path) -> None:

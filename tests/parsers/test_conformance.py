@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import gzip
 import io
-import re
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -17,7 +15,7 @@ import pytest
 import logparsers
 from logparsers import FlightLog, LogError, TableLayout
 from logparsers.dataflash.encode import encode
-from tests.parsers import dataflash_writer, export_writer, reference, tlog_writer, ulog_writer, writers
+from tests.parsers import dataflash_writer, reference, tlog_writer, ulog_writer, writers
 from tests.parsers.writers import COMMAND, FLIGHT, POSITION, TIME_S, Floats
 
 MICROSECOND = 1e-6
@@ -302,82 +300,6 @@ class TestTextWithoutStamps(Conformance):
                 np.testing.assert_array_equal(found, self.expected[name][: found.size])
 
 
-class Exported(TestDataFlash):
-    """Of the same log by another tool: a file of MATLAB is whole, or refused."""
-
-    prefixes_are_logs = False
-    units: ClassVar[Mapping[str, str]] = {"CSRV[0].Pos": "deg"}
-    test_truncated = Conformance.test_truncated
-
-    @staticmethod
-    def decoder(content: bytes) -> reference.Series:
-        del content
-        return reference.dataflash(TestDataFlash.content)
-
-
-class TestMavlogdumpMat(Exported):
-    content = later(lambda: export_writer.mavlogdump_mat(TestDataFlash.content))
-
-
-class TestMavlogdumpMatCompressed(Exported):
-    content = later(lambda: export_writer.mavlogdump_mat(TestDataFlash.content, "-c"))
-
-
-class TestMissionPlannerMat(Exported):
-    """Texts became zeros, which nobody can tell from numbers."""
-
-    content = later(lambda: export_writer.mission_planner_mat(TestDataFlash.content))
-
-    def check(self, log: FlightLog) -> None:
-        extra = set(log.channels) - set(self.decoder(self.content))
-        assert extra == {"TXT.n", "TXT.N", "TXT.Z", "ODD.Data"}
-        assert not any(log[name].values.any() for name in extra)
-        super().check(dataclasses.replace(log, channels={n: c for n, c in log.channels.items() if n not in extra}))
-
-
-class TableOfMessages(Conformance):
-    """A table of a message or of some: what the log holds of them, by the library that wrote the table."""
-
-    prefixes_are_logs = True
-    truth: ClassVar[reference.Series]
-
-    def named(self, log: FlightLog) -> Mapping[str, str]:
-        """What the reference calls each channel."""
-        return {name: name for name in log.channels}
-
-    def check(self, log: FlightLog) -> None:
-        assert log.format == self.kind
-        names = self.named(log)
-        assert set(names.values()) == set(self.truth)
-        for name, there in names.items():
-            time_s, values = self.truth[there]
-            np.testing.assert_array_equal(log[name].values, values, err_msg=name)
-            np.testing.assert_allclose(log[name].time_s, time_s, rtol=0.0, atol=MICROSECOND, err_msg=name)
-        assert {there: log[name].unit for name, there in names.items() if there in self.units} == self.units
-        assert log.damage == ()
-
-    @pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97])
-    def test_truncated(self, share: float) -> None:
-        log = self.outcome(self.content[: int(len(self.content) * share)])
-        if isinstance(log, LogError):
-            assert "\n" not in str(log)
-            return
-        for name, there in self.named(log).items():
-            found = log[name].values[:-1]
-            np.testing.assert_array_equal(found, self.truth[there][1][: found.size])
-
-
-def of_messages(series: reference.Series, *messages: str) -> reference.Series:
-    return {name: pair for name, pair in series.items() if re.split(r"[\[.]", name)[0] in messages}
-
-
-class TestMavlogdumpTable(TableOfMessages):
-    kind = "dataflash"
-    content = later(lambda: export_writer.mavlogdump(TestDataFlash.content, "--format", "csv", "--types", "CSRV"))
-    truth = later(lambda: of_messages(reference.dataflash(TestDataFlash.content), "CSRV"))
-    units: ClassVar[Mapping[str, str]] = {"CSRV[0].Pos": "deg"}
-
-
 class TestTelemetry(Autopilot):
     kind = "tlog"
     content = tlog_writer.flight(4.0)
@@ -408,17 +330,6 @@ class TestOneFrame(Conformance):
         assert log["ATTITUDE.roll"].time_s.tolist() == [5.0]
 
 
-class TestMavlogdumpTelemetryTable(TableOfMessages):
-    kind = "tlog"
-    messages = ("SERVO_OUTPUT_RAW", "NAMED_VALUE_FLOAT", "ATTITUDE")
-    words = ("--format", "csv", "--types", ",".join(messages))
-    content = later(
-        lambda: export_writer.mavlogdump(TestTelemetry.content, *TestMavlogdumpTelemetryTable.words, suffix=".tlog")
-    )
-    truth = later(lambda: of_messages(reference.tlog(TestTelemetry.content), *TestMavlogdumpTelemetryTable.messages))
-    units: ClassVar[Mapping[str, str]] = {"SERVO_OUTPUT_RAW.servo3_raw": "us", "ATTITUDE.roll": "rad"}
-
-
 class TestUlog(Autopilot):
     kind = "ulog"
     content = ulog_writer.flight(20, dropout=False)
@@ -430,33 +341,6 @@ class TestUlog(Autopilot):
     units: ClassVar[Mapping[str, str]] = {"actuator_servos[0].control[3]": "", "sensor_baro[0].pressure": ""}
     origins: ClassVar[Mapping[str, str]] = {"actuator_servos[0].control[3]": "actuator_servos.control[3]"}
     about = ("fixed wing", "PX4 1.15.1")
-
-
-class TestUlogTable(TableOfMessages):
-    """The name of the file is that of the topic."""
-
-    kind = "ulog"
-    content = later(lambda: export_writer.ulog2csv(TestUlog.content, "actuator_servos_0"))
-    truth = later(
-        lambda: {
-            name: (time_s, np.array([float(str(value)) for value in values.astype(np.float32)]))
-            for name, (time_s, values) in of_messages(reference.ulog(TestUlog.content), "actuator_servos").items()
-        }
-    )
-    units: ClassVar[Mapping[str, str]] = {}
-
-    def named(self, log: FlightLog) -> Mapping[str, str]:
-        return {name: f"actuator_servos[0].{name.rpartition('.')[2]}" for name in log.channels}
-
-
-class TestRosTable(Conformance):
-    kind = "table"
-    content = writers.table(
-        {"%time": np.rint(TIME_S * 1e9).astype(np.int64), "field.de": COMMAND, "field.de_pos": POSITION}
-    )
-    units: ClassVar[Mapping[str, str]] = {"de": ""}
-    origins: ClassVar[Mapping[str, str]] = {"de": "field.de"}
-    prefixes_are_logs = True
 
 
 class TestGzippedDataFlash(TestDataFlash):

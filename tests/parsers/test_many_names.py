@@ -67,11 +67,6 @@ def table(count: int) -> bytes:
     return f"time_s,{names}\n0{',1' * count}\n1{',1' * count}\n".encode()
 
 
-def exported(count: int) -> bytes:
-    """A topic of named values, as ulog2csv writes it: another name in every row."""
-    return b"timestamp,data,name\n" + b"".join(b"%d,1.0,n%d\n" % (1000 * (k + 1), k) for k in range(count))
-
-
 def matlab(count: int) -> bytes:
     """Vectors beside a clock, as level 4 writes them."""
     names = [b"time", *(b"v%d" % k for k in range(count))]
@@ -105,7 +100,6 @@ MADE: dict[str, tuple[Callable[[int], bytes], int, str]] = {
     "named_values": (named_values, MOST_CHANNELS + 100, f"{MOST_CHANNELS} channels; more than"),
     "table": (table, 100_000, f"100001 columns, and a log has at most {MOST_CHANNELS}"),
     "wide_table": (table, MOST_CHANNELS - 1, f"{MOST_CHANNELS - 1} channels"),
-    "exported": (exported, MOST_CHANNELS + 100, f"{MOST_CHANNELS} channels; more than"),
     "matlab": (matlab, MOST_CHANNELS + 100, f"columns, and a log has at most {MOST_CHANNELS}"),
     "hdf5": (hdf5, 2000, "2000 channels"),
 }

@@ -14,8 +14,8 @@ SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "memory.py"
 KINDS = (
     *("bin", "bin.gz", "bin.zip", "log", "old_log", "tlog", "named_values", "ulg"),
     *("table", "table_crlf", "table_semicolon", "table_blanks", "table_quoted", "table_runs", "table_digits"),
-    *("table_empty", "mavlogdump_table", "ulog_table", "level4", "level5", "level5_packed", "mavlogdump_mat"),
-    *("mission_planner_mat", "hdf5", "hdf5_packed"),
+    *("table_empty", "level4", "level5", "level5_packed"),
+    *("hdf5", "hdf5_packed"),
 )
 
 
