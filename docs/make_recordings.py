@@ -27,7 +27,7 @@ def main(docs: Path = ROOT / "docs") -> None:
         save_recording(next(iter(servofd.audit(ROOT / "sample_logs" / "faser_stuck_flight.mat"))), recording)
         tabs = view.open(recording)
         view.set_time(FAULT_SEEN_S)
-        for tab, what in ((0, "overview"), (1, "fault"), (-1, "aircraft")):
+        for tab, what in ((0, "overview"), (1, "fault")):
             target = folder / f"viewer_{what}.png"
             target.write_bytes(without_menu(view.picture(tabs[tab])))
             print(target.name)

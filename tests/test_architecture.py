@@ -18,14 +18,14 @@ MODULES = sorted([*ROOT.glob("servofd/**/*.py"), *ROOT.glob("logparsers/**/*.py"
 ONLY_IN = {
     "rerun": {
         "servofd/outputs/live_recording.py",
-        *(f"servofd/outputs/recording/{name}.py" for name in ("layout", "read", "scene", "stream", "write")),
+        *(f"servofd/outputs/recording/{name}.py" for name in ("layout", "read", "stream")),
     },
     "matplotlib": {
         "servofd/outputs/figure.py",
         *(f"servofd/results/{name}.py" for name in ("audits", "models", "shown")),
     },
     "jinja2": {"servofd/outputs/page.py", "servofd/onboard/script.py"},
-    "argparse": {"servofd/cli/importer.py", "servofd/cli/options.py"},
+    "argparse": {"servofd/cli/options.py"},
     "numba": {"logparsers/compiled.py"},
     "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
     "serial": {"logparsers/link.py"},
@@ -35,7 +35,6 @@ ONLY_IN = {
     "control": {"servofd/servo/transfer.py"},
     "starlette": {f"servofd/serve/{name}.py" for name in ("app", "forms", "guard")},
     "uvicorn": {"servofd/serve/guard.py"},
-    "distributed": {"servofd/batch/local.py"},
 }
 
 

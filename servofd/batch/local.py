@@ -1,22 +1,21 @@
-"""Who works on many logs: processes of this machine, spawned one per core, or a Dask cluster that is there."""
+"""Who works on many logs: processes of this machine, spawned one per core."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import re
 import signal
 import sys
 import threading
 from collections import deque
-from concurrent.futures import FIRST_COMPLETED, CancelledError, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from servofd.core.errors import ConfigError, ServofdError
+from servofd.core.errors import ServofdError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -185,65 +184,3 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=follow, daemon=True).start()
-
-
-_PATIENCE_S = 10.0
-"""How long a Dask scheduler has to answer [s]."""
-_ADDRESS = re.compile(r"\w+://\S+")
-_INSTALL = "pip install 'servofd[cluster]'"
-
-
-class LostCluster(ServofdError):  # noqa: N818 - reads better without "Error"
-    """The scheduler is gone in the middle of the work."""
-
-
-def run_on_cluster(
-    address: str, task: Callable[[_Item], _Result], items: Sequence[_Item]
-) -> Iterator[tuple[_Item, _Result | Exception]]:
-    """Do a task for each item on a cluster; results come as they are ready.
-
-    Which worker does what, and what becomes of the work of one that dies, is the scheduler's business: it hands the
-    work to others, and gives up an item that several workers died of.
-
-    Parameters
-    ----------
-    address : str
-        Of the scheduler, such as ``"tcp://scheduler:8786"``.
-    task : callable
-        A function of a module that the workers have, too, or a partial of one.
-    """
-    with _client(address) as client:
-        executor = client.get_executor(pure=False)
-        futures = {executor.submit(task, item): item for item in items}
-        for future in as_completed(futures):
-            item = futures.pop(future)
-            try:
-                result: _Result | Exception = future.result()
-            except CancelledError:
-                raise LostCluster(f"{address}: the scheduler went away; start again to go on") from None
-            except Exception as error:
-                result = error
-            yield item, result
-
-
-@contextmanager
-def _client(address: str) -> Iterator[Any]:
-    """Connection to a cluster that can do the work."""
-    if not _ADDRESS.fullmatch(address):
-        raise ConfigError(f"{address}: is no address of a Dask scheduler; give it as tcp://HOST:8786")
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ConfigError(f"{address}: a cluster needs Dask distributed: {_INSTALL}") from None
-    try:
-        client = Client(address, timeout=_PATIENCE_S, set_as_default=False)
-        client.wait_for_workers(1, timeout=_PATIENCE_S)
-    except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{address}: no Dask scheduler answers with a worker within {_PATIENCE_S:g} s ({type(error).__name__}); "
-            "give its address as tcp://HOST:8786"
-        ) from None
-    try:
-        yield client
-    finally:
-        client.close(timeout=_PATIENCE_S)

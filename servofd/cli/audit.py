@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo
 from servofd.batch.find import is_address, is_folder, is_pattern
 from servofd.batch.key import Job
@@ -18,17 +16,14 @@ from servofd.cli.terminal import (
     one_line,
     print_document,
     progress,
-    say,
     worst,
     write_page,
 )
 from servofd.core.errors import ConfigError, needs
 from servofd.core.files import distinct_file_names, make_folder
-from servofd.core.series import outline
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
-from servofd.outputs.sentence import sparkline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,36 +53,19 @@ def run(options: Options) -> int:
     if audits and options.json != "-":
         for document in [audit_report([audit]) for audit in few] or [replace(report, parts=report.parts[:1])]:
             print_document(document)
-        for audit in few if options.plot else ():
-            _plot(audit)
     return exit_code(results)
 
 
 def is_fleet(options: Options) -> bool:
     """Whether there may be more logs than one looks at one by one."""
     several = any(is_address(log) or is_pattern(log) or is_folder(log) for log in options.logs)
-    return several or bool(options.cluster or options.workers) or len(options.logs) > _A_FEW
+    return several or bool(options.workers) or len(options.logs) > _A_FEW
 
 
 def job_of(options: Options) -> Job:
     """What the options ask to judge logs with."""
     aircraft = known_aircraft(options.config)
     return Job(aircraft, options.servo, options.threshold_deg, options.threshold, tuple(options.surface))
-
-
-def _plot(result: LogAudit) -> None:
-    """A line for each surface and axis: how near it came to its threshold over the flight."""
-    lines = []
-    for one in result.surfaces:
-        if one.residuals is not None and one.threshold is not None:
-            residual_deg = np.where(one.residuals.settled, one.residuals.residual_deg, np.nan)
-            lines.append((one.surface, outline(one.residuals.time_s, residual_deg, one.threshold.level_deg)))
-    lines += [(axis.axis, axis.outline) for axis in result.axes]
-    width = max((len(one_line(name)) for name, _ in lines), default=0)
-    for name, shares in lines:
-        say(f"{one_line(name):{width}}  {sparkline(shares)}")
-    if lines:
-        say("residual over threshold: ▁▂▃▄ below, ▅▆▇█ above it; a dot where nothing was judged")
 
 
 def check(options: Options) -> None:
@@ -142,15 +120,11 @@ def write(options: Options, results: list[LogAudit | FailedLog], report: Documen
     if options.html:
         write_page(report, options.html)
     if options.rrd and audits:
-        _record(options, audits[0], options.rrd)
+        from servofd.outputs.recording import save_recording
+
+        save_recording(audits[0], options.rrd)
     if options.output:
         _write_folder(options, audits, report.data)
-
-
-def _record(options: Options, audit: LogAudit, path: str | Path) -> None:
-    from servofd.outputs.recording import save_recording
-
-    save_recording(audit, path, include_position=options.include_position, online_map=options.map)
 
 
 def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[str, Any]) -> None:
@@ -163,6 +137,7 @@ def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[st
         complain(f"no figures, no recording: {error}")
         return
     from servofd.outputs.figure import save_figure
+    from servofd.outputs.recording import save_recording
 
     stems = [one.log.source.stem + (f"-{one.log.run}" if one.log.run else "") for one in audits]
     for audit, stem in zip(audits, distinct_file_names(stems), strict=True):
@@ -170,4 +145,4 @@ def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[st
         for surface, name in zip(audit.surfaces, names, strict=True):
             if surface.threshold is not None:
                 save_figure(surface, folder / f"{stem}-{name}.png", audit.log.source.name)
-        _record(options, audit, folder / f"{stem}.rrd")
+        save_recording(audit, folder / f"{stem}.rrd")

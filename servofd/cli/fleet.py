@@ -102,7 +102,7 @@ def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) 
     if folder:
         make_folder(Path(folder))
     with progress("audit", len(found.logs), len(found.logs) - len(to_do)) as step:
-        for judged in audit_fleet(to_do, job, cluster=options.cluster, workers=options.workers):
+        for judged in audit_fleet(to_do, job, workers=options.workers):
             if folder and judged.page:
                 target = Path(folder) / page_name(judged.source.path, judged.content)
                 write_whole(target, judged.page.encode())

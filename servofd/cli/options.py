@@ -88,7 +88,6 @@ class Parser(argparse.ArgumentParser):
         """Declare who works on many logs."""
         about = "processes for many logs (default: one per core)"
         self.add_argument("--workers", type=_WORKERS, metavar="N", help=about)
-        self.add_argument("--cluster", metavar="tcp://HOST:8786", help="judge many logs on this Dask cluster")
 
 
 def _number(what: str, least: float, most: float = math.inf) -> Callable[[str], float]:
@@ -150,10 +149,7 @@ def _audit(parser: Parser) -> None:
     parser.kind_of_threshold("alarm level [deg] (default: 1.5)", "kind (default: constant)")
     parser.json()
     parser.file("--html", "write a page that can be sent by mail")
-    parser.flag("--plot", "draw each residual against its threshold in the terminal")
     parser.file("--rrd", "write a Rerun recording (of one log)")
-    parser.flag("--include-position", "record where it flew")
-    parser.flag("--map", "show it there on a map from openstreetmap.org")
     parser.folder(
         "write figures, recordings and audit.json to a folder; "
         "of many logs, tables (Parquet) and a page, to which the next call adds what is new"
@@ -187,8 +183,6 @@ def _view(parser: Parser) -> None:
     parser.add_argument("file", metavar="LOG|RECORDING", help="a log that audit reads, or an .rrd file")
     parser.config()
     parser.servo()
-    parser.flag("--include-position", "show where the aircraft flew")
-    parser.flag("--map", "show it on a map, which the viewer loads from openstreetmap.org")
 
 
 def _review(parser: Parser) -> None:

@@ -24,7 +24,6 @@ def run(options: Options) -> int:
         options.logs,
         options.config,
         surfaces=tuple(options.surface),
-        cluster=options.cluster,
         workers=options.workers,
         progress=partial(progress, "trend"),
     )

@@ -43,5 +43,5 @@ def _audit(options: Options, target: Path) -> None:
     """Write the recording of the first run of a log, and print its verdicts."""
     with progress(Path(options.file).name, 1) as step:
         found = next(audit(options.file, Job(known_aircraft(options.config), options.servo), progress=step))
-    save_recording(found, target, include_position=options.include_position, online_map=options.map)
+    save_recording(found, target)
     print_document(audit_report([found]))

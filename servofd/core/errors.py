@@ -64,7 +64,6 @@ EXTRAS = MappingProxyType(
         "control": "control",
         "h5py": "hdf5",
         "fsspec": "remote",
-        "distributed": "cluster",
     }
 )
 """Packages that not everybody needs, and the optional part of servofd that brings each."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from servofd.batch.find import fetched
 from servofd.batch.key import Job, content_key
-from servofd.batch.local import run_local, run_on_cluster
+from servofd.batch.local import run_local
 from servofd.core.errors import ConfigError
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
@@ -100,19 +100,15 @@ def _not_judged(failure: FailedLog) -> RunVerdict:
     return RunVerdict(audit_document([failure])["logs"][0], failure.error)
 
 
-def audit_fleet(
-    logs: Sequence[LogSource], job: Job, *, cluster: str | None = None, workers: int | None = None
-) -> Iterator[JudgedLog]:
+def audit_fleet(logs: Sequence[LogSource], job: Job, *, workers: int | None = None) -> Iterator[JudgedLog]:
     """Judge many logs side by side; results come as they are ready.
 
     Parameters
     ----------
     logs : sequence of LogSource
         What to judge (`servofd.batch.find.find_logs`).
-    cluster : str, optional
-        Scheduler of a Dask cluster, such as ``"tcp://scheduler:8786"``; the processes of this machine if None.
     workers : int, optional
-        Number of processes on this machine; one per core if None, 0: this one.
+        Number of processes; one per core if None, 0: this one.
 
     Yields
     ------
@@ -128,8 +124,7 @@ def audit_fleet(
     [True]
     """
     task = partial(judge_log, job=job)
-    outcomes = run_on_cluster(cluster, task, logs) if cluster else run_local(task, logs, workers)
-    for source, outcome in outcomes:
+    for source, outcome in run_local(task, logs, workers):
         if isinstance(outcome, Exception):
             yield failed(source, f"{source.path}: {_reason(outcome)}")
         else:

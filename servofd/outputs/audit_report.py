@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logparsers.units import MS_PER_S
 from servofd.aircraft.outputs import ROTORCRAFT
 from servofd.axes.model import FORMS
-from servofd.axes.motion import LIFT_MOTORS
 from servofd.axes.verdict import named, shown
 from servofd.detection.verdict import meaning, next_step
 from servofd.jobs.workflow import FailedLog
@@ -47,7 +45,6 @@ from servofd.outputs.sentence import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.axes.motion import Motion
     from servofd.axes.verdict import AxisAudit
@@ -131,11 +128,9 @@ def _failed(result: FailedLog) -> Document:
     if result.flight is not None:
         return _alone(name, result.flight, result.error.replace(result.path, name))
     sentence = "Could not be read." if result.log is None else "Could not be judged."
-    motors = None if result.log is None else motors_of(result.log)
-    if result.log is not None and motors is not None:
+    if result.log is not None and result.log.vehicle in ROTORCRAFT:
         sentence = f"No control surfaces: a {result.log.vehicle}."
-    parts = [motors] if motors is not None and motors.parts else ()
-    return Document(name, "unknown", sentence, result.error.replace(result.path, name), parts, log=name)
+    return Document(name, "unknown", sentence, result.error.replace(result.path, name), log=name)
 
 
 def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
@@ -477,74 +472,3 @@ def _gap(time_s: FloatArray) -> str:
         return "-"
     longest = int(np.argmax(step_s))
     return f"{step_s[longest]:.3g} (at {time_s[longest]:.2f} s)"
-
-
-_OUTPUT = re.compile(r"(?:RCOU|RCO2|SERVO_OUTPUT_RAW)\.(?:C|Ch|servo)(\d+)(?:_raw)?")
-_LEAST_US, _MOST_US = 900.0, 2200.0
-"""Pulse widths [us] outside these are no command of an output: 900 to 2200 us is what servos and speed controllers
-take."""
-_LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
-"""Ends of an output's range [us] unless the parameters of the log say otherwise."""
-_AT_LIMIT_US = 5.0
-"""Nearer to its end [us] an output is saturated: nothing is left for control."""
-_RUNS_SHARE = 0.05
-"""Share of the range above its lower end from which on a motor turns."""
-_ASKED = "What was asked of its motors"
-_MOTORS = (
-    "Its outputs turn motors and no surfaces, so that there is no deflection to judge. While they ran, their mean "
-    "commands lay"
-)
-_UNEVEN = "a motor that is always asked for more than the others has to carry more, or gives less."
-
-
-def motors_of(log: FlightLog) -> Section | None:
-    """Commands and saturation of motors, empty if none was logged; None unless the aircraft is one without surfaces."""
-    if log.vehicle not in ROTORCRAFT:
-        return None
-    names = {int(found[1]): name for name in log.channels if (found := _OUTPUT.fullmatch(name))}
-    functions = {number: log.parameters.get(f"SERVO{number}_FUNCTION") for number in names}
-    pulses = {}
-    for number in sorted(names):
-        channel = log[names[number]]
-        good = (channel.values > _LEAST_US) & (channel.values < _MOST_US)
-        turns_motor = functions[number] is None or functions[number] in LIFT_MOTORS
-        if turns_motor and np.count_nonzero(good) > 1 and np.ptp(channel.values[good]) > 0.0:
-            pulses[number] = (channel.time_s[good], channel.values[good])
-    if not pulses:
-        return Section(_ASKED, ())
-    low, high = log.parameters.get("MOT_PWM_MIN", 0.0), log.parameters.get("MOT_PWM_MAX", 0.0)
-    if not 0.0 < low < high:
-        low, high = _LOWEST_US, _HIGHEST_US
-    rows, running = [], []
-    for number, (_, values) in pulses.items():
-        runs = values > low + _RUNS_SHARE * (high - low)
-        flown = values[runs] if runs.any() else values
-        running.append(float(np.mean(flown)))
-        top, bottom = np.mean(flown > high - _AT_LIMIT_US), np.mean(flown < low + _AT_LIMIT_US)
-        rows.append((f"output {number}", f"{np.mean(flown):.0f}", f"{flown.max():.0f}", f"{top:.1%}", f"{bottom:.1%}"))
-    head = ("motor", "mean [us]", "most [us]", "at its upper end", "at its lower end")
-    parts: list[Part] = [
-        Words(f"{_MOTORS} {np.ptp(running):.0f} us apart: {_UNEVEN}"),
-        Figures(lambda: [_motor_chart(pulses, low, high)]),
-        Table("While they ran", head, rows),
-    ]
-    return Section(_ASKED, parts)
-
-
-def _motor_chart(pulses: Mapping[int, tuple[Any, Any]], low: float, high: float) -> Chart:
-    time_s = next(iter(pulses.values()))[0]
-    every = np.array([np.interp(time_s, *one) for one in pulses.values()])
-    panel = Panel(
-        "motor commands",
-        "us",
-        (
-            Curve("the most of any motor", "measured", time_s, every.max(axis=0)),
-            Curve("mean", "simulated", time_s, every.mean(axis=0)),
-            Curve("the least of any motor", "command", time_s, every.min(axis=0)),
-            Curve("full", "threshold", time_s[[0, -1]], np.full(2, high)),
-        ),
-        low - 50.0,
-        high + 50.0,
-    )
-    text = "Where the upper line reaches its end, a motor has nothing left to hold the attitude with."
-    return Chart("What was asked of the motors", text, float(time_s[0]), float(time_s[-1]), (panel,))

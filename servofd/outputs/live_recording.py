@@ -20,10 +20,9 @@ import numpy as np
 from servofd.core.errors import ConfigError
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
-from servofd.outputs.recording.scene import AIRSPEED, SUPPLY
 from servofd.outputs.recording.states import breaks_s, ratio
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
-from servofd.outputs.recording.surface import send_styles
+from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, send_styles
 from servofd.outputs.recording.verdicts import MANY_VEHICLES
 
 if TYPE_CHECKING:

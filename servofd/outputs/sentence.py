@@ -361,23 +361,3 @@ def plain_rate(per_hour: float) -> str:
         scale = 10.0 ** (len(str(int(hours))) - 1 - digits)
         return f"one in {round(hours / scale) * scale:,.0f} hours"
     return f"{per_hour:.2g} an hour"
-
-
-_BLOCKS = "▁▂▃▄▅▆▇█"
-_WIDTH = 64
-"""Columns at most of a line of bars."""
-
-
-def sparkline(shares: Sequence[float | None]) -> str:
-    """Largest share of the threshold in each part of a flight, as blocks: the lower four below it, the upper above.
-
-    None where nothing was judged.
-
-    Examples
-    --------
-    >>> sparkline([0.1, 0.3, None, 0.99, 1.0, 1.6, 9.0])
-    '▁▂·▄▅▇█'
-    """
-    step = max(1, -(-len(shares) // _WIDTH))
-    parts = [[s for s in shares[k : k + step] if s is not None] for k in range(0, len(shares), step)]
-    return "".join(_BLOCKS[min(int(4.0 * max(part)), 7)] if part else "·" for part in parts)

@@ -17,7 +17,7 @@ from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.aircraft.series import bus_of, cut
 from servofd.batch.find import fetched, find_logs
-from servofd.batch.local import run_local, run_on_cluster
+from servofd.batch.local import run_local
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.core.statistics import Estimate
 from servofd.detection.audit import audit_segment
@@ -181,7 +181,6 @@ def trend_logs(
     aircraft: Aircraft | str | Path,
     *,
     surfaces: tuple[str, ...] = (),
-    cluster: str | None = None,
     workers: int | None = None,
     progress: Callable[[int], AbstractContextManager[Callable[[], None]]] = _no_progress,
 ) -> AircraftTrend:
@@ -195,8 +194,6 @@ def trend_logs(
         The aircraft or its file, with serial numbers, swaps and limits where there are any.
     surfaces : tuple of str
         Which to follow; all if empty.
-    cluster : str, optional
-        Scheduler of a Dask cluster; the processes of this machine if None.
     workers : int, optional
         Number of processes; one per core if None, 0: this one.
     progress : callable
@@ -215,9 +212,8 @@ def trend_logs(
     task = partial(estimate_log, aircraft=known, surfaces=surfaces)
     flown: list[FlownLog] = []
     problems = list(there.problems)
-    outcomes = run_on_cluster(cluster, task, there.logs) if cluster else run_local(task, there.logs, workers)
     with progress(len(there.logs)) as step:
-        for source, outcome in outcomes:
+        for source, outcome in run_local(task, there.logs, workers):
             if isinstance(outcome, Exception):
                 problems.append(f"{source.path}: {outcome}")
             else:

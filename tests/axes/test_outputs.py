@@ -23,19 +23,14 @@ from tests.axes.test_bad_input import calibrated, roll_of
 
 
 @pytest.mark.slow
-def test_an_axis_has_its_line_in_the_terminal_and_its_lanes_in_rerun(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_axis_has_its_lanes_in_rerun(tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     from rerun.chunk import RrdReader
 
     plane, recording = tmp_path / "plane.toml", tmp_path / "flight.rrd"
     plane.write_text(motion_to_toml(calibrated()))
     log = as_table(tmp_path, "2026-05-09.csv", flown(51, "2026-05-09", aileron_share=0.2, from_s=60.0))
-    main(["audit", log, "-c", str(plane), "--plot", "--rrd", str(recording)])
-    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("roll  "))
-    assert set(line[6:]) & set("▅▆▇█")
-    assert set(line[6:20]) <= set("▁▂▃▄·")
+    main(["audit", log, "-c", str(plane), "--rrd", str(recording)])
     places = {str(chunk.entity_path) for chunk in RrdReader(recording).stream()}
     assert {"/axes/roll/effect", "/axes/roll/distance", "/axes/roll/state"} <= places
 

@@ -1,8 +1,7 @@
-"""The real thing: processes of this machine, a local Dask cluster, death and interrupts."""
+"""The real thing: processes of this machine, death and interrupts."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -10,18 +9,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
-from servofd.cli import main
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import TABLES, rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    pass
 
 pytestmark = pytest.mark.slow
 
@@ -33,10 +31,10 @@ _MAIN = (
 ROOT = Path(__file__).parent.parent.parent
 
 
-def tables(logs: Path, cluster: str | None = None) -> dict[str, list[str]]:
+def tables(logs: Path) -> dict[str, list[str]]:
     """Every row of every table, in an order of its own."""
     merged: dict[str, list[str]] = {name: [] for name in TABLES}
-    for judged in audit_fleet(find_logs([str(logs)]).logs, Job(), cluster=cluster):
+    for judged in audit_fleet(find_logs([str(logs)]).logs, Job()):
         for name, content in rows(judged).items():
             merged[name] += [json.dumps(row, sort_keys=True, default=str) for row in content]
     return {name: sorted(content) for name, content in merged.items()}
@@ -47,55 +45,6 @@ def expected(logs: Path) -> dict[str, list[str]]:
     found = tables(logs)
     assert len(found["logs"]) == 6
     return found
-
-
-@pytest.fixture
-def cluster() -> Iterator[Any]:
-    """Two workers of one thread each, started here."""
-    distributed = pytest.importorskip("distributed", reason="Dask distributed is not installed")
-    environment = {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    import dask
-
-    with (
-        dask.config.set({"distributed.nanny.environ": environment, "distributed.logging.distributed": "critical"}),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-        ) as started,
-    ):
-        yield started
-
-
-@pytest.mark.nightly
-@pytest.mark.filterwarnings("ignore")  # distributed's own
-def test_a_cluster_gives_the_same_tables_and_survives_the_death_of_a_worker(
-    logs: Path, expected: dict[str, list[str]], cluster: Any
-) -> None:
-    """Killed for good after the first result: no nanny brings it back."""
-    assert tables(logs, cluster.scheduler_address) == expected
-    merged: dict[str, list[str]] = {name: [] for name in TABLES}
-    workers = list(cluster.workers.values())
-    for judged in audit_fleet(find_logs([str(logs)]).logs, Job(), cluster=cluster.scheduler_address):
-        if not merged["logs"]:
-            workers[0].auto_restart = False
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(workers[0].pid, signal.SIGKILL)
-        for name, content in rows(judged).items():
-            merged[name] += [json.dumps(row, sort_keys=True, default=str) for row in content]
-    assert {name: sorted(content) for name, content in merged.items()} == expected
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_a_cluster_that_is_not_there_is_told_in_one_line(
-    logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.setattr("servofd.batch.local._PATIENCE_S", 0.5)
-    for address, why in (
-        ("tcp://127.0.0.1:9", "no Dask scheduler answers with a worker"),
-        ("nonsense", "is no address"),
-    ):
-        assert main(["audit", str(logs), "--cluster", address]) == 2
-        assert why in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.nightly)])

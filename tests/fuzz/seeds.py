@@ -24,9 +24,8 @@ from servofd.batch.key import Job
 from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore
-from servofd.outputs.recording.scene import ATTITUDE, send_context
 from servofd.outputs.recording.stream import recording_file
-from servofd.outputs.recording.surface import send_surface
+from servofd.outputs.recording.surface import send_context, send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 from servofd.outputs.recording.write import recording_of
 from servofd.servo.context import Context
@@ -248,8 +247,7 @@ def telemetry() -> list[bytes]:
 
 
 def recordings(folder: Path) -> list[bytes]:
-    """What an audit records of one surface, and of its surroundings; without the scene and the layout, which are five
-    times as long and which nobody reads back."""
+    """What an audit records of one surface, and of its surroundings; without the layout, which nobody reads back."""
     log, path = folder / "flight.csv", folder / "audit.rrd"
     log.write_bytes(_written(".csv"))
     (found,) = audit(log, PLANE, surfaces=("rudder",))
@@ -257,7 +255,6 @@ def recordings(folder: Path) -> list[bytes]:
     with recording_file(path, "servofd", None) as recorder:
         recorder.properties(log.name, verdicts_of(recording))
         send_surface(recorder, found.surfaces[0], recording.traces["rudder"], recording.start_s, "measured")
-        recorder.scalars(ATTITUDE, time_s, np.zeros((time_s.size, 3)))
         send_context(recorder, Context(time_s, time_s + 10.0, time_s, time_s + 5.0))
     return [path.read_bytes()]
 

@@ -149,15 +149,3 @@ def test_letters_that_the_viewer_cannot_draw(opened: Viewer, tmp_path: Path) -> 
     tabs = opened.open(path)
     assert len({opened.picture(tab) for tab in tabs}) == len(tabs) == 5
     assert not opened.complaints()
-
-
-def test_the_track_and_the_attitude(opened: Viewer, tmp_path: Path) -> None:
-    path = recorded(SAMPLES / "ardupilot_volz_stuck.bin", tmp_path, online_map=True)
-    tabs = opened.open(path)
-    opened.set_time(30.0)
-    picture = pixels(opened.picture(tabs[-1]))
-    left, right = picture[:, : picture.shape[1] // 2], picture[:, picture.shape[1] // 2 :]
-    assert share_of(left, "#b84f00", 0.2) > 1e-3
-    for name in ("ok", "fault", "measured"):
-        assert share_of(right, COLOURS[name]) > 2e-5
-    assert not opened.complaints()

@@ -167,7 +167,6 @@ def test_the_wheel_starts_in_an_empty_environment(archives: tuple[Path, Path], t
             [programs / "servofd", *words], cwd=tmp_path, env={}, capture_output=True, text=True, check=True
         )
         assert expected in run.stdout
-    assert shutil.which("rerun-importer-servofd", path=programs)
 
 
 @pytest.mark.nightly

@@ -1,4 +1,4 @@
-"""What the viewer shows on opening: an overview, a tab for each surface, the aircraft; the whole flight at once.
+"""What the viewer shows on opening: an overview and a tab for each surface; the whole flight at once.
 
 Time axes are linked, legends stand top left, side panels are folded.
 """
@@ -7,10 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from servofd.axes.model import FORMS
-from servofd.outputs.recording.scene import GEO
 from servofd.outputs.recording.stream import TIME_BOOT, shown, surface_place
 from servofd.outputs.recording.surface import axis_place, deflection_range, residual_range
 
@@ -18,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.axes.verdict import AxisAudit, AxisEvent
-    from servofd.core.types import FloatArray
     from servofd.detection.verdict import Fault
     from servofd.outputs.recording.content import Recording
 
@@ -155,8 +151,6 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
         tabs.append(_surface(name, deflection_range(trace), residual_range(trace), has_current=name in currents))
     tabs += [_by_current(name) for name in alone]
     tabs += [axis_tab(axis) for axis in recording.audit.axes]
-    if drawn:
-        tabs.append(_aircraft(recording))
     alarms: list[tuple[str, Fault | AxisEvent]] = [
         *((surface.surface, fault) for surface in recording.audit.surfaces for fault in surface.faults),
         *((axis.axis, event) for axis in recording.audit.axes for event in axis.events if event.is_own),
@@ -234,34 +228,6 @@ def _plot(place: str, which: str, name: str, span: tuple[float, float] | None) -
     """Curves of one entity over the shading of its faults."""
     beside = [f"{place}/onboard"] if which == "residual" else []
     return curves(name, [f"{place}/{which}", *beside, f"{place}/shade/{which}/**"], origin=place, span=span)
-
-
-def _aircraft(recording: Recording) -> Any:  # noqa: ANN401
-    import rerun.blueprint as rrb
-
-    away = 1.0 if recording.position is None else 1.35
-    position = (-2.1 * away, -1.4 * away, -1.15 * away)
-    eye = rrb.EyeControls3D(position=position, look_target=(-0.3, 0.0, 0.0), eye_up=(0.0, 0.0, -1.0))
-    surfaces = rrb.Spatial3DView(origin="/aircraft", name="Surfaces (blue: as a healthy servo)", eye_controls=eye)
-    where = []
-    if recording.position is not None:
-        track = rrb.Spatial3DView(
-            origin="/flight/local", name="Track from the first fix [m]", eye_controls=_above(recording.position[:, 1:])
-        )
-        where.append(track)
-    if recording.geo is not None:
-        where.append(rrb.MapView(origin=GEO, name="Map"))
-    # Below each other: a narrow view would cut off the ends of a track.
-    return rrb.Horizontal(surfaces, *([rrb.Vertical(*where)] if where else []), name="Aircraft")
-
-
-def _above(track_m: FloatArray) -> Any:  # noqa: ANN401
-    """Eye that sees a whole track of shape (n, 3) [m] from the south."""
-    import rerun.blueprint as rrb
-
-    low, high = track_m.min(axis=0), track_m.max(axis=0)
-    middle, size = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), 10.0)
-    return rrb.EyeControls3D(position=middle + np.array([0.0, -0.9, 0.8]) * size, look_target=middle, eye_up=(0, 0, 1))
 
 
 def axis_tab(axis: AxisAudit) -> Any:  # noqa: ANN401 - rerun is untyped

@@ -15,8 +15,8 @@ from servofd.core.errors import RecordingError
 from servofd.core.files import beginning, whole_file
 from servofd.outputs.chart import WITHIN_SIGMAS
 from servofd.outputs.recording.content import Recording, Trace
-from servofd.outputs.recording.scene import AIRSPEED, ATTITUDE, GEO, LOCAL, SUPPLY
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
+from servofd.outputs.recording.surface import AIRSPEED, SUPPLY
 from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context
@@ -56,8 +56,7 @@ def read_recording(path: str | Path) -> Recording:
         s if s.current is None else replace(s, current=_drawn(stored, s.surface, s.current)) for s in audit.surfaces
     )
     audit = replace(audit, surfaces=surfaces)
-    attitude, position, geo = (stored.rows(place) for place in (ATTITUDE, LOCAL, GEO))
-    return Recording(audit, traces, attitude, position, geo, notes)
+    return Recording(audit, traces, notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +109,6 @@ class _Stored:
         if broken.any():
             time_us, values = time_us[~broken], values[~broken]
         return seconds(time_us), values
-
-    def rows(self, place: str) -> FloatArray | None:
-        """Time [s] and values side by side."""
-        found = self.curves(place)
-        return None if found is None else np.column_stack(found)
 
 
 def _check_is_readable(path: Path) -> None:

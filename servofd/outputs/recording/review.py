@@ -15,7 +15,6 @@ from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.verdicts import LIVE
 
 if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
     from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import Fault, Status, SurfaceAudit
     from servofd.outputs.recording.content import Trace
@@ -120,9 +119,6 @@ def between(recording: Recording, from_s: float, to_s: float) -> Recording:
     return replace(
         short,
         audit=replace(recording.audit, log=log, surfaces=surfaces),
-        attitude=_rows(recording.attitude, from_s, to_s),
-        position=_rows(recording.position, from_s, to_s),
-        geo=_rows(recording.geo, from_s, to_s),
         notes=(*recording.notes, f"cut from {from_s:g} to {to_s:g} s of {begin_s:g} to {end_s:g} s"),
     )
 
@@ -146,10 +142,3 @@ def _of(surface: SurfaceAudit, recording: Recording, from_s: float, to_s: float)
 
 def _touches(fault: Fault, from_s: float, to_s: float) -> bool:
     return fault.start_s <= to_s and (fault.end_s is None or fault.end_s >= from_s)
-
-
-def _rows(rows: FloatArray | None, from_s: float, to_s: float) -> FloatArray | None:
-    if rows is None:
-        return None
-    kept: FloatArray = rows[np.logical_and(rows[:, 0] >= from_s, rows[:, 0] <= to_s)]
-    return kept if len(kept) > 1 else None

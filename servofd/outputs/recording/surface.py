@@ -17,11 +17,14 @@ if TYPE_CHECKING:
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
+    from servofd.servo.context import Context
 
 DEFLECTIONS = ("command", "simulated", "measured")
 WIDTHS = (1.0, 2.5, 1.5)
 """Widths of the lines of deflections."""
 RESIDUALS = ("residual", "+threshold", "-threshold")
+AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"
+"""Entities of airspeed and supply."""
 MARKER_HEIGHT = 4.6
 """Of onset markers in the overview, whose plot reaches to 5 thresholds."""
 
@@ -142,6 +145,18 @@ def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace:
     if starts_s.size:
         heights = np.full(starts_s.size, MARKER_HEIGHT)
         recorder.markers(f"{place}/onset", starts_s, heights, f"{surface.surface}: onset", "fault")
+
+
+def send_context(recorder: Recorder, context: Context) -> None:
+    """Airspeed and supply, on their own time stamps."""
+    for place, name, time_s, values in (
+        (AIRSPEED, "airspeed [m/s]", context.airspeed_s, context.airspeed_m_s),
+        (SUPPLY, "servo supply [V]", context.voltage_s, context.voltage_v),
+    ):
+        if time_s.size:
+            recorder.lines(place, [name], ["simulated"])
+            recorder.scalars(place, time_s, values)
+            send_seconds(recorder, f"{place}/seconds", time_s)
 
 
 def _span(fault: Fault, trace: Trace) -> tuple[float, float]:

@@ -2,8 +2,8 @@
 
 Entities below ``/surfaces/<name>``: ``deflection`` (command, simulated, measured [deg]), ``residual`` (residual and
 both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, ``flag`` (0 or 1), ``state``, ``onset``,
-``events``, ``shade/*``, ``onboard`` (residual and thresholds of a script on board [deg]); ``/aircraft/**`` and
-``/flight/**`` move; ``/report`` is the verdict in words. Time lines: ``time_boot``, and ``time_utc`` where the log
+``events``, ``shade/*``, ``onboard`` (residual and thresholds of a script on board [deg]); ``/flight/**``
+(airspeed, supply); ``/report`` is the verdict in words. Time lines: ``time_boot``, and ``time_utc`` where the log
 knows it.
 """
 
@@ -19,11 +19,10 @@ from servofd.onboard.seen import seen_of
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.document import Bullets, markdown
 from servofd.outputs.palette import SERIES
-from servofd.outputs.recording.content import Recording, attitude_of, geo_of, local_of
+from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
-from servofd.outputs.recording.scene import send_scene
 from servofd.outputs.recording.stream import Clock, Recorder, application_name, recording_file
-from servofd.outputs.recording.surface import send_axis, send_on_board, send_surface
+from servofd.outputs.recording.surface import send_axis, send_context, send_on_board, send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 
 if TYPE_CHECKING:
@@ -32,31 +31,14 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
 
 
-def save_recording(
-    audit: LogAudit, path: str | Path, *, include_position: bool = False, online_map: bool = False
-) -> None:
-    """Write everything the audit read and found into one .rrd file, with its layout inside.
-
-    Parameters
-    ----------
-    include_position : bool
-        Whether to tell where the aircraft flew, in metres from its first fix.
-    online_map : bool
-        Whether to put latitude and longitude into it, and a map that the viewer loads from openstreetmap.org.
-    """
-    write_recording(recording_of(audit, include_position=include_position, online_map=online_map), path)
+def save_recording(audit: LogAudit, path: str | Path) -> None:
+    """Write everything the audit read and found into one .rrd file, with its layout inside."""
+    write_recording(recording_of(audit), path)
 
 
-def recording_of(audit: LogAudit, *, include_position: bool = False, online_map: bool = False) -> Recording:
+def recording_of(audit: LogAudit) -> Recording:
     """What a recording of an audit will hold; see `save_recording`."""
-    geo = geo_of(audit.log) if include_position or online_map else None
-    return replace(
-        Recording.of(audit),
-        attitude=attitude_of(audit.log),
-        position=None if geo is None else local_of(geo),
-        geo=geo if online_map else None,
-        on_board=seen_of(audit.log, audit.aircraft),
-    )
+    return replace(Recording.of(audit), on_board=seen_of(audit.log, audit.aircraft))
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
@@ -64,17 +46,6 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     clock = Clock(recording.audit.log.start_utc)
     with recording_file(path, application_of(recording), audit_layout(recording), clock) as recorder:
         fill(recorder, recording)
-
-
-def send_to_stdout(recording: Recording, application: str | None = None, recording_id: str | None = None) -> None:
-    """Send a recording to the viewer that reads our output, under the names that it wants."""
-    import rerun as rr
-
-    application = application or application_of(recording)
-    with rr.RecordingStream(application, recording_id=recording_id, send_properties=False) as stream:
-        rr.set_log_time_enabled(False, recording=stream)
-        stream.stdout(default_blueprint=audit_layout(recording))
-        fill(Recorder(stream, Clock(recording.audit.log.start_utc)), recording)
 
 
 def application_of(recording: Recording) -> str:
@@ -102,4 +73,5 @@ def fill(recorder: Recorder, recording: Recording) -> None:
     if any(trace.time_s.size for trace in recording.traces.values()):
         recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
         recorder.scalars(ALARM_LINE, np.array([recording.start_s, recording.end_s]), np.ones(2))
-        send_scene(recorder, recording)
+        # All surfaces of a log share it.
+        send_context(recorder, next(trace.context for trace in recording.traces.values()))
