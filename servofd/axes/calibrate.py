@@ -71,9 +71,12 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     flights : sequence of Motion
         Healthy, of one aircraft and one rate of samples; the more days, the better.
     """
-    flights = [flight for flight in flights if flight.time_s.size > 2]
+    flights = [flight for flight in flights if flight.present.any()]
     if not flights:
-        raise CalibrationError("no flight to calibrate motion from")
+        raise CalibrationError(
+            "no flight to calibrate motion from: commands and motion are never there together, or "
+            "motors carry the aircraft all the time"
+        )
     other = next((flight for flight in flights if flight.asked != flights[0].asked), None)
     if other is not None:
         raise CalibrationError(

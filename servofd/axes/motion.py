@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from servofd.aircraft.outputs import LoggedOutput
     from servofd.core.types import BoolArray, FloatArray
 
+    Asked = tuple[dict[str, FloatArray], FloatArray, BoolArray]
+    """Commands of the axes [us], throttle, and where motors lift the aircraft, on a grid of time."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -306,49 +309,81 @@ def motion_of_autopilot(
     airframe = airframe_of(outputs)
     if not airframe.has_surfaces:
         raise NoMeasurement(_no_surfaces(log, airframe))
-    pulses = {number: _series(log, pulse_channel(log.channels, number)) for number in outputs}
+    pulses = {number: series_of(log, pulse_channel(log.channels, number)) for number in outputs}
     needed = {share.output.number for parts in airframe.commands.values() for share in parts}
     silent = sorted(number for number in needed if pulses[number] is None)
     if silent:
         raise NoMeasurement(f"{log.label}: no commands of output {silent[0]} (RCOU or SERVO_OUTPUT_RAW)")
     rates, forces = _triple(log, _RATES, "body rates (IMU)"), _triple(log, _FORCES, "specific forces (IMU)")
-    roll, pitch = _attitude(log)
-    airspeed, source = _airspeed(log)
     first = next(series for number in needed if (series := pulses[number]) is not None)
+    served = needed | {output.number for output in (*airframe.throttles, *airframe.lift_motors)}
+
+    def asked(grid_s: FloatArray) -> Asked:
+        def of_output(output: LoggedOutput) -> FloatArray:
+            series = pulses.get(output.number)
+            return np.zeros(grid_s.size) if series is None else series.on(grid_s, held=True)
+
+        commands = {
+            axis: np.sum([p.weight * p.output.sign * (of_output(p.output) - p.output.trim_us) for p in parts], axis=0)
+            for axis, parts in airframe.commands.items()
+        }
+        return commands, _throttle(airframe, of_output, grid_s), _lifting(airframe, of_output, grid_s)
+
+    return on_one_grid(
+        log,
+        rate_hz,
+        asked,
+        first,
+        rates,
+        forces,
+        _attitude(log),
+        _airspeed(log),
+        members=airframe.members,
+        parameters={name: value for name, value in settings.items() if _number(name) in served},
+    )
+
+
+def on_one_grid(
+    log: FlightLog,
+    rate_hz: float | None,
+    asked: Callable[[FloatArray], Asked],
+    first: Series,
+    rates: Sequence[Series],
+    forces: Sequence[Series],
+    attitude: tuple[Series, Series],
+    airspeed: tuple[Series, str],
+    *,
+    members: Mapping[str, tuple[str, ...]],
+    parameters: Mapping[str, float] | None = None,
+) -> Motion:
+    """Motion of an autopilot's log from its channels, where all of them are there.
+
+    `first`: the commands of one output. `rates` [deg/s], `forces` [m/s2], bank and pitch [deg], airspeed [m/s] and its
+    source.
+    """
     native_hz = min(_FASTEST_HZ, *(one.rate_hz for one in (first, rates[0], forces[0])))
     rate_hz = grid_rate(log.label, native_hz, rate_hz)
-    start_s = max(one.time_s[0] for one in (first, rates[0], forces[0], roll, airspeed))
-    end_s = min(one.time_s[-1] for one in (first, rates[0], forces[0], roll, airspeed))
+    every = [first, *rates, *forces, *attitude, airspeed[0]]
+    start_s, end_s = max(one.time_s[0] for one in every), min(one.time_s[-1] for one in every)
     if end_s - start_s < LARGEST_GAP_S:
         raise NoMeasurement(f"{log.label}: commands and motion share no time")
     grid_s = start_s + np.arange(1, int((end_s - start_s) * rate_hz) + 1) / rate_hz
-
-    def of_output(output: LoggedOutput) -> FloatArray:
-        series = pulses.get(output.number)
-        return np.zeros(grid_s.size) if series is None else series.on(grid_s, held=True)
-
-    commands = {}
-    for axis, parts in airframe.commands.items():
-        asked = [part.weight * part.output.sign * (of_output(part.output) - part.output.trim_us) for part in parts]
-        commands[axis] = np.sum(asked, axis=0)
-    served = needed | {output.number for output in (*airframe.throttles, *airframe.lift_motors)}
-    lifting = _lifting(airframe, of_output, grid_s)
-    every = [first, *rates, *forces, roll, pitch, airspeed]
+    commands_us, throttle, lifting = asked(grid_s)
     return Motion(
         name=log.source.name,
         day=day_of(log),
         time_s=grid_s,
-        commands_us=commands,
+        commands_us=commands_us,
         rates_deg_s=np.array([one.on(grid_s) for one in rates]),
         accelerations_m_s2=np.array([one.on(grid_s) for one in forces]),
-        roll_deg=roll.on(grid_s),
-        pitch_deg=pitch.on(grid_s),
-        airspeed_m_s=airspeed.on(grid_s),
-        throttle=_throttle(airframe, of_output, grid_s),
+        roll_deg=attitude[0].on(grid_s),
+        pitch_deg=attitude[1].on(grid_s),
+        airspeed_m_s=airspeed[0].on(grid_s),
+        throttle=throttle,
         present=present_on(grid_s, every) & ~lifting,
-        airspeed_source=source,
-        members=airframe.members,
-        parameters={name: value for name, value in settings.items() if _number(name) in served},
+        airspeed_source=airspeed[1],
+        members=members,
+        parameters=parameters or {},
         lifted_share=float(lifting.mean()),
     )
 
@@ -368,18 +403,18 @@ def _no_surfaces(log: FlightLog, airframe: Airframe) -> str:
     )
 
 
-def _series(log: FlightLog, name: str, scale: float = 1.0) -> Series | None:
+def series_of(log: FlightLog, name: str, scale: float = 1.0) -> Series | None:
+    """Finite values of a channel, in other units; None if there are fewer than two."""
     if not name or name not in log.channels:
         return None
-    channel = log[name]
-    good = np.isfinite(channel.values)
-    return Series(channel.time_s[good], scale * channel.values[good]) if np.count_nonzero(good) > 1 else None
+    found = Series.of(log[name])
+    return Series(found.time_s, scale * found.values) if found.values.size > 1 else None
 
 
 def _triple(log: FlightLog, choices: tuple[tuple[str, str, str, float], ...], what: str) -> list[Series]:
     for *names, letters, scale in choices:
         for name in names:
-            found = [_series(log, str(name).format(letter), float(scale)) for letter in str(letters)]
+            found = [series_of(log, str(name).format(letter), float(scale)) for letter in str(letters)]
             if all(one is not None for one in found):
                 return [one for one in found if one is not None]
     raise NoMeasurement(f"{log.label}: no {what}: motion cannot be judged without")
@@ -387,7 +422,7 @@ def _triple(log: FlightLog, choices: tuple[tuple[str, str, str, float], ...], wh
 
 def _attitude(log: FlightLog) -> tuple[Series, Series]:
     for roll, pitch, scale in _ATTITUDES:
-        one, other = _series(log, roll, scale), _series(log, pitch, scale)
+        one, other = series_of(log, roll, scale), series_of(log, pitch, scale)
         if one is not None and other is not None:
             return one, other
     raise NoMeasurement(f"{log.label}: no attitude (ATT): motion cannot be judged without")
@@ -396,18 +431,18 @@ def _attitude(log: FlightLog) -> tuple[Series, Series]:
 def _airspeed(log: FlightLog) -> tuple[Series, str]:
     """A sensor that measures something; else ground speed less wind; else the autopilot's own estimate."""
     for name in ("ARSP[0].Airspeed", "ARSP.Airspeed"):
-        sensor = _series(log, name)
+        sensor = series_of(log, name)
         if sensor is not None and float(np.max(sensor.values)) > _MEASURES_M_S:
             return sensor, "sensor"
     for north, east, down, wind_north, wind_east in _WINDS:
-        parts = [_series(log, name) for name in (north, east, down, wind_north, wind_east)]
+        parts = [series_of(log, name) for name in (north, east, down, wind_north, wind_east)]
         vn, ve, vd, wn, we = parts
         if vn is not None and ve is not None and vd is not None and wn is not None and we is not None:
             wind = [np.interp(vn.time_s, one.time_s, one.values) for one in (wn, we)]
             speed = np.sqrt((vn.values - wind[0]) ** 2 + (ve.values - wind[1]) ** 2 + vd.values**2)
             return Series(vn.time_s, speed), "GPS and wind"
     for name in ("CTUN.As", "VFR_HUD.airspeed"):
-        estimate = _series(log, name)
+        estimate = series_of(log, name)
         if estimate is not None and float(np.max(estimate.values)) > _MEASURES_M_S:
             return estimate, "the autopilot's estimate"
     raise NoMeasurement(

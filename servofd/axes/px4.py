@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.outputs import PX4_TYPES
-from servofd.axes.motion import LARGEST_GAP_S, Motion, Series, day_of, grid_rate, present_on
+from servofd.aircraft.outputs import PX4_TYPES, WITHOUT_SURFACES
+from servofd.axes.motion import Series, on_one_grid, series_of
 from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from logparsers.records import FlightLog
-    from servofd.core.types import FloatArray
+    from servofd.axes.motion import Asked, Motion
+    from servofd.core.types import BoolArray, FloatArray
 
 _MOST_SERVOS = 8
 """Surfaces that PX4's control allocation knows at most (CA_SV_CSk)."""
@@ -20,7 +24,6 @@ _HALF_TRAVEL_US = 500.0
 """What 1 of a control is on an output of 1000 to 2000 us."""
 _AXES = {"roll": "R", "pitch": "P", "yaw": "Y"}
 _MEMBERS = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
-_CONTROLS = {"roll": 0, "pitch": 1, "yaw": 2}
 _THROTTLE_CONTROL = 3
 """Place of the throttle among the controls of actuator_controls."""
 _MOVES = {"aileron": ("roll",), "elevator": ("pitch",), "rudder": ("yaw",), "elevon": ("roll", "pitch")}
@@ -28,125 +31,132 @@ _MOVES |= {"vtail": ("pitch", "yaw")}
 """Axes of a surface where no CA_SV_CSk_TRQ_* says them (ActuatorEffectivenessControlSurfaces)."""
 _AGAINST = {"roll": "left", "yaw": "right"}
 """Side whose surface turns the aircraft the other way."""
-_FORWARD, _FASTEST_HZ = 4, 25.0
+_FORWARD = 4
 """vehicle_vtol_state of a VTOL that flies as a fixed wing."""
+_FIRST_SERVO_FUNCTION = 201
+"""PWM_MAIN_FUNCk or PWM_AUX_FUNCk of the first surface."""
+_PWM_OUTPUTS = [f"PWM_{bank}_{{}}{k}" for bank in ("MAIN", "AUX") for k in range(1, 17)]
 
 
-def _shares(name: str) -> dict[str, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Control:
+    """What a log says of one surface, or of one axis where mixers turn it into outputs.
+
+    `name`: of the surface. `series`: what was asked of it, -1 to 1. `axes`: sign of what it does to each. `trim`: in
+    the same unit. `span_us`: of its output, from end to end [us].
+    """
+
+    name: str
+    series: Series
+    axes: Mapping[str, float]
+    trim: float = 0.0
+    span_us: float = 2.0 * _HALF_TRAVEL_US
+
+
+def controls_of(log: FlightLog) -> tuple[Control, ...]:
+    """Surfaces of the control allocation; of a log from before it (PX4 1.13), the commands of the axes."""
+    kinds = [int(log.parameters.get(f"CA_SV_CS{k}_TYPE", 0.0)) for k in range(_MOST_SERVOS)]
+    found = []
+    for k, kind in enumerate(kinds):
+        series = series_of(log, f"actuator_servos[0].control[{k}]")
+        if series is None or kind == 0:
+            continue
+        word = PX4_TYPES.get(kind, "any").replace("any", "servo")
+        name = f"{word}_{k + 1}" if word == "servo" or kinds.count(kind) > 1 else word
+        given = {axis: log.parameters.get(f"CA_SV_CS{k}_TRQ_{letter}", 0.0) for axis, letter in _AXES.items()}
+        axes = {axis: float(np.sign(torque)) for axis, torque in given.items() if torque} or _shares(word)
+        found.append(Control(name, series, axes, log.parameters.get(f"CA_SV_CS{k}_TRIM", 0.0), _span_us(log, k)))
+    if any(control.axes for control in found):
+        return tuple(found)
+    for topic in ("actuator_controls_1[0]", "actuator_controls_0[0]"):  # of a VTOL's wing, and of a fixed wing
+        old = [(axis, series_of(log, f"{topic}.control[{k}]")) for k, axis in enumerate(_AXES)]
+        moved = [(axis, one) for axis, one in old if one is not None and np.ptp(one.values) > 0.0]
+        if moved:
+            return tuple(Control(f"command of {axis}", one, {axis: 1.0}) for axis, one in moved)
+    return ()
+
+
+def _shares(word: str) -> dict[str, float]:
     """What a surface of this name does to each axis."""
-    word, _, side = name.partition("_")
-    return {axis: -1.0 if _AGAINST.get(axis) == side else 1.0 for axis in _MOVES.get(word, ())}
+    kind, _, side = word.partition("_")
+    return {axis: -1.0 if _AGAINST.get(axis) == side else 1.0 for axis in _MOVES.get(kind, ())}
+
+
+def _span_us(log: FlightLog, k: int) -> float:
+    for output in _PWM_OUTPUTS:
+        if log.parameters.get(output.format("FUNC")) == _FIRST_SERVO_FUNCTION + k:
+            most, least = log.parameters.get(output.format("MAX")), log.parameters.get(output.format("MIN"))
+            if most is not None and least is not None:
+                return most - least
+    return 2.0 * _HALF_TRAVEL_US
 
 
 def motion_of_px4(log: FlightLog, rate_hz: float | None = None) -> Motion:
     """Motion of a ULog; of a VTOL while it flies forward."""
-    commands, members = _commands(log)
-    rates = _vector(log, ("vehicle_angular_velocity[0].xyz", "sensor_combined[0].gyro_rad"), float(np.degrees(1.0)))
-    forces = _vector(log, ("vehicle_acceleration[0].xyz", "sensor_combined[0].accelerometer_m_s2"), 1.0)
-    q = _vector(log, ("vehicle_attitude[0].q",), 1.0, 4)
-    airspeed, source = _airspeed(log)
-    first = next(iter(commands.values()))
-    native_hz = min(_FASTEST_HZ, *(one.rate_hz for one in (first, rates[0], forces[0])))
-    rate_hz = grid_rate(log.label, native_hz, rate_hz)
-    every = [*commands.values(), *rates, *forces, q[0], airspeed]
-    start_s, end_s = max(one.time_s[0] for one in every), min(one.time_s[-1] for one in every)
-    if end_s - start_s < LARGEST_GAP_S:
-        raise NoMeasurement(f"{log.label}: commands and motion share no time")
-    grid_s = start_s + np.arange(1, int((end_s - start_s) * rate_hz) + 1) / rate_hz
-    roll_deg, pitch_deg = _attitude([np.interp(grid_s, one.time_s, one.values) for one in q])
-    lifted = _lifted(log, grid_s)
+    if log.vehicle in WITHOUT_SURFACES:
+        raise NoMeasurement(
+            f"{log.label}: a {log.vehicle}: no control surfaces to judge; its outputs {WITHOUT_SURFACES[log.vehicle]}"
+        )
+    if "tailsitter" in log.vehicle:
+        raise NoMeasurement(f"{log.label}: a {log.vehicle}: its axes change places in forward flight: not judged")
+    controls = controls_of(log)
+    served = {axis: [one for one in controls if axis in one.axes] for axis in _AXES}
+    served = {axis: parts for axis, parts in served.items() if parts}
+    if not served:
+        raise NoMeasurement(
+            f"{log.label}: no commands of surfaces (actuator_servos with CA_SV_CS*_TYPE, or actuator_controls)"
+        )
     throttle = _throttle(log)
-    return Motion(
-        name=log.source.name,
-        day=day_of(log),
-        time_s=grid_s,
-        commands_us={axis: one.on(grid_s, held=True) for axis, one in commands.items()},
-        rates_deg_s=np.array([one.on(grid_s) for one in rates]),
-        accelerations_m_s2=np.array([one.on(grid_s) for one in forces]),
-        roll_deg=roll_deg,
-        pitch_deg=pitch_deg,
-        airspeed_m_s=airspeed.on(grid_s),
-        throttle=np.zeros(grid_s.size) if throttle is None else throttle.on(grid_s, held=True),
-        present=present_on(grid_s, every) & ~lifted,
-        airspeed_source=source,
-        members=members | {"thrust": ("engine",)},
-        lifted_share=float(lifted.mean()),
+
+    def asked(grid_s: FloatArray) -> Asked:
+        commands = {
+            axis: _HALF_TRAVEL_US
+            * np.mean([one.axes[axis] * one.series.on(grid_s, held=True) for one in parts], axis=0)
+            for axis, parts in served.items()
+        }
+        pulled = np.zeros(grid_s.size) if throttle is None else throttle.on(grid_s, held=True)
+        return commands, pulled, _lifted(log, grid_s)
+
+    surfaces = {_MEMBERS[axis]: tuple(one.name for one in parts) for axis, parts in served.items()}
+    if not any(log.parameters.get(f"CA_SV_CS{k}_TYPE") for k in range(_MOST_SERVOS)):
+        surfaces = dict.fromkeys(surfaces, ())  # mixers made the outputs of it
+    return on_one_grid(
+        log,
+        rate_hz,
+        asked,
+        controls[0].series,
+        _vector(log, ("vehicle_angular_velocity[0].xyz", "sensor_combined[0].gyro_rad"), float(np.degrees(1.0))),
+        _vector(log, ("vehicle_acceleration[0].xyz", "sensor_combined[0].accelerometer_m_s2"), 1.0),
+        _attitude(_vector(log, ("vehicle_attitude[0].q",), 1.0, 4)),
+        _airspeed(log),
+        members=surfaces | {"thrust": ("engine",)},
     )
-
-
-def _series(log: FlightLog, name: str, scale: float = 1.0) -> Series | None:
-    if name not in log.channels:
-        return None
-    series = Series.of(log[name])
-    return Series(series.time_s, scale * series.values) if series.values.size > 1 else None
 
 
 def _vector(log: FlightLog, stems: tuple[str, ...], scale: float, size: int = 3) -> list[Series]:
     for stem in stems:
-        found = [one for k in range(size) if (one := _series(log, f"{stem}[{k}]", scale)) is not None]
+        found = [one for k in range(size) if (one := series_of(log, f"{stem}[{k}]", scale)) is not None]
         if len(found) == size:
             return found
     raise NoMeasurement(f"{log.label}: no {stems[0].partition('[')[0]}: motion cannot be judged without")
 
 
-def _commands(log: FlightLog) -> tuple[dict[str, Series], dict[str, tuple[str, ...]]]:
-    """What was asked of each axis, as from 1000 to 2000 us, and its surfaces."""
-    found: dict[str, list[tuple[Series, float, str]]] = {}
-    for k in range(_MOST_SERVOS):
-        kind = int(log.parameters.get(f"CA_SV_CS{k}_TYPE", 0.0))
-        series = _series(log, f"actuator_servos[0].control[{k}]", _HALF_TRAVEL_US)
-        if series is None or kind == 0:
-            continue
-        given = {axis: log.parameters.get(f"CA_SV_CS{k}_TRQ_{letter}", 0.0) for axis, letter in _AXES.items()}
-        name = PX4_TYPES.get(kind, "any").replace("any", f"servo_{k + 1}")
-        shares = {axis: float(np.sign(torque)) for axis, torque in given.items() if torque} or _shares(name)
-        for axis, sign in shares.items():
-            found.setdefault(axis, []).append((series, sign, name))
-    if found:
-        commands = {
-            axis: Series(
-                parts[0][0].time_s, np.mean([sign * _held(one, parts[0][0]) for one, sign, _ in parts], axis=0)
-            )
-            for axis, parts in found.items()
-        }
-        return commands, {_MEMBERS[axis]: tuple(name for _, _, name in parts) for axis, parts in found.items()}
-    for topic in ("actuator_controls_1[0]", "actuator_controls_0[0]"):  # of a VTOL's wing, and of a fixed wing
-        old = {
-            axis: one
-            for axis, k in _CONTROLS.items()
-            if (one := _series(log, f"{topic}.control[{k}]", _HALF_TRAVEL_US)) is not None and np.ptp(one.values) > 0.0
-        }
-        if old:
-            return old, {_MEMBERS[axis]: () for axis in old}
-    raise NoMeasurement(
-        f"{log.label}: no commands of surfaces (actuator_servos with CA_SV_CS*_TYPE, or actuator_controls)"
-    )
-
-
-def _held(series: Series, like: Series) -> FloatArray:
-    """Values of one series at the times of another."""
-    if series.time_s is like.time_s:
-        return series.values
-    place = np.clip(np.searchsorted(series.time_s, like.time_s, side="right") - 1, 0, series.time_s.size - 1)
-    return series.values[place]
-
-
-def _attitude(q: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+def _attitude(q: list[Series]) -> tuple[Series, Series]:
     """Bank and pitch from the attitude's quaternion [deg]."""
-    w, x, y, z = q
+    w, x, y, z = (one.values for one in q)
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x**2 + y**2))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    return np.degrees(roll), np.degrees(pitch)
+    return Series(q[0].time_s, np.degrees(roll)), Series(q[0].time_s, np.degrees(pitch))
 
 
 def _airspeed(log: FlightLog) -> tuple[Series, str]:
     for name in ("airspeed_validated[0].true_airspeed_m_s", "airspeed[0].true_airspeed_m_s"):
-        sensor = _series(log, name)
+        sensor = series_of(log, name)
         if sensor is not None and float(np.max(sensor.values)) > 1.0:
             return sensor, "sensor"
-    ground = [_series(log, f"vehicle_local_position[0].{one}") for one in ("vx", "vy", "vz")]
+    ground = [series_of(log, f"vehicle_local_position[0].{one}") for one in ("vx", "vy", "vz")]
     for topic in ("wind[0]", "wind_estimate[0]"):
-        wind = [_series(log, f"{topic}.windspeed_{one}") for one in ("north", "east")]
+        wind = [series_of(log, f"{topic}.windspeed_{one}") for one in ("north", "east")]
         parts = [one for one in (*ground, *wind) if one is not None]
         if len(parts) == 5:
             vx, vy, vz, north, east = parts
@@ -159,21 +169,26 @@ def _airspeed(log: FlightLog) -> tuple[Series, str]:
 
 
 def _throttle(log: FlightLog) -> Series | None:
-    for name in ("vehicle_thrust_setpoint[1].xyz[0]", "vehicle_thrust_setpoint[0].xyz[0]"):
-        found = _series(log, name)
-        if found is not None and float(np.max(found.values)) > 0.0:
-            return found
-    for topic in ("actuator_controls_1[0]", "actuator_controls_0[0]"):
-        found = _series(log, f"{topic}.control[{_THROTTLE_CONTROL}]")
-        if found is not None and float(np.max(found.values)) > 0.0:
-            return found
-    return None
+    wing = ("vehicle_thrust_setpoint[1].xyz[0]", "vehicle_thrust_setpoint[0].xyz[0]")  # of a VTOL's, and a fixed one
+    old = [f"actuator_controls_{group}[0].control[{_THROTTLE_CONTROL}]" for group in (1, 0)]
+    found = (series_of(log, name) for name in (*wing, *old))
+    return next((one for one in found if one is not None and float(np.max(one.values)) > 0.0), None)
 
 
-def _lifted(log: FlightLog, grid_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _lifted(log: FlightLog, grid_s: FloatArray) -> BoolArray:
     """Where motors carry a VTOL."""
-    state = _series(log, "vtol_vehicle_status[0].vehicle_vtol_state")
+    state = series_of(log, "vtol_vehicle_status[0].vehicle_vtol_state")
     if state is not None:
-        return np.asarray(_held(state, Series(grid_s, grid_s)) != _FORWARD)
-    old = [_series(log, f"vtol_vehicle_status[0].vtol_in_{mode}") for mode in ("rw_mode", "trans_mode")]
-    return np.asarray(sum(_held(one, Series(grid_s, grid_s)) for one in old if one is not None) + 0.0 * grid_s > 0.0)
+        return np.asarray(_held(state, grid_s) != _FORWARD)
+    lifted = np.zeros(grid_s.size, dtype=bool)
+    for mode in ("rw_mode", "trans_mode"):
+        one = series_of(log, f"vtol_vehicle_status[0].vtol_in_{mode}")
+        if one is not None:
+            lifted |= _held(one, grid_s) > 0.0
+    return lifted
+
+
+def _held(series: Series, grid_s: FloatArray) -> FloatArray:
+    """Latest value at each time."""
+    place = np.clip(np.searchsorted(series.time_s, grid_s, side="right") - 1, 0, series.time_s.size - 1)
+    return series.values[place]

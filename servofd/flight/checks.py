@@ -31,7 +31,9 @@ class Check:
     since_s: float | None = None
 
 
-_NO_OUTPUTS = "no output of a surface with its SERVOn_FUNCTION, MIN and MAX in this log"
+_NO_OUTPUTS = (
+    "no output of a surface in this log (SERVOn_FUNCTION, MIN and MAX; PX4: actuator_servos with CA_SV_CSk_TYPE)"
+)
 _NEVER_FLEW = "this log does not show when the aircraft flew"
 
 _AT_END = 0.99
@@ -117,7 +119,9 @@ def travel(flight: Flight) -> Check:
     if narrow or uneven:
         which = ", ".join(dict.fromkeys([*narrow, *uneven]))
         return Check(
-            "travel", "look", f"SERVOn_MIN, MAX and TRIM leave {which} too little travel to one side; {shares}"
+            "travel",
+            "look",
+            f"MIN, MAX and TRIM of their outputs leave {which} too little travel to one side; {shares}",
         )
     return Check("travel", "ok", shares)
 
@@ -150,10 +154,13 @@ _CYCLE_S = 10.0
 _SLOWEST_CYCLE_HZ, _NARROW, _CYCLE_SHARE, _CYCLE_DEG_S = 1.0, 0.2, 0.75, 5.0
 """Gusts and manoeuvres are broad: in 39 flights (ALFA, ArduPlane in wind, with their faults) no two windows in a row
 held more than 0.62 of the power of both command and rate within a fifth of one frequency (benchmarks/one_flight.py)."""
+_CYCLE_WINDOWS = 3
+"""A limit cycle stays. Logged at PX4's 10 Hz, one of the healthy flights in wind swung so for two windows: gusts had
+set off its short period."""
 
 
 def limit_cycle(flight: Flight) -> Check:
-    """Whether command and rate swing at one frequency, in two windows in a row."""
+    """Whether command and rate swing at one frequency, in some windows in a row, each from the middle of another."""
     motion = flight.motion
     if motion is None or not flight.flies.any():
         return Check("limit_cycle", "unknown", flight.lacking or _NEVER_FLEW)
@@ -164,20 +171,23 @@ def limit_cycle(flight: Flight) -> Check:
     for axis, rate in zip(("roll", "pitch"), motion.rates_deg_s[:2], strict=True):
         if axis not in motion.commands_us:
             continue
-        before_hz, before_begin = 0.0, -1
+        row: list[tuple[int, float]] = []
         for begin in begins:
             part = slice(begin, begin + rows)
             share, peak_hz = _narrow(motion.commands_us[axis][part], rate[part], motion.rate_hz)
             swing_deg_s = float(np.std(rate[part])) * np.sqrt(2.0)
-            swings = share > _CYCLE_SHARE and swing_deg_s >= _CYCLE_DEG_S
-            if swings and begin == before_begin + rows // 2 and abs(peak_hz - before_hz) <= _NARROW * peak_hz:
-                since_s = float(motion.time_s[before_begin])
+            if share <= _CYCLE_SHARE or swing_deg_s < _CYCLE_DEG_S:
+                row = []
+                continue
+            goes_on = row and begin == row[-1][0] + rows // 2 and abs(peak_hz - row[-1][1]) <= _NARROW * peak_hz
+            row = [*row, (begin, peak_hz)] if goes_on else [(begin, peak_hz)]
+            if len(row) == _CYCLE_WINDOWS:
+                since_s = float(motion.time_s[row[0][0]])
                 text = (
                     f"{axis} swings at {peak_hz:.1f} Hz by ±{swing_deg_s:.0f} deg/s with its command from "
                     f"{since_s:.0f} s on: play, a slow servo, or gains too high"
                 )
                 return Check("limit_cycle", "look", text, since_s)
-            before_hz, before_begin = (peak_hz, begin) if swings else (0.0, -1)
     return Check("limit_cycle", "ok", f"no swing at one frequency in {len(begins)} windows of {_CYCLE_S:.0f} s")
 
 

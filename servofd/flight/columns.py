@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.outputs import named_outputs, outputs_of, pulse_channel
-from servofd.axes.motion import SHARES, Series
+from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
+from servofd.axes.motion import SHARES, Series, series_of
+from servofd.axes.px4 import controls_of
 from servofd.axes.read import motion_of
 from servofd.core.errors import NoMeasurement
 from servofd.flight.change import airborne
@@ -32,9 +33,9 @@ class Output:
     axes : mapping of str to float
         Axes that it serves, with its sign in each.
     time_s, share : ndarray, shape (n,)
-        What was asked of it: -1 at SERVOn_MIN, 1 at SERVOn_MAX, reversed outputs turned round.
+        What was asked of it: -1 at the MIN of its output, 1 at MAX, reversed outputs turned round.
     trim_share : float
-        SERVOn_TRIM in the same unit.
+        Its trim in the same unit.
     span_us : float
         From MIN to MAX [us].
     """
@@ -99,6 +100,11 @@ def flight_of(log: FlightLog) -> Flight:
 
 
 def _outputs(log: FlightLog) -> tuple[Output, ...]:
+    if log.format == "ulog":
+        controls = () if log.vehicle in WITHOUT_SURFACES else controls_of(log)
+        return tuple(
+            Output(one.name, one.axes, one.series.time_s, one.series.values, one.trim, one.span_us) for one in controls
+        )
     outputs = outputs_of(log.parameters)
     serving = {number: dict(SHARES[each.function or 0]) for number, each in outputs.items() if each.function in SHARES}
     names = named_outputs(outputs, sorted(serving))
@@ -119,25 +125,33 @@ def _outputs(log: FlightLog) -> tuple[Output, ...]:
     return tuple(found)
 
 
+_STICKS_OF_PX4 = {"roll": ("roll", "y", 1.0), "pitch": ("pitch", "x", -1.0), "yaw": ("yaw", "r", 1.0)}
+"""Fields of manual_control_setpoint, since and before PX4 1.14; a pitch stick forward lowers the nose."""
+_STICK_US = 500.0
+"""What 1 of a stick is as a pulse [us]."""
+
+
 def _sticks(log: FlightLog) -> dict[str, Series]:
     found = {}
+    for axis, (now, before, sign) in _STICKS_OF_PX4.items():
+        for field in (now, before):
+            moved = series_of(log, f"manual_control_setpoint[0].{field}", sign * _STICK_US)
+            if moved is not None:
+                found[axis] = moved
     for axis, (parameter, usual) in _STICKS.items():
         number = int(log.parameters.get(parameter, usual))
         turned = log.parameters.get(f"RC{number}_REVERSED") == 1.0 or log.parameters.get(f"RC{number}_REV") == -1.0
         sign = -1.0 if turned else 1.0
         for name in (f"RCIN.C{number}", f"RC_CHANNELS.chan{number}_raw"):
-            if name in log.channels:
-                series = Series.of(log[name])
-                if series.values.size > 1:
-                    found[axis] = Series(series.time_s, sign * series.values)
-                break
+            moved = series_of(log, name, sign)
+            if moved is not None:
+                found[axis] = moved
     return found
 
 
 def _supply(log: FlightLog) -> Series | None:
     for name, scale in (("POWR.VServo", 1.0), ("POWR.Vservo", 1.0), ("POWER_STATUS.Vservo", 1e-3)):
-        if name in log.channels:
-            series = Series.of(log[name])
-            if series.values.size > 1 and float(np.median(series.values)) * scale > 1.0:
-                return Series(series.time_s, scale * series.values)
+        series = series_of(log, name, scale)
+        if series is not None and float(np.median(series.values)) > 1.0:
+            return series
     return None

@@ -63,6 +63,8 @@ def _sentence(found: tuple[Check, ...], axes: Mapping[str, AxisChange]) -> str:
     judged = [axis for axis in axes.values() if axis.status != "unknown"]
     fine = [axis.axis for axis in judged if axis.status == "ok"]
     unjudged = [_SPOKEN.get(axis.axis, axis.axis) for axis in axes.values() if axis.status == "unknown"]
+    if not said and not fine:
+        return next(check.text for check in found if check.name == "axis_change")
     until = max((axis.judged_until_s for axis in judged if axis.judged_until_s is not None), default=None)
     parts = []
     if said:
@@ -73,4 +75,4 @@ def _sentence(found: tuple[Check, ...], axes: Mapping[str, AxisChange]) -> str:
         parts.append(f"{' and '.join(unjudged)} cannot be judged")
     if until is not None:
         parts.append(f"judged until {until:.0f} s; a servo that sticks near its trim would not show")
-    return "; ".join(parts) or next(check.text for check in found if check.name == "axis_change")
+    return "; ".join(parts)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 import logparsers
 from servofd.axes.read import motion_of
 from servofd.flight.change import judge_motion_alone
+from tests.axes.ulogs import ALLOCATED, read_as_ulog
 from tests.external.test_bench_tables import DATA
 
 pytestmark = pytest.mark.skipif(
@@ -35,3 +38,17 @@ def test_a_surface_that_fails_is_seen_against_its_own_past(name: str) -> None:
 def test_healthy_surfaces_in_wind_are_no_reason_to_look(name: str) -> None:
     axes = judge_motion_alone(motion_of(logparsers.read(DATA / "logs" / "wind" / f"{name}.bin.gz")))
     assert [axis.axis for axis in axes.values() if axis.status == "look"] == []
+
+
+@pytest.mark.parametrize("name", ["d_ok2", "d_ok3", "d_f1", "d_f2"])
+def test_as_px4_logs_them_axes_are_modelled_and_single_ailerons_found(name: str, tmp_path: Path) -> None:
+    flight = motion_of(logparsers.read(DATA / "logs" / "wind" / f"{name}.bin.gz"))
+    roll = judge_motion_alone(motion_of(read_as_ulog(tmp_path, flight, ALLOCATED)))["roll"]
+    fault = WITHIN_S.get(f"logs/wind/{name}.bin.gz")
+    if fault is None:
+        assert roll.status == "ok"
+        assert roll.explained_share is not None
+        assert roll.explained_share > 0.9
+    else:
+        assert roll.alarm_s is not None
+        assert fault[0] < roll.alarm_s < fault[0] + 6.0
