@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from servofd.aircraft.axis_names import AXES, FORM_NAMES
+from servofd.core.statistics import Z_95
 from servofd.core.toml_text import toml_lines, toml_value
 from servofd.core.types import FloatArray
 
@@ -74,6 +75,8 @@ class AxisModel(_Entry):
     spreads: tuple[Spread, ...] = Field(min_length=1)
     of_flight: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
     """Share of what healthy windows differ by that is the flight's own, and so learned from it."""
+    flights: Annotated[int, Field(ge=1)] = 4
+    """That taught it; 4 where a file does not say."""
     own_command: bool = True
     """False if its command always was a copy of another axis' command."""
     explained: float
@@ -87,6 +90,13 @@ class AxisModel(_Entry):
     def of_flights(self, spread: Spread) -> FloatArray:
         """Covariance between flights beside that between the windows of one, shape (2, 2)."""
         return spread.covariance * self.of_flight / (1.0 - self.of_flight)
+
+    @property
+    def widening(self) -> float:
+        """Student's interval over the normal one: what flights differ by was learned from a few of them."""
+        from scipy import special  # takes longer to load than a flight to judge
+
+        return float(special.stdtrit(max(self.flights - 1, 1), 0.975)) / Z_95
 
     @model_validator(mode="after")
     def _known(self) -> Self:

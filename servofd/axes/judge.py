@@ -147,7 +147,7 @@ def _draft(
         news,
         tuple(_event(axis, change, motion.time_s, rate_hz) for change in changes),
         *_known(axis, inputs, rate_hz, max(members, 1)),
-        _whole(axis, inputs, flown, rate_hz, model.flights),
+        _whole(axis, inputs, flown, rate_hz),
     )
 
 
@@ -366,10 +366,9 @@ def _estimate(
     event = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) >= start))
     found = sliding(event, inputs.usable.size, axis.noise_var, enough=0.0)
     spread, place = axis.spreads[-1], last - 1
-    lost = _between(found.loss[place] - past.loss[0], found.loss_var[place] + spread.loss_var + past.loss_var[0])
-    offset = _between(
-        found.offset[place] - past.offset[0], found.offset_var[place] + spread.offset_var_us2 + past.offset_var[0]
-    )
+    lost = _between(axis, found.loss[place] - past.loss[0], found.loss_var[place] + spread.loss_var + past.loss_var[0])
+    offset_var = found.offset_var[place] + spread.offset_var_us2 + past.offset_var[0]
+    offset = _between(axis, found.offset[place] - past.offset[0], offset_var)
     explained = min(1.0, max(_LEAST_EXPLAINED, axis.explained)) if axis.own_command else 1.0
     hidden = max(lost.high, 0.0) * (1.0 / math.sqrt(explained) - 1.0)
     loss_offset, offset_offset = event.sums.loss_offset[place], event.sums.offset_offset[place]
@@ -386,8 +385,8 @@ def _failed(event: AxisEvent) -> bool:
     return event.from_start and (event.lost_share.low > _FAILED_LOSS or away_us > _FAILED_US)
 
 
-def _between(value: float, variance: float) -> Estimate:
-    half = Z_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
+def _between(axis: AxisModel, value: float, variance: float) -> Estimate:
+    half = axis.widening * Z_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
     return Estimate(float(value), float(value - half), float(value + half))
 
 
@@ -414,15 +413,8 @@ def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> tup
     return known & shows, least.min(axis=0)
 
 
-def _whole(
-    axis: AxisModel, inputs: Inputs, flown: BoolArray, rate_hz: float, flights: int
-) -> tuple[Estimate, Estimate] | None:
-    """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not.
-
-    What flights differ by was learned from a few of them, so that the interval is Student's.
-    """
-    from scipy import special  # takes longer to load than a flight to judge
-
+def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray, rate_hz: float) -> tuple[Estimate, Estimate] | None:
+    """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not."""
     if not (inputs.usable & flown).any():
         return None
     found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
@@ -431,10 +423,9 @@ def _whole(
     spread = axis.spreads[-1]
     windows = max(1.0, float(inputs.usable.sum()) / spread.samples(rate_hz))
     stray = axis.of_flights(spread) + spread.covariance / windows
-    wider = float(special.stdtrit(max(flights - 1, 1), 0.975)) / Z_95
     return (
-        _between(found.loss[-1], wider**2 * (found.loss_var[-1] + stray[0, 0])),
-        _between(found.offset[-1], wider**2 * (found.offset_var[-1] + stray[1, 1])),
+        _between(axis, found.loss[-1], found.loss_var[-1] + stray[0, 0]),
+        _between(axis, found.offset[-1], found.offset_var[-1] + stray[1, 1]),
     )
 
 

@@ -59,10 +59,12 @@ class AxisEvent:
 
     @property
     def is_nothing(self) -> bool:
-        """Whether its loss and its offset are both known to be next to none, and it is not late either."""
+        """Whether it is not late, no loss is known nor likely large, and the offset is next to none as well."""
         lost, away = self.lost_share, self.offset_us
-        no_loss = -_SMALL_SHARE < lost.low <= 0.0 <= lost.high < _SMALL_SHARE
-        return self.lag_s is None and no_loss and -_SMALL_US < away.low <= 0.0 <= away.high < _SMALL_US
+        small = not excludes_none(away) or (away.low > -_SMALL_US and away.high < _SMALL_US)
+        no_offset = small and abs(away.value) < _SMALL_US
+        no_loss = self.model_holds and lost.low <= 0.0 and lost.value < _SMALL_SHARE
+        return self.lag_s is None and no_loss and no_offset
 
 
 class AxisDetectable(NamedTuple):
@@ -111,6 +113,12 @@ class AxisAudit:
     def is_expected(self) -> bool:
         """Whether a verdict can be expected: not of a command that copies another, nor of the engine."""
         return self.axis != "thrust" and self.model.own_command
+
+    @property
+    def was_tried(self) -> bool:
+        """Whether it was asked to move enough to show a jam, where it was judged at all."""
+        calm = self.judged_share >= MOST_OF_THE_FLIGHT > self.identifiable
+        return self.status != "unknown" or bool(self.events) or not calm
 
     @property
     def is_weaker(self) -> bool:

@@ -203,7 +203,8 @@ class LogAudit:
     def not_judged(self) -> str:
         """Why there is no verdict on the log as a whole, in one line; empty if there is one.
 
-        Axes that could not be judged matter where no surface was: feedback tells more than motion.
+        Axes that could not be judged matter where no surface was: feedback tells more than motion. As with surfaces,
+        at most half of them may have been asked too little to show a jam.
         """
         if self.has_fault:
             return ""
@@ -215,8 +216,10 @@ class LogAudit:
             missing = self.unjudged
             return f"could not judge {_by_reason(missing)}" if missing else ""
         if self.axes:
-            dark = [axis for axis in self.axes if axis.is_expected and axis.status != "healthy"]
-            known = any(axis.is_expected for axis in self.axes)
+            known = [a for a in self.axes if a.is_expected or any(event.is_own for event in a.events)]
+            dark = [axis for axis in known if axis.status != "healthy"]
+            if known and 2 * sum(not axis.was_tried for axis in known) <= len(known):
+                dark = [axis for axis in dark if axis.was_tried]
             text = "; ".join(f"{axis.axis}: {axis.reason}" for axis in (dark if known else self.axes))
             return f"could not judge {text}" if text else ""
         silent = self.unjudged or self.surfaces

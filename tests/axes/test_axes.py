@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from scipy import stats
 
 import logparsers
+from logparsers.records import FlightLog
 from servofd.aircraft.axes import MotionModel, motion_to_toml
 from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.schema import load_aircraft
@@ -21,6 +24,7 @@ from servofd.axes.motion import Motion, airframe_of, cell_means, motion_of_table
 from servofd.axes.windows import distance, nothing_known, sliding
 from servofd.cli import main
 from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
+from servofd.detection.verdict import LogAudit
 from tests.axes.flights import flown
 
 DAYS = ("2026-05-01", "2026-05-02", "2026-05-03")
@@ -144,6 +148,31 @@ def test_a_log_that_is_too_short_is_left_out_and_the_others_calibrate() -> None:
     model = calibrate_motion([flown(seed) for seed in range(1, 4)] + [flown(9, duration_s=8.0)])
     assert model.flights == 3
     assert [why.partition(":")[0] for why in model.left_out] == ["flight 9"]
+
+
+@pytest.mark.slow
+def test_a_flight_of_another_aircraft_is_left_out_and_named() -> None:
+    good = [flown(seed, f"2026-05-0{seed}") for seed in range(1, 5)]
+    assert calibrate_motion(good).left_out == ()
+    model = calibrate_motion([*good[:3], flown(4, "2026-05-04", aileron_share=0.5, from_s=0.0)])
+    assert model.flights == 3
+    assert re.match("flight 4: roll has [45][0-9]% less effect", model.left_out[0])
+
+
+@pytest.mark.slow
+def test_an_axis_that_was_asked_too_little_does_not_keep_the_others_from_being_cleared() -> None:
+    roll = next(a for a in judge_motion(calibrated(), flown(50, "2026-05-09")) if a.axis == "roll")
+    calm = replace(roll, axis="side", status="unknown", events=(), identifiable=0.2)
+    unknown = replace(calm, axis="pitch", identifiable=0.9)
+    for axes, cleared in (
+        ((roll, calm), True),
+        ((calm,), False),
+        ((roll, calm, calm), False),
+        ((roll, unknown), False),
+    ):
+        log = FlightLog(Path("a.bin"), "dataflash", {})
+        audit = LogAudit(log, load_aircraft("simulated"), (), axes=axes)
+        assert (not audit.not_judged) == cleared
 
 
 def test_one_flight_calibrates_by_its_halves_and_says_how_often_it_is_wrong() -> None:

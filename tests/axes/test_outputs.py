@@ -118,7 +118,10 @@ def test_an_axis_whose_interval_excludes_nothing_lost_is_not_healthy() -> None:
     [
         ((-3.71, -4.2, -3.2), (0.0, -9.0, 9.0), False, False),
         ((-0.02, -0.21, 0.18), (-1.0, -20.0, 18.0), True, True),
+        ((-0.02, -0.5, 0.45), (-1.0, -40.0, 38.0), True, True),
+        ((-0.2, -0.3, -0.1), (-1.0, -4.0, -0.5), True, True),
         ((0.5, 0.4, 0.6), (-1.0, -20.0, 18.0), True, False),
+        ((0.12, 0.02, 0.22), (-1.0, -40.0, 38.0), True, False),
         ((0.02, -0.2, 0.2), (60.0, 40.0, 80.0), True, False),
         ((0.3, -5.0, 5.7), (45.0, -1200.0, 1300.0), True, False),
     ],
@@ -134,7 +137,8 @@ def test_sizes_that_cannot_be_or_say_nothing_are_no_reason(
 def test_few_flights_of_calibration_leave_the_lost_share_less_sure() -> None:
     flight, widths = flown(50, "2026-05-09"), []
     for flights in (2, 6, 100):
-        (roll,) = judge_motion(calibrated().model_copy(update={"flights": flights}), flight)
+        axis = calibrated().axes["roll"].model_copy(update={"flights": flights})
+        (roll,) = judge_motion(calibrated().model_copy(update={"axes": {"roll": axis}}), flight)
         assert roll.lost_share is not None
         widths.append(roll.lost_share.high - roll.lost_share.low)
     normal = widths[-1] / stats.t.ppf(0.975, 99)
