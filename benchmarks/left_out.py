@@ -32,7 +32,8 @@ from hidden_physics import CATALOGUE, draw, hidden
 from servofd import explain, explain_logs
 from servofd.core.errors import ServofdError
 from servofd.core.types import FloatArray
-from servofd.discrepancy import adequacy, explanation, fit, search, select
+from servofd.discrepancy import adequacy, explanation, search, select
+from servofd.discrepancy.known import A_TYPE, NOTHING, Known
 from servofd.discrepancy.record import Record
 from servofd.discrepancy.search import Search
 from servofd.discrepancy.select import Selection
@@ -59,12 +60,8 @@ class Constant(NamedTuple):
     """Whether structures have to be fitted again with it."""
 
 
-def _scaled(table: Mapping[str, float], share: float) -> dict[str, float]:
-    return {name: share * value for name, value in table.items()}
-
-
-def _widths(share: float) -> tuple[tuple[str, float, bool], ...]:
-    return tuple((name, share * deviation, is_log) for name, deviation, is_log in fit._OWN)
+def _widths(share: float) -> dict[str, float]:
+    return {name: share * deviation for name, deviation in A_TYPE.spread.items()}
 
 
 CONSTANTS = (
@@ -72,14 +69,25 @@ CONSTANTS = (
     Constant("own", "misfit for one of its own numbers", ((select, "_OCCAM_OWN"),), (10.0, select._OCCAM_OWN, 24.0)),
     Constant("gap", "share of the gap on top", ((select, "_OF_GAP"),), (3e-5, select._OF_GAP, 3e-4)),
     Constant("declared", "probability that is declared", ((select, "_DECLARED"),), (0.9, select._DECLARED, 0.99)),
-    Constant("gain", "gain of an unknown servo", ((select, "_GAIN_SHARE"),), (0.02, select._GAIN_SHARE, 0.05), True),
+    Constant(
+        "gain",
+        "gain of an unknown servo",
+        ((NOTHING, "gain_share"),),
+        (0.02, NOTHING.gain_share, 0.05),
+        of_unknown=True,
+    ),
     Constant(
         "model", "error of a model, of its misfit", ((select, "_MODEL_SHARE"),), (0.01, select._MODEL_SHARE, 0.04), True
     ),
     Constant("left", "what effects may leave", ((select, "_MOST_LEFT"),), (0.35, select._MOST_LEFT, 0.7), True),
     Constant("memory", "memory of the noise at rest", ((adequacy, "_MEMORY"),), (1.3, adequacy._MEMORY, 2.0)),
     Constant(
-        "widths", "how servos of a type differ", ((fit, "_OWN"),), (_widths(0.67), fit._OWN, _widths(1.5)), False, True
+        "widths",
+        "how servos of a type differ",
+        ((A_TYPE, "spread"),),
+        (_widths(0.67), A_TYPE.spread, _widths(1.5)),
+        of_unknown=False,
+        is_searched=True,
     ),
 )
 
@@ -145,12 +153,16 @@ def _set(levels: Mapping[str, int]) -> Iterator[None]:
     try:
         for constant in changed:
             for module, name in constant.where:
-                setattr(module, name, constant.values[levels[constant.name]])
+                _give(module, name, constant.values[levels[constant.name]])
         yield
     finally:
         for constant in changed:
             for module, name in constant.where:
-                setattr(module, name, constant.values[1])
+                _give(module, name, constant.values[1])
+
+
+def _give(owner: Any, name: str, value: Any) -> None:  # noqa: ANN401 - a module, or what is known of a servo
+    (object.__setattr__ if isinstance(owner, Known) else setattr)(owner, name, value)
 
 
 def _copied(found: Search) -> Search:

@@ -20,6 +20,7 @@ from numba import njit
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray as Floats
 from servofd.discrepancy.explanation import driven_part
+from servofd.discrepancy.known import NOTHING
 from servofd.discrepancy.record import record_of
 from servofd.discrepancy.validity import Undriven
 from servofd.jobs.explaining import UNKNOWN_SERVO
@@ -140,7 +141,7 @@ def moved(numbers: Floats, command: Floats, rate_hz: float) -> Floats:
 def found_in(drawn: Lot) -> list[Undriven]:
     """Where `servofd explain --servo unknown` says that the servo was not driven."""
     model = ServoModel.of(UNKNOWN_SERVO)
-    return driven_part([record_of(each, model, at_rest=True, free_poles=True) for each in drawn.runs])[1]
+    return driven_part([record_of(each, model, at_rest=True, known=NOTHING) for each in drawn.runs])[1]
 
 
 def main(words: list[str]) -> int:

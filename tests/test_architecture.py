@@ -29,7 +29,6 @@ ONLY_IN = {
     "numba": {"logparsers/compiled.py"},
     "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
     "serial": {"logparsers/link.py"},
-    "shtab": {"servofd/cli/options.py"},
     "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/servo/transfer.py"},

@@ -224,7 +224,7 @@ def test_surfaces_are_attributes_that_draw_themselves(stuck: servofd.Audit) -> N
         _ = stuck.flap
     ax = Figure().add_subplot()
     assert stuck["elevator"].plot(ax=ax) is ax.figure
-    assert {line.get_label() for line in ax.lines} >= {"asked", "healthy servo", "measured"}
+    assert {line.get_label() for line in ax.lines} >= {"command", "healthy servo", "measured"}
     series = stuck.elevator.series()
     asked = stuck.elevator.segment
     assert asked is not None

@@ -155,7 +155,7 @@ def _verb_for(words: Sequence[str]) -> str:
     """What the words ask for: a verb, ``look`` at logs, or nothing where they name neither."""
     first = words[0]
     if first.startswith("-"):
-        of_the_program = first.partition("=")[0] in ("-h", "--help", "--version", "--print-completion")
+        of_the_program = first.partition("=")[0] in ("-h", "--help", "--version")
         return "look" if not of_the_program and any(not word.startswith("-") for word in words[1:]) else ""
     if first in VERBS:
         return first

@@ -9,8 +9,8 @@ from servofd.cli.terminal import check_targets, complain, one_line, progress, sh
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
 from servofd.jobs.explaining import explain_logs
+from servofd.outputs.explain_recording import save_explanation
 from servofd.outputs.explain_report import explain_report
-from servofd.outputs.identify_recording import save_explanation
 from servofd.outputs.model_file import model_file
 
 if TYPE_CHECKING:

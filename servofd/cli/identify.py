@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servofd.cli.terminal import check_targets, complain, give_json, progress, show
-from servofd.core.files import make_folder, write_whole
+from servofd.cli.terminal import check_targets, complain, progress, show
+from servofd.core.files import write_whole
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.bench import identify
-from servofd.outputs.figure import chart_png
-from servofd.outputs.identify_recording import save_identification
-from servofd.outputs.identify_report import identify_charts, identify_report
+from servofd.outputs.identify_report import identify_report
 from servofd.outputs.model_file import servo_file
 
 if TYPE_CHECKING:
@@ -23,8 +21,8 @@ _STEPS = 3
 
 def run(options: Options) -> int:
     """Identify, then write all outputs, then print."""
-    outputs = (options.json, options.save, options.html, options.rrd)
-    check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
+    outputs = (options.json, options.save, options.html)
+    check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]})
     aircraft = known_aircraft(options.config)
     with progress("identify", _STEPS) as step:
         found = identify(
@@ -34,14 +32,6 @@ def run(options: Options) -> int:
     report = identify_report(found, source)
     if options.save and not found.not_told:
         write_whole(options.save, servo_file(found, Path(options.save).stem, source).encode())
-    if options.rrd:
-        save_identification(found, options.rrd, source)
-    if options.output:
-        folder = Path(options.output)
-        make_folder(folder)
-        for name, chart in identify_charts(found).items():
-            write_whole(folder / f"{name}.png", chart_png(chart))
-        give_json(str(folder / "identify.json"), report.data)
     show(report, json=options.json, html=options.html)
     if found.not_told and options.save:
         complain(f"{options.save} was not written: a servo that a test does not tell is no model")

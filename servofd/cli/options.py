@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from servofd.cli.terminal import say
 from servofd.outputs.page import FLEET_PAGE
 from servofd.outputs.plain import plain
 from servofd.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable
 
     from _typeshed import SupportsWrite
 
@@ -22,15 +20,11 @@ Options = argparse.Namespace
 COULD_NOT_TELL = 2
 SERVE_PORT, MOST_MB = 8787, 4096
 """Port of `servofd serve`, and the largest log that it takes [MB]."""
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-SHELLS = ("bash", "zsh", "tcsh")
 SIMULATED = ".csv (plain table), .mat (FASER), .bin (ArduPilot DataFlash), .tlog (MAVLink) or .ulg (PX4)"
 _LARGEST, _SMALLEST = 1.7e308, 5e-324
 """Of the numbers that are finite, and of those above zero."""
 _DIGITS = 10
 """A whole number has fewer digits than this."""
-_FILE = re.compile(r"LOG|FILE|RECORDING|\.(?:toml|rrd|py|png)\b")
-"""Words of the help that stand for a file."""
 _JUDGED = "Exit code 0: healthy; 1: a fault was found; 2: could not tell."
 _AIRCRAFT, _SERVO = (
     "aircraft file, or the name of a shipped one",
@@ -188,12 +182,7 @@ def _view(parser: Parser) -> None:
 def _review(parser: Parser) -> None:
     parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="an .rrd file, or a folder of them")
     parser.json(instead="text")
-    parser.kind_of_threshold("judge again, with this alarm level [deg]", "judge again, with this kind")
-    parser.add_argument("--between", nargs=2, type=float, metavar=("A", "B"), help="only from A to B [s]")
     parser.file("--compare", "show the verdicts of another recording beside these", "OTHER.rrd")
-    parser.flag("--repair", "save what is whole of a recording that was cut short")
-    about = "write what --between, --repair or a new threshold gave"
-    parser.add_argument("-o", "--output", metavar="FILE", help=about)
 
 
 def _fleet(parser: Parser) -> None:
@@ -217,8 +206,6 @@ def _serve(parser: Parser) -> None:
     parser.servo()
     port = f"(default: {SERVE_PORT}; 0: a free one)"
     parser.add_argument("--port", type=_FREE_PORT, default=SERVE_PORT, metavar="PORT", help=port)
-    host = "address to listen on (default: this computer only); for any other a link with a token is printed"
-    parser.add_argument("--host", default=LOOPBACK[0], metavar="ADDRESS", help=host)
     most = f"largest log that is taken (default: {MOST_MB})"
     parser.add_argument("--most-mb", type=_SIZE, default=MOST_MB, metavar="MB", help=most)
     parser.add_argument("--workers", type=_SIZE, metavar="N", help="processes (default: one per core)")
@@ -264,8 +251,6 @@ def _identify(parser: Parser) -> None:
     parser.json(instead="text")
     parser.file("--save", "write a servo file, for --servo and aircraft files", "SERVO.toml")
     parser.file("--html", "write a page with all figures")
-    parser.file("--rrd", "write a Rerun recording of the tests and of the servo simulated")
-    parser.folder("write figures (PNG) and identify.json to a folder")
 
 
 def _sweep(parser: Parser) -> None:
@@ -431,7 +416,7 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
             "read recordings back: verdicts, events, statistics",
             "Reads recordings (.rrd) of servofd back, without the logs. Exit code 0: healthy; 1: a fault is "
             "recorded; 2: could not tell.",
-            "review flight.rrd --between 20 40 -o incident.rrd",
+            "review flight.rrd --json -",
         ),
         _fleet: (
             "show what an audit of many logs found",
@@ -568,12 +553,6 @@ def build_parser() -> argparse.ArgumentParser:
         description="Tells which servo of an aircraft is lying, from its flight log.",
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
-    parser.add_argument(
-        "--print-completion",
-        action=_PrintCompletion,
-        choices=SHELLS,
-        help="print what lets the tabulator key complete verbs, options and files: eval it in your shell's start file",
-    )
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=Parser)
     for group in _GROUPS.values():
         for declare, (about, description, example) in group.items():
@@ -613,35 +592,3 @@ def look_parser() -> argparse.ArgumentParser:
     parser.flag("--no-open", "write the page, and do not open it")
     parser.set_defaults(verb="look")
     return parser
-
-
-class _PrintCompletion(argparse.Action):
-    """Prints the script that completes the whole command line, and ends, as ``--version`` does."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,  # noqa: ARG002 - argparse prescribes these
-        values: object,
-        option_string: str | None = None,  # noqa: ARG002
-    ) -> None:
-        """Write the script to stdout."""
-        import shtab
-
-        for action in _actions(parser):
-            if action.metavar == "DIR":
-                action.complete = shtab.DIRECTORY  # type: ignore[attr-defined] # where shtab looks for it
-            elif isinstance(action.metavar, str) and _FILE.search(action.metavar):
-                action.complete = shtab.FILE  # type: ignore[attr-defined]
-        say(shtab.complete(parser, str(values)))
-        parser.exit()
-
-
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """Every option and argument of a program and of its verbs."""
-    for action in parser._actions:  # argparse has no other way to them
-        yield action
-        if isinstance(action, argparse._SubParsersAction):
-            inner: Iterable[argparse.ArgumentParser] = dict.fromkeys(action.choices.values())
-            for verb in inner:
-                yield from _actions(verb)

@@ -22,11 +22,10 @@ from servofd.outputs.audit_report import audit_report
 from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.recording.read import read_recording, repair_recording
-from servofd.outputs.recording.review import between, contradictions, rejudged
+from servofd.outputs.recording.read import read_recording
+from servofd.outputs.recording.review import contradictions, rejudged
 from servofd.outputs.recording.states import events
 from servofd.outputs.recording.verdicts import LIVE
-from servofd.outputs.recording.write import write_recording
 from servofd.outputs.sentence import STATUSES, whole_sentence
 from servofd.outputs.sentence import worst as worst_of
 
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def run(options: Options) -> int:
-    """Read, change what was asked for, write, print."""
+    """Read, write what was asked for, print."""
     paths = _paths(options.recordings)
     _check(options, paths)
     if options.compare:
@@ -44,11 +43,9 @@ def run(options: Options) -> int:
     found, failed = [], []
     for path in paths:
         try:
-            found.append((path, _read(path, options)))
+            found.append((path, _read(path)))
         except RecordingError as error:
             failed.append((path, str(error)))
-    if options.output and found and not options.repair:
-        write_recording(found[0][1], options.output)
     _show(options, found, failed)
     return worst([*(_exit_code(recording) for _, recording in found), *(2 for _ in failed)])
 
@@ -69,29 +66,15 @@ def _paths(given: list[str]) -> list[Path]:
 
 def _check(options: Options, paths: list[Path]) -> None:
     """Refuse what cannot be done, before anything is done."""
-    changes = options.between or options.repair or options.threshold_deg is not None or options.threshold
-    if options.threshold == "interval" and options.threshold_deg is not None:
-        raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
-    if (options.output or options.compare or options.repair) and len(paths) > 1:
-        raise ConfigError("--output, --compare and --repair take one recording at a time")
-    if options.output and not changes:
-        raise ConfigError("-o writes what --between, --repair or a new threshold gave; name one of them")
-    if options.repair and not options.output:
-        raise ConfigError("--repair needs -o FIXED.rrd: the damaged recording is left as it is")
-    check_targets((options.output, options.json), {"a recording": [str(path) for path in paths]})
+    if options.compare and len(paths) > 1:
+        raise ConfigError("--compare takes one recording at a time")
+    check_targets((options.json,), {"a recording": [str(path) for path in paths]})
 
 
-def _read(path: Path, options: Options) -> Recording:
-    """Read one recording and change it as was asked for."""
-    if options.repair:
-        repair_recording(path, options.output)
-        path = Path(options.output)
+def _read(path: Path) -> Recording:
+    """Read one recording; what a monitor recorded is judged as an audit of the log would."""
     recording = read_recording(path)
-    if options.threshold_deg is not None or options.threshold or LIVE in recording.notes:
-        recording = rejudged(recording, threshold_deg=options.threshold_deg, threshold=options.threshold)
-    if options.between:
-        recording = between(recording, *options.between)
-    return recording
+    return rejudged(recording) if LIVE in recording.notes else recording
 
 
 def _exit_code(recording: Recording) -> int:
@@ -147,7 +130,7 @@ def _print(found: list[tuple[Path, Recording]]) -> None:
 
 def _compare(options: Options, path: Path) -> int:
     """Print two recordings beside each other; a fault in either of them is one."""
-    audits = [_read(path, options).audit, read_recording(options.compare).audit]
+    audits = [_read(Path(each)).audit for each in (path, options.compare)]
     documents = [audit_document([audit]) for audit in audits]
     show(compare_report((path.name, Path(options.compare).name), documents), json=options.json)
     return int(any(audit.has_fault for audit in audits))

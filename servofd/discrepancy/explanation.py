@@ -10,6 +10,7 @@ import numpy as np
 from servofd.aircraft.series import Series
 from servofd.core.series import rms
 from servofd.discrepancy.fit import Fitter
+from servofd.discrepancy.known import A_TYPE, Known
 from servofd.discrepancy.locate import Block, Oscillation, blocks, oscillation, sentences
 from servofd.discrepancy.noise import at_rest, noise_floor_deg
 from servofd.discrepancy.record import joined, record_of, simulate
@@ -192,7 +193,7 @@ class Explanation:
     @property
     def has_fault(self) -> bool:
         """Whether a fault sets in, or the answer calls an effect more than a sound servo has."""
-        worn = not (self.record.free_poles or _is_mostly_left(self)) and bool(_beyond_sound(self))
+        worn = not (self.record.known.starts or _is_mostly_left(self)) and bool(_beyond_sound(self))
         return self.fault_s is not None or worn or self.oscillation is not None
 
     @property
@@ -219,8 +220,8 @@ class Explanation:
         began with, and how its poles differ.
         """
         plant, scales = self.record.plant, self.physics.scales
-        if not (self.record.free_poles and plant.has_places):
-            return self.record.free_poles
+        if not (self.record.known.starts and plant.has_places):
+            return bool(self.record.known.starts)
         known, _ = split(np.array(plant.transfer.denominator) / plant.transfer.denominator[0])
         there = np.array(scaled(plant.transfer, scales).denominator)
         slow_rad_s = known * self.physics.slow_scale
@@ -306,7 +307,7 @@ def explain_gap(
     model: ServoModel,
     *,
     on_bench: bool = False,
-    free_poles: bool = False,
+    known: Known = A_TYPE,
     off: Sequence[Undriven] = (),
     conditions: Mapping[str, FloatArray] | None = None,
     progress: Callable[[str], None] = lambda _step: None,
@@ -322,8 +323,8 @@ def explain_gap(
         The servo as it is known.
     on_bench : bool
         Whether each run begins at rest, so that all of it counts.
-    free_poles : bool
-        Whether the poles of the model are only where the search for them starts.
+    known : Known
+        What is known of the servo: that it is of the type of the model, or nothing, so that its poles are searched.
     off : sequence of Undriven
         Where the log itself says that the servo was not driven.
     conditions : mapping of str to ndarray, shape (r,), optional
@@ -356,10 +357,10 @@ def explain_gap(
     0.024
     """
     segments = [segment] if isinstance(segment, Series) else list(segment)
-    records = [record_of(each, model, at_rest=on_bench, free_poles=free_poles) for each in segments]
-    known = told_apart(conditions or {})
+    records = [record_of(each, model, at_rest=on_bench, known=known) for each in segments]
+    apart = told_apart(conditions or {})
     records = [
-        replace(each, conditions=tuple(float(of[k]) for of in known.values()), condition_names=tuple(known))
+        replace(each, conditions=tuple(float(of[k]) for of in apart.values()), condition_names=tuple(apart))
         for k, each in enumerate(records)
     ]
     check(joined([at_rest(each) for each in records]))
@@ -432,7 +433,7 @@ def _notes(record: Record, selection: Selection) -> list[str]:
     notes = []
     if record.side is not None:
         notes.append(only_rests_sentence(record))
-    elif record.free_poles:
+    elif record.known.starts:
         notes.append(linear_sentence(record, selection))
         if step_size_deg(record) is not None:
             alike = "all steps are of one size: a slow servo and one whose speed is limited look alike in them"
@@ -453,7 +454,7 @@ def _healthy_part(
         if int(before.counts.sum()) < 2 * _FEWEST_SAMPLES:
             break
         later = record.counts & ~before.counts
-        if record.free_poles and not _stands_out(before, later, selection.final):
+        if record.known.starts and not _stands_out(before, later, selection.final):
             continue
         healthy = select(before, progress)
         if healthy.adequacy.reasons:
@@ -467,7 +468,7 @@ def _healthy_part(
         slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
         if not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * usual_deg**2:
             # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault.
-            if record.free_poles and _follows(record, start_s):
+            if record.known.starts and _follows(record, start_s):
                 continue
             return before, healthy, start_s
     return None
@@ -573,7 +574,7 @@ def _is_mostly_left(found: Explanation) -> bool:
 
 def _advice(found: Explanation) -> list[str]:
     """What to do next."""
-    steps, is_unknown = found.selection.steps, found.record.free_poles
+    steps, is_unknown = found.selection.steps, bool(found.record.known.starts)
     beyond = [] if _is_mostly_left(found) else _beyond_sound(found)
     advice = [_SOUND[name][1] for name in beyond]
     if is_unknown and (beyond or (not steps and found.selection.adequacy.reasons)):
@@ -607,7 +608,7 @@ def _named(found: Explanation, index: int, *, judged: bool) -> str:
         limit = _SOUND[effect.name][0]
         if abs(value["value"]) <= limit:
             sound = f": acceptable, a sound hobby servo has up to {limit:g} deg"
-        elif found.record.free_poles:  # an unknown servo may have been made so
+        elif found.record.known.starts:  # an unknown servo may have been made so
             sound = f": more than the {limit:g} deg of a sound hobby servo, which may be how this one is made"
         else:
             sound = f": FAULT, a sound hobby servo has at most {limit:g} deg"

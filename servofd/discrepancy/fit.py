@@ -21,6 +21,7 @@ import numpy as np
 from servofd.core.fitting import Noise, Problem, inverse
 from servofd.core.fitting import fit as minimum
 from servofd.core.types import BoolArray, FloatArray, IntArray
+from servofd.discrepancy.known import A_TYPE
 from servofd.discrepancy.noise import (
     COARSE_STEP_DEG,
     long_run_factor,
@@ -48,8 +49,8 @@ _STEP = 0.1
 """In units of what is common, or of a prior: what sticks answers to less with jumps."""
 _LOG_STEP, _DECADES = 0.2, 50.0
 """Numbers that range over decades are fitted by their logarithm, in such units."""
-_STRAIN, _STRAINED = 2.0, 3.0
-"""Standard deviations at which one of the servo's own numbers may stand in for something else."""
+_STRAIN = 2.0
+"""Standard deviations of one of the servo's own numbers at which it may be better to free it."""
 _SAME = 1e-9
 """Curvature below which the data say nothing about a number."""
 _FAR = 50.0
@@ -86,35 +87,11 @@ class _Number(NamedTuple):
         return (value - self.neutral) / self.unit
 
 
-_OWN = (
-    ("slow_scale", 0.03, True),
-    ("pair_scale", 0.03, True),
-    ("damping_scale", 0.06, True),
-    ("gain", 0.01, False),
-    ("delay_s", 1.5e-3, False),
-    ("bias_deg", 0.08, False),
-)
-"""How far servos of one type differ (standard deviations): poles 3 %, damping 6 %, gain 1 %, 1.5 ms, 0.08 deg."""
-OWN_FIELDS = tuple(name for name, _, _ in _OWN)
-_UNKNOWN = {"slow_scale": 1.5, "pair_scale": 1.5, "damping_scale": 1.5, "delay_s": 5e-3}
-"""The same of an unknown servo."""
-_COARSE = tuple(
-    {"pair_scale": pair, "damping_scale": damping, "slow_scale": slow}
-    for pair, damping, slow in product((0.25, 0.5, 1.0, 2.0, 4.0, 8.0), (0.3, 0.7, 1.4), (0.05, 0.2, 1.0))
-)
-"""Grid on which the search for an unknown servo begins: 1 to 40 Hz, loosely and well damped, its slow pole anywhere."""
+OWN_FIELDS = tuple(A_TYPE.spread)
+"""Of `Physics`, the servo's own numbers."""
+_BY_LOGARITHM = ("slow_scale", "pair_scale", "damping_scale")
 _ROOTS = 6
-"""Points of it that are fitted."""
-_STARTS: tuple[dict[str, float], ...] = (
-    {"pair_scale": 0.8},
-    {"pair_scale": 2.0},
-    {"pair_scale": 2.2, "damping_scale": 0.65, "slow_scale": 0.125},
-    {"pair_scale": 4.0, "damping_scale": 1.5},
-    {"pair_scale": 8.0, "damping_scale": 1.2},
-)
-"""Of a servo of 5 Hz: one that is weak, three as small servos are, and one whose poles other effects hide."""
-_UNKNOWN_LATE_S = 0.01
-"""Delay at which the search for an unknown servo begins [s]."""
+"""Points of a grid of servos that are fitted."""
 _FASTEST_SLOW, _SLOW_RAD_S, _SAMPLES = 3.0, 200.0, 3.0
 """Times 200 rad/s, or a third of a sample: what is faster than that no log shows."""
 
@@ -230,19 +207,17 @@ class Fitter:
 
     def nominal(self) -> Fit:
         """The servo as it is known; of an unknown one, the best linear one."""
-        return self.halved(self.root()) if self.record.free_poles else self.judged((), self.record.plant.neutral)
+        return self.halved(self.root()) if self.record.known.starts else self.judged((), self.record.plant.neutral)
 
     def linear(self) -> Fit:
         """The linear servo with its own numbers refitted as if its errors were uncorrelated, whatever that takes."""
         return self._linear()[0]
 
     def _linear(self) -> list[Fit]:
-        neutral = self.record.plant.neutral
-        starts = [neutral]
-        if self.record.free_poles:
-            coarse = [neutral._replace(**point) for point in _COARSE]
-            coarse.sort(key=lambda physics: self._noise.misfit(self._seen_deg(physics)))
-            starts += [*coarse[:_ROOTS], *(neutral._replace(**start) for start in _STARTS)]
+        neutral, known = self.record.plant.neutral, self.record.known
+        coarse = [neutral._replace(**point) for point in known.grid]
+        coarse.sort(key=lambda physics: self._noise.misfit(self._seen_deg(physics)))
+        starts = [neutral, *coarse[:_ROOTS], *(neutral._replace(**start) for start in known.starts)]
         return sorted((self.descended((), start, LONG) for start in starts), key=lambda fit: fit.misfit)
 
     def root(self) -> Fit:
@@ -252,7 +227,7 @@ class Fitter:
             self.remember(fits[0])
             again = [self.descended((), fit.physics, LONG) for fit in fits[:_ROOTS]]
             self._root = min(again, key=lambda fit: fit.misfit)
-            if self.record.free_poles:
+            if self.record.known.starts:
                 rms = float(np.sqrt(self._root.run_deg2.max()))
                 self._size = min(1.0, rms / _USUAL_GAP_DEG)
         return self._root
@@ -283,26 +258,22 @@ class Fitter:
 
     def is_own(self, effect: type[Effect]) -> bool:
         """Whether an effect is one of the servo's own numbers, beyond what servos of a type differ by."""
-        own = {name for name, _, _ in _OWN}
-        return all(set(p.fields) <= own for p in effect.parameters)
+        return all(set(p.fields) <= set(OWN_FIELDS) for p in effect.parameters)
 
     def strains(self, effect: type[Effect], base: Fit) -> bool:
         """Whether it is, and a base has moved it so far that to free it may be better."""
         if not self.is_own(effect):
             return False
-        if (
-            self.record.free_poles and not self.record.runs and effect in (Bias, Gain)
-        ):  # the correlation of the errors may hide them
-            return True
+        if self.record.known.starts and not self.record.runs and effect in (Bias, Gain):
+            return True  # the correlation of the errors may hide them
         names = {name for p in effect.parameters for name in p.fields}
         numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior and n.fields[0] in names]
         return any(abs(x) > _STRAIN for x in self._x(numbers, base.physics))
 
     def smallest(self, parameter: Parameter) -> float:
         """A size in degrees as this record is to be judged: of a drive that is off by micrometres, micrometres."""
-        if self.record.free_poles and parameter.fields[0] == "delay_s":
-            return _UNKNOWN_LATE_S
-        return parameter.smallest * self._scale(parameter)
+        usual = parameter.smallest * self._scale(parameter)
+        return self.record.known.smallest.get(parameter.fields[0], usual)
 
     def starts(self, base: Fit) -> list[Physics]:
         """Where a further effect may start: from what its own numbers came to, and from what is usual.
@@ -310,9 +281,10 @@ class Fitter:
         Without the effect they may have gone far to stand in for it; of an unknown servo all are.
         """
         numbers = [n for n in self._numbers(base.effects, base.physics) if n.prior]
-        if self.record.free_poles and not base.effects:
-            return [base.physics, *(base.physics._replace(**start) for start in _STARTS)]
-        strained = not self.record.free_poles and any(abs(x) > _STRAINED for x in self._x(numbers, base.physics))
+        known = self.record.known
+        if known.starts and not base.effects:
+            return [base.physics, *(base.physics._replace(**start) for start in known.starts)]
+        strained = any(abs(x) > known.strained for x in self._x(numbers, base.physics))
         usual = base.physics._replace(**{n.fields[0]: n.neutral for n in numbers})
         return [base.physics, usual] if strained else [base.physics]
 
@@ -473,19 +445,18 @@ class Fitter:
         neutral, record = self.record.plant.neutral, self.record
         taken = {name for effect in effects for p in effect.parameters for name in p.fields}
         numbers = []
-        for name, deviation, is_log in _OWN:
+        for name, deviation in record.known.spread.items():
             if name in taken or (name == "slow_scale" and not record.plant.has_places):
                 continue
             if record.side is not None and name not in ("gain", "bias_deg"):
                 continue
-            if record.free_poles:
-                deviation = _UNKNOWN.get(name, deviation) * (self._size if name == "bias_deg" else 1.0)  # noqa: PLW2901
+            is_log, size = name in _BY_LOGARITHM, self._size if name == "bias_deg" else 1.0
             low, high = (
                 (0.02, self._fastest if name == "slow_scale" else 50.0)
                 if is_log
                 else (0.0 if name == "delay_s" else -np.inf, np.inf)
             )
-            numbers.append(_Number((name,), getattr(neutral, name), deviation, low, high, is_log, prior=True))
+            numbers.append(_Number((name,), getattr(neutral, name), deviation * size, low, high, is_log, prior=True))
         for effect in effects:
             for p in effect.parameters:
                 is_log = p.low > 0.0 and p.high / p.low > _DECADES

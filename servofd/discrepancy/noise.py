@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.statistics import MAD_TO_SIGMA, correlation_factor
+from servofd.discrepancy.known import A_TYPE
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, comb_step_deg
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def at_rest(record: Record) -> Record:
     for command in np.unique(np.round(held_deg[rest], _DIGITS)):
         there = rest & (np.abs(held_deg - command) < 10.0**-_DIGITS)
         side[there] = _sides(record, there)
-    return replace(record, counts=rest, side=side, free_poles=False)
+    return replace(record, counts=rest, side=side, known=A_TYPE)
 
 
 def rest_sentence(record: Record) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.detection.residual import Commands, commands_at_servo, rhythm
+from servofd.discrepancy.known import A_TYPE, Known
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
 from servofd.servo.motion import machine_of, received
@@ -142,8 +143,8 @@ class Record:
     """Of the converter whose whole multiples the positions are."""
     runs: tuple[Record, ...] = ()
     """Separate experiments with one servo that this record is the sequence of; none if it is one itself."""
-    free_poles: bool = False
-    """Whether the poles of the servo are not known, and are fitted along with every effect."""
+    known: Known = A_TYPE
+    """What is known of the servo's own numbers."""
     side: FloatArray | None = None
     """On which side of its play the surface rests: 1 or -1, 0 where it has none. Only of a record that is too slow to
     show more than where it rests."""
@@ -188,22 +189,22 @@ def record_of(
     model: ServoModel,
     *,
     at_rest: bool = False,
-    free_poles: bool = False,
+    known: Known = A_TYPE,
 ) -> Record:
     """Prepare a segment for comparison."""
     segment = segment.at(~segment.repeats)
     time_s, measured_deg = segment.measured_s, segment.measured_deg
     plant = plant_of(model)
     hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
-    known = np.isfinite(measured_deg)
+    seen = np.isfinite(measured_deg)
     slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
     start_s = min(_START_S, _TIME_CONSTANTS / slowest) + model.delay_s
-    starts_s = [-np.inf] if at_rest else [time_s[known][0], segment.command_s[0]]
-    for times in (time_s[known], segment.command_s):
+    starts_s = [-np.inf] if at_rest else [time_s[seen][0], segment.command_s[0]]
+    for times in (time_s[seen], segment.command_s):
         starts_s += times[1:][np.diff(times) > hole_s].tolist()
     begin = np.sort(np.array(starts_s))
     last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
-    counts = known & (time_s - last >= start_s) & (time_s >= segment.command_s[0])
+    counts = seen & (time_s - last >= start_s) & (time_s >= segment.command_s[0])
     counts &= time_s <= segment.command_s[-1] + hole_s
     if not at_rest:
         counts &= segment.counts
@@ -233,7 +234,7 @@ def record_of(
         temperature_c,
         pushed,
         comb_step_deg(measured_deg),
-        free_poles=free_poles,
+        known=known,
     )
 
 

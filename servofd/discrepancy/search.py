@@ -13,8 +13,8 @@ from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import liveliest, only, simulate
 from servofd.servo.catalogue import installed
 from servofd.servo.effect import Slot
-from servofd.servo.effects.commands import ClockOffset, CommandSteps, Delay, PwmFrame
-from servofd.servo.effects.own import Damping, SlowDynamics
+from servofd.servo.effects.commands import CommandSteps, Delay, PwmFrame
+from servofd.servo.effects.own import SlowDynamics
 from servofd.servo.effects.sensor import Quantization, SensorLag
 from servofd.servo.effects.shaft import ExternalLoad, TiltedLoad
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
@@ -66,18 +66,12 @@ def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
         return shown, [effect for effect in catalogue() if not effect.at_rest]
     able = [effect for effect in catalogue() if set(effect.needs) <= held]
     unable = [effect for effect in catalogue() if effect not in able and effect is not ExternalLoad]
-    linear: set[type[Effect]] = {
-        SlowDynamics,
-        Damping,
-        SensorLag,
-        ClockOffset,
-    }
-    fitted: set[type[Effect]] = linear if record.free_poles else set()
-    # A surface's weight is balanced about its hinge, and a bench's horn hangs at zero; an arm's joint hangs anywhere.
-    is_arm = record.free_poles and not record.runs and record.pressure_pa is None
-    fitted |= set() if is_arm else {TiltedLoad}
-    # Frames run on between separate runs: at which instants is not known.
-    fitted |= {PwmFrame} if record.runs or record.free_poles else set()
+    fitted = set(record.known.covers)
+    if record.runs or record.pressure_pa is not None:
+        # A surface's weight is balanced about its hinge, a bench's horn hangs at zero; an arm's joint hangs anywhere.
+        fitted.add(TiltedLoad)
+    if record.runs:  # frames run on between separate runs: at which instants is not known
+        fitted.add(PwmFrame)
     # A converter whose steps do not show in the readings has none that matter.
     fitted |= {CommandSteps} if (record.step_deg or 0.0) >= COARSE_STEP_DEG else {Quantization}
     return [effect for effect in able if effect not in fitted], unable
@@ -336,9 +330,9 @@ class Search:
             if effect.name not in excluded(base.effects) and self.fitter.strains(effect, base)
         ]
         loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
-        if loose and self.fitter.record.free_poles:
+        if loose and self.fitter.record.known.starts:
             self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
-        if fits and self.fitter.record.free_poles:
+        if fits and self.fitter.record.known.starts:
             best = min(fits, key=lambda fit: fit.misfit)
             if best.effects[-1].name in LIMITS:  # what limits the speed, and how, passes for one another at each place
                 limited = [fit for fit in fits if fit.effects[-1].name == best.effects[-1].name]

@@ -52,9 +52,8 @@ share of what was there (as chi-squared) on top, at most that share of the sampl
 _POLISHED, _PAIRED, _VARIED, _LAW = 2, 1, 2, 16.0
 """Structures that are fitted to the end, that are so from a servo of two poles, too, and that are tried with a size
 that goes with a condition of the runs; minus twice the logarithm of how rarely it does."""
-_NO_GAIN, _GAIN_SHARE = 40.0, 0.03
-"""The same of a gain in place of a load, at most: a servo that controls its position comes to where it is sent, within
-some percent of its horn and sensor (standard deviation)."""
+_NO_GAIN = 40.0
+"""The same of a gain in place of a load, at most."""
 _USUAL_GAINS = 3.0
 """So many of these deviations a servo may be off before its gain stands for something that is missing."""
 _NO_WORSE, _MOST_LEFT = 0.95, 0.5
@@ -170,7 +169,7 @@ def _widened(search: Search, root: Fit) -> None:
             search.grow(base, least + 40.0, framed=base is beam[0])
             if base is best and _suffices(search, best, size + 1):
                 break
-        if not record.free_poles:
+        if not record.known.starts:
             _exchanged(search, size + 1)
         # The correlation of what the best leaves is that of the noise; without an effect there is more.
         search.fitter.remember(min(search.visited.values(), key=lambda fit: fit.misfit))
@@ -181,17 +180,17 @@ def _widened(search: Search, root: Fit) -> None:
         _by_condition(search, size + 1)
         longer = _best_of_size(search, size + 1)
         for fit in longer[:1]:  # without each of its effects, and with others in their place
-            for k in range(len(fit.effects) - record.free_poles):
+            for k in range(len(fit.effects) - bool(record.known.starts)):
                 fewer = _without(search, fit, k)
                 if size + 1 > 1 and fit.misfit < best.misfit - _window(search, best, fit):
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
-        best = best if record.free_poles else search.visited[best.key]
+        best = best if record.known.starts else search.visited[best.key]
         longer = _best_of_size(search, size + 1)
         if not longer:
             return
         if _needed(search, best, longer):
             best = longer[0]
-        elif record.runs or not record.free_poles or _beyond_noise(search, longer[0]) == 0.0:
+        elif record.runs or not record.known.starts or _beyond_noise(search, longer[0]) == 0.0:
             return
         # Without an effect the errors are correlated, so that few samples count: in a single run of an unknown
         # servo, where more than noise is left, go on.
@@ -201,7 +200,7 @@ def _widened(search: Search, root: Fit) -> None:
 def _suffices(search: Search, best: Fit, size: int) -> bool:
     """Whether a servo that is known leaves nothing but noise, and nothing that came on top of it helps by much."""
     fitter = search.fitter
-    if not best.effects or fitter.record.free_poles or fitter.record.runs:
+    if not best.effects or fitter.record.known.starts or fitter.record.runs:
         return False
     longer = _best_of_size(search, size)
     if longer and longer[0].misfit < best.misfit - 0.5 * OCCAM:
@@ -235,7 +234,7 @@ def _polished(search: Search, size: int) -> None:
             changes = {name: getattr(own, name) for name in OWN_FIELDS if name not in taken}
             search.keep(search.fitter.descended(fit.effects, fit.physics._replace(**changes), LONG))
     record = search.fitter.record
-    if record.free_poles and record.plant.has_places:
+    if record.known.starts and record.plant.has_places:
         for fit in likely[:_PAIRED]:
             search.keep(search.fitter.descended(fit.effects, search.fitter.as_a_pair(fit.physics), LONG))
 
@@ -292,8 +291,8 @@ def _cost(search: Search, fit: Fit) -> float:
     """BIC, and how surprising its names are."""
     count = sum(len(effect.parameters) for effect in fit.effects)
     surprise = sum(effect.surprise for effect in fit.effects)
-    if search.fitter.record.free_poles:
-        surprise += min((_static_loss(search.fitter.record, fit) / _GAIN_SHARE) ** 2, _NO_GAIN)
+    record = search.fitter.record
+    surprise += min((_static_loss(record, fit) / record.known.gain_share) ** 2, _NO_GAIN)
     laws = _LAW * sum(is_law(effect) for effect in fit.effects)
     return fit.misfit + count * float(np.log(max(search.fitter.effective, 2.0))) + surprise + laws
 
@@ -355,10 +354,10 @@ def _better_linear(search: Search, best: Fit) -> Fit | None:
     of what it leaves: names are no answer then.
     """
     fitter, record = search.fitter, search.fitter.record
-    if not fitter.record.free_poles or fitter.record.side is not None:
+    if not record.known.starts:
         return None
     root = search.root
-    is_usual = abs(root.physics.gain - 1.0) <= _USUAL_GAINS * _GAIN_SHARE
+    is_usual = abs(root.physics.gain - 1.0) <= _USUAL_GAINS * record.known.gain_share
     if is_usual and not adequacy(record, fitter.halved(root)).reasons:
         return root
     start = fitter.linear().physics
@@ -478,7 +477,7 @@ def _or_slow(search: Search, best: Fit, rivals: Rivals, step_deg: float) -> None
         rival = min(visited, key=lambda fit: fit.misfit, default=None)
     else:
         theirs = slow
-        effects = rest if search.fitter.record.free_poles else (*rest, SlowDynamics)
+        effects = rest if SlowDynamics in search.fitter.record.known.covers else (*rest, SlowDynamics)
         neutral = search.fitter.record.plant.neutral
         start = best.physics._replace(**{n: getattr(neutral, n) for p in mine.parameters for n in p.fields})
         starts = (start, search.root.physics)

@@ -14,6 +14,7 @@ from servofd.core.errors import ConfigError, DesignError, NoMeasurement, Unknown
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
+from servofd.discrepancy.known import A_TYPE, NOTHING
 from servofd.discrepancy.own import load_own_effect
 from servofd.discrepancy.validity import Undriven, undriven
 from servofd.discrepancy.varying import varying
@@ -203,7 +204,7 @@ def _surface(
         segments,
         model,
         on_bench=flown.on_bench,
-        free_poles=name in flown.unnamed,
+        known=NOTHING if name in flown.unnamed else A_TYPE,
         off=off,
         conditions=conditions,
         progress=progress,

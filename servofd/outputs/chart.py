@@ -351,7 +351,7 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
         from_s, to_s = begin_s, end_s
     inside = slice(*np.searchsorted(time_s, (from_s, np.nextafter(to_s, np.inf))))
     curves = (
-        Curve("asked", "command", segment.command_s, segment.command_deg, "steps"),
+        Curve("command", "command", segment.command_s, segment.command_deg, "steps"),
         Curve("healthy servo", "simulated", time_s, residuals.simulated_deg),
         Curve("measured", "measured", *bridged(time_s, residuals.measured_deg)),
     )
@@ -387,7 +387,7 @@ def current_charts(surface: SurfaceAudit) -> list[Chart]:
     asked_s, asked_deg = current.command
     begin_s, end_s = float(current.time_s[0]), float(current.time_s[-1])
     spans, marks = _found(surface, end_s)
-    asked = Panel.around("deflection", "deg", [Curve("asked", "command", asked_s, asked_deg, "steps")], _LEAST_DEG)
+    asked = Panel.around("deflection", "deg", [Curve("command", "command", asked_s, asked_deg, "steps")], _LEAST_DEG)
     text = f"Above, what {spoken(surface.surface)} was asked; below, what it drew, and what a good servo draws."
 
     def drawn(title: str, from_s: float, to_s: float) -> Chart:

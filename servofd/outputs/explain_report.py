@@ -51,7 +51,7 @@ def _traces(found: Explanation, *, excerpt: bool) -> Chart:
     asked = (commands.effective_s >= time_s[0]) & (commands.effective_s <= time_s[-1])
     floor = np.full(2, 2.0 * selection.sigma_deg)
     done = [
-        Curve("asked", "command", commands.effective_s[asked], commands.command_deg[asked], "steps"),
+        Curve("command", "command", commands.effective_s[asked], commands.command_deg[asked], "steps"),
         Curve("measured", "measured", time_s, measured),
         Curve("model before", "before", time_s, measured - before),
     ]

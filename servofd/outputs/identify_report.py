@@ -110,7 +110,7 @@ def _traced(found: Identification, index: int, title: str, first_s: float, last_
     inside = (run.measured_s >= first_s) & (run.measured_s <= last_s)
     asked = (run.command_s >= first_s) & (run.command_s <= last_s)
     curves = (
-        Curve("asked", "command", run.command_s[asked], run.command_deg[asked], "steps"),
+        Curve("command", "command", run.command_s[asked], run.command_deg[asked], "steps"),
         Curve("simulated", "simulated", run.measured_s[inside], (run.measured_deg - error_deg)[inside]),
         Curve("measured", "measured", run.measured_s[inside], run.measured_deg[inside]),
     )

@@ -53,7 +53,7 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
         if one.surface not in kept:
             entry["effects"] = _merged(entry.get("effects", {}), _table(one))
             entry.pop("calibrated", None)  # of the servo without them
-            if one.record.free_poles and not one.is_servo_of_its_own:
+            if one.record.known.starts and not one.is_servo_of_its_own:
                 servos = {**servos, entry["servo"]: _begun(servos[entry["servo"]], one)}
         elif one.selection.final.effects or not _is_own_fit(one):
             continue
@@ -127,7 +127,7 @@ def _why_not(found: Explanation) -> str:
 
 def _is_own_fit(found: Explanation) -> bool:
     """Whether the servo was fitted to the log, and nothing in it contradicts the fit."""
-    return found.record.free_poles and found.conclusion != "unexplained"
+    return bool(found.record.known.starts) and found.conclusion != "unexplained"
 
 
 def _merged(known: EffectTable, found: EffectTable) -> EffectTable:

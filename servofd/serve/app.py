@@ -50,7 +50,7 @@ _PAIRS = 8
 """Surfaces of a table that can be chosen on its page."""
 
 
-def application(flights: Flights, token: str = "") -> ASGIApp:
+def application(flights: Flights) -> ASGIApp:
     """The page as an ASGI application."""
     routes = _Routes(flights)
     app = Starlette(
@@ -70,7 +70,7 @@ def application(flights: Flights, token: str = "") -> ASGIApp:
         ],
         exception_handlers={HTTPException: _said, Exception: _failed},
     )
-    return Guard(app, token)
+    return Guard(app)
 
 
 async def _icon(_request: Request) -> Response:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hmac
 import os
 import re
 import socket
@@ -10,18 +9,16 @@ import sys
 import webbrowser
 from contextlib import suppress
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from urllib.parse import urlsplit
 
 import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.responses import PlainTextResponse
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-_COOKIE = "servofd_token"
 _OWN = re.compile(r"(?:127\.0\.0\.1|localhost|\[::1\])(?::[0-9]{1,5})?", re.IGNORECASE)
 """Names of this machine in a request, with a port or without."""
 _POLICY = (
@@ -37,19 +34,10 @@ _HEADERS = {
 
 
 class Guard:
-    """Lets this machine in, or whoever has the token; other sites can neither read nor write.
+    """Lets this machine in, by its own names; other sites can neither read nor write."""
 
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
-    token : str
-        What colleagues must bring, in the link that they were given and then in a cookie; empty: the page is this
-        machine's own, and only its own names lead to it.
-    """
-
-    def __init__(self, app: ASGIApp, token: str = "") -> None:
-        self._app, self._token = app, token
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, or refuse."""
@@ -57,41 +45,19 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        answer = self._refused(scope, headers)
+        answer = _refused(headers)
         await (answer or self._app)(scope, receive, _with_headers(send))
 
-    def _refused(self, scope: Scope, headers: Headers) -> PlainTextResponse | RedirectResponse | None:
-        host = headers.get("host", "")
-        if not self._token and not _OWN.fullmatch(host):
-            # A name of another host that was led to this machine.
-            return PlainTextResponse("open this page as http://127.0.0.1", HTTPStatus.MISDIRECTED_REQUEST)
-        asker = headers.get("origin")
-        if asker is not None and urlsplit(asker).netloc != host:
-            return PlainTextResponse("another site may not ask this", HTTPStatus.FORBIDDEN)
-        if not self._token:
-            return None
-        words = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
-        given = dict(words).get("token")
-        if given is not None and self._fits(given):
-            rest = urlencode([(name, value) for name, value in words if name != "token"])
-            answer = RedirectResponse(scope["path"] + (f"?{rest}" if rest else ""), HTTPStatus.SEE_OTHER)
-            answer.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
-            return answer
-        if self._fits(_cookie(headers.get("cookie", ""))):
-            return None
-        needed = "this page needs the whole link that servofd printed, with its token"
-        return PlainTextResponse(needed, HTTPStatus.UNAUTHORIZED)
 
-    def _fits(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(), self._token.encode())
-
-
-def _cookie(text: str) -> str:
-    try:
-        found = SimpleCookie(text).get(_COOKIE)
-    except CookieError:
-        return ""
-    return found.value if found is not None else ""
+def _refused(headers: Headers) -> PlainTextResponse | None:
+    host = headers.get("host", "")
+    if not _OWN.fullmatch(host):
+        # A name of another host that was led to this machine.
+        return PlainTextResponse("open this page as http://127.0.0.1", HTTPStatus.MISDIRECTED_REQUEST)
+    asker = headers.get("origin")
+    if asker is not None and urlsplit(asker).netloc != host:
+        return PlainTextResponse("another site may not ask this", HTTPStatus.FORBIDDEN)
+    return None
 
 
 def _with_headers(send: Send) -> Send:
@@ -101,12 +67,6 @@ def _with_headers(send: Send) -> Send:
         await send(message)
 
     return sent
-
-
-def listening(host: str, port: int) -> socket.socket:
-    """A socket that listens."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    return socket.create_server((host, port), family=family)
 
 
 def serve(app: ASGIApp, listening_socket: socket.socket, link: str = "") -> None:

@@ -1,22 +1,11 @@
-"""Manual and completion: made from the parser, so that they cannot miss an option."""
+"""The manual: made from the parser, so that it cannot miss an option."""
 
 from __future__ import annotations
-
-import shutil
-import subprocess
-from pathlib import Path
 
 import pytest
 
 from servofd.cli import build_parser, main
-from servofd.cli.options import SHELLS, VERBS, WAYS
-
-
-def script(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
-    with pytest.raises(SystemExit) as ended:
-        main(["--print-completion", shell])
-    assert ended.value.code == 0
-    return capsys.readouterr().out
+from servofd.cli.options import VERBS, WAYS
 
 
 def test_help_of_a_verb_is_what_its_option_prints(capsys: pytest.CaptureFixture[str]) -> None:
@@ -60,48 +49,6 @@ def test_an_old_spelling_works_and_says_the_new_one(old: str, capsys: pytest.Cap
 def test_an_unknown_verb_is_one_line_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help", "audti"]) == 2
     assert "unknown verb 'audti'; did you mean audit?" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("shell", SHELLS)
-def test_a_completion_knows_every_verb(shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    text = script(shell, capsys)
-    assert all(verb in text for verb in VERBS)
-    assert "threshold-deg" in text
-    if shutil.which(shell):
-        path = tmp_path / "completion"
-        path.write_text(text)
-        assert not subprocess.run([shell, "-n", str(path)], capture_output=True, check=True).stderr
-
-
-@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["exp"], {"explain"}),
-        (["audit", "--threshold-"], {"--threshold-deg"}),
-        (["audit", "--threshold", ""], {"constant", "interval"}),
-        (["audit", "fli"], {"flight.bin"}),  # files
-        (["fleet", "re"], {"results"}),  # folders
-    ],
-)
-def test_bash_completes(
-    words: list[str], expected: set[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    (tmp_path / "completion").write_text(script("bash", capsys))
-    (tmp_path / "flight.bin").touch()
-    (tmp_path / "results").mkdir()
-    line = (
-        'source ./completion; shift; COMP_WORDS=(servofd "$@"); COMP_CWORD=$#; '
-        '_shtab_servofd servofd "${COMP_WORDS[COMP_CWORD]}"; printf "%s\\n" "${COMPREPLY[@]}"'
-    )
-    result = subprocess.run(
-        [shutil.which("bash") or "", "-c", line, "bash", "-", *words],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert {word.strip().rstrip("/") for word in result.stdout.splitlines()} == expected
 
 
 @pytest.mark.parametrize(

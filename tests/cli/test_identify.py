@@ -78,8 +78,8 @@ def test_a_bandwidth_that_a_test_does_not_tell_is_not_stated(
 @pytest.mark.slow
 def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chirp, large = written(tmp_path / "chirp.csv", QUICK), written(tmp_path / "step.csv", step(72.0))
-    saved, page, folder = tmp_path / "mine.toml", tmp_path / "mine.html", tmp_path / "out"
-    options = ["--save", str(saved), "--html", str(page), "-o", str(folder)]
+    saved, page = tmp_path / "mine.toml", tmp_path / "mine.html"
+    options = ["--save", str(saved), "--html", str(page)]
     assert main(["identify", str(chirp), str(large), *options]) == 0
     assert "rate limit up" in capsys.readouterr().out
 
@@ -92,15 +92,11 @@ def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pyt
     assert main(["audit", str(flight), "--servo", str(saved)]) == 0
     assert "healthy" in capsys.readouterr().out
 
-    names = {"motion", "response", "step", "validation"}
-    assert {picture.stem for picture in folder.glob("*.png")} == names
-    assert json.loads((folder / "identify.json").read_text())["schema"] == "servofd.identify/1"
-
     text = page.read_text()
     parser = _Page()
     parser.feed(text)
     charts = [attributes for tag, attributes in parser.tags if attributes.get("role") == "img"]
-    assert len(charts) == len(names)
+    assert len(charts) == 4  # motion, response, step, validation
     assert all(chart["aria-label"] for chart in charts)
     ids = [attributes["id"] for _, attributes in parser.tags if "id" in attributes]
     assert len(ids) == len(set(ids))

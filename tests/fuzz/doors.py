@@ -162,7 +162,7 @@ def _recording(content: bytes, folder: Path) -> str:
     path.write_bytes(content)
     recording = read_recording(path)
     contradictions(recording)
-    again = rejudged(recording, threshold_deg=1.0)
+    again = rejudged(recording)
     json.loads(to_json(audit_document([again.audit])), parse_constant=_refused)
     return "read"
 

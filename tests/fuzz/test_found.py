@@ -79,7 +79,7 @@ def test_a_recording_whose_numbers_no_servo_reaches(curve: str, tmp_path: Path) 
     values = getattr(recording.traces["elevator"], curve).copy()
     values[20] = -1e308
     damaged = replace(recording, traces={"elevator": replace(recording.traces["elevator"], **{curve: values})})
-    (again,) = rejudged(damaged, threshold_deg=1.0).audit.surfaces
+    (again,) = rejudged(damaged).audit.surfaces
     assert (again.status, again.faults) == ("unknown", ())
     assert "reaches 1e+308 deg" in again.reason
 

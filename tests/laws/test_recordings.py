@@ -19,7 +19,7 @@ from servofd.core.types import FloatArray
 from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.read import read_recording
-from servofd.outputs.recording.review import between, statistics_of
+from servofd.outputs.recording.review import statistics_of
 from servofd.outputs.recording.states import breaks_s
 from servofd.outputs.recording.stream import microseconds, seconds
 from servofd.outputs.recording.write import write_recording
@@ -115,22 +115,6 @@ def test_a_curve_is_broken_a_microsecond_later_whatever_the_stamps_are_rounded_t
 @given(st.integers(-(10**15), 10**15))
 def test_microseconds_survive(time_us: int) -> None:
     assert microseconds(seconds(np.array([time_us])))[0] == time_us
-
-
-@settings(max_examples=25, deadline=None)
-@given(recordings(), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_a_cut_keeps_what_lies_between_and_nothing_else(recording: Recording, one: float, other: float) -> None:
-    begin_s, end_s = recording.start_s, recording.end_s
-    from_s, to_s = sorted((begin_s + one * (end_s - begin_s), begin_s + other * (end_s - begin_s)))
-    if not from_s < to_s:
-        return
-    cut = between(recording, from_s, to_s)
-    for name, trace in recording.traces.items():
-        inside = (trace.time_s >= from_s) & (trace.time_s <= to_s + 1e-9)
-        assert np.array_equal(cut.traces[name].measured_deg, trace.measured_deg[inside], equal_nan=True)
-    for before, after in zip(recording.audit.surfaces, cut.audit.surfaces, strict=True):
-        assert all(fault in before.faults for fault in after.faults)
-        assert (after.status == "fault") == bool(after.faults)
 
 
 def test_the_time_of_the_day_is_exact(tmp_path: Path) -> None:

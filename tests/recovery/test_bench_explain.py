@@ -9,6 +9,7 @@ from hidden_physics import Air, Effects, deflection, hidden
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.discrepancy.known import NOTHING
 from servofd.servo.context import Context
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -59,7 +60,7 @@ def test_runs_held_out_whole_are_predicted_by_the_others() -> None:
 def test_poles_that_nobody_knows_are_found_beside_the_effects() -> None:
     """Of third order in truth, so that sizes come out off by the order that lacks, and the motion hardly."""
     effects: Effects = {"gravity_load": {"droop_deg": 15.0}}
-    found = explain_gap([run(k, effects) for k in range(4)], UNKNOWN, on_bench=True, free_poles=True)
+    found = explain_gap([run(k, effects) for k in range(4)], UNKNOWN, on_bench=True, known=NOTHING)
     assert found.selection.nominal.physics.gain < 0.85  # a linear servo comes as near only with a gain that none has
     assert found.physics.gain == pytest.approx(1.0, abs=0.02)
     assert found.rms_deg(found.selection.final)["held_out_rms_deg"] < 0.06

@@ -8,6 +8,7 @@ import pytest
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.explanation import Explanation, explain_gap
+from servofd.discrepancy.known import NOTHING
 from servofd.jobs.explaining import UNKNOWN_SERVO
 from servofd.servo.servo_model import ServoModel
 
@@ -33,7 +34,7 @@ def explained(command_deg: FloatArray, fastest_deg_s: float) -> Explanation:
     noise_deg = 0.1 * np.random.default_rng(0).standard_normal(_TIME_S.size)
     measured_deg = moved(command_deg, fastest_deg_s) + noise_deg
     segment = Series("elevator", _TIME_S, command_deg, _TIME_S, measured_deg)
-    return explain_gap(segment, ServoModel.of(UNKNOWN_SERVO), free_poles=True)
+    return explain_gap(segment, ServoModel.of(UNKNOWN_SERVO), known=NOTHING)
 
 
 @pytest.mark.slow

@@ -82,14 +82,14 @@ class Client:
 
 
 @contextmanager
-def client_of(flights: Flights, token: str = "") -> Iterator[Client]:
+def client_of(flights: Flights) -> Iterator[Client]:
     """The page itself, served by a thread."""
     import uvicorn
 
     from servofd.serve.app import application
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        server = uvicorn.Server(uvicorn.Config(application(flights, token), log_level="critical", lifespan="off"))
+        server = uvicorn.Server(uvicorn.Config(application(flights), log_level="critical", lifespan="off"))
         thread = threading.Thread(target=server.run, args=([listening],))
         thread.start()
         try:
@@ -249,20 +249,6 @@ def test_other_sites_get_nothing(tmp_path: Path) -> None:
         policy = client.get("/").headers["content-security-policy"]
     assert "default-src 'self'" in policy
     assert "http" not in policy
-
-
-def test_colleagues_need_the_token(tmp_path: Path) -> None:
-    with client_of(Flights(tmp_path, Job(), most_bytes=LARGEST), "secret") as client:
-        for path in ("/", "/flights", "/?token=guess", "/?token=", "/viewer/index.html"):
-            assert client.get(path, Host="club.example").status == 401
-        assert client.get("/", Cookie="servofd_token=guess").status == 401
-        assert client.put("/flights?name=a.csv", b"x").status == 401
-        let_in = client.get("/?token=secret&a=b", Host="club.example")
-        assert (let_in.status, let_in.headers["location"]) == (303, "/?a=b")
-        cookie = let_in.headers["set-cookie"]
-        assert "HttpOnly" in cookie
-        assert "SameSite=strict" in cookie
-        assert client.get("/", Host="club.example", Cookie=cookie.partition(";")[0]).status == 200
 
 
 def test_what_is_at_work_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

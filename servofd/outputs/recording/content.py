@@ -90,15 +90,6 @@ class Trace:
             link_period_s(self.asked_s[given][: WARM_UP_STEPS + 1]) if is_streamed else None,
         )
 
-    def between(self, from_s: float, to_s: float) -> Self:
-        """The same curves from one time to another [s]; of the commands, the one that held at the start as well."""
-        first, last = np.searchsorted(self.time_s, (from_s, to_s + 1e-9)).tolist()
-        asked = int(np.searchsorted(self.asked_s, from_s, side="right")) - 1
-        until = int(np.searchsorted(self.asked_s, to_s, side="right"))
-        rows = {name: getattr(self, name)[first:last] for name in _CURVES}
-        commands = slice(max(asked, 0), until)
-        return replace(self, **rows, asked_s=self.asked_s[commands], asked_deg=self.asked_deg[commands])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:

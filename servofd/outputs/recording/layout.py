@@ -202,7 +202,7 @@ def _by_current(name: str) -> Any:  # noqa: ANN401
     """What was asked and what was drawn, of a surface without a position."""
     place = surface_place(name)
     views = [
-        curves(f"{name}: asked [deg]", [f"{place}/command"], origin=place),
+        curves(f"{name}: command [deg]", [f"{place}/command"], origin=place),
         curves(f"{name}: current [A]", [f"{place}/current"], origin=place),
     ]
     return stacked(name, views, [2, 3])

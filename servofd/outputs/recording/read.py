@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ import numpy as np
 
 from logparsers.detect import RECORDING
 from servofd.core.errors import RecordingError
-from servofd.core.files import beginning, whole_file
+from servofd.core.files import beginning
 from servofd.outputs.chart import WITHIN_SIGMAS
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
@@ -70,28 +71,40 @@ class _Stored:
 
     @classmethod
     def of(cls, path: Path) -> _Stored:
+        """Read all of it; of a file that was cut short or damaged what is whole, which the viewer's program saves."""
         check_is_recording(path)
         _check_is_readable(path)
+        try:
+            return cls._of(path)
+        except (ValueError, RuntimeError, OSError) as error:
+            if "No recording store" in str(error):
+                return cls({}, frozenset(), {})
+        with tempfile.TemporaryDirectory(prefix="servofd-") as folder:
+            saved = Path(folder) / "saved.rrd"
+            # Only that program may go on after an error; its Python interface stops at it.
+            run_rerun("rrd", "optimize", "--continue-on-error", str(path.resolve()), "-o", str(saved))
+            try:
+                return cls._of(saved)
+            except (ValueError, RuntimeError, OSError):
+                raise RecordingError(f"{path}: cut short or damaged, and nothing of it can be read") from None
+
+    @classmethod
+    def _of(cls, path: Path) -> _Stored:
         properties: dict[str, Any] = {}
         entities = set()
         chunks: dict[str, list[tuple[IntArray, FloatArray]]] = defaultdict(list)
-        try:
-            reader = _reader(path)
-            if len(recordings := reader.recordings()) > 1:
-                raise RecordingError(
-                    f"{path}: holds {len(recordings)} recordings, and one is judged at a time; "
-                    "'servofd audit LOG --rrd FILE' writes one for each log"
-                )
-            for chunk in reader.stream():
-                entities.add(chunk.entity_path)
-                if chunk.entity_path == _PROPERTIES:
-                    properties |= _values(chunk)
-                elif _is_curve(chunk) and (curve := _curve(chunk)) is not None:
-                    chunks[chunk.entity_path].append(curve)
-        except (ValueError, RuntimeError, OSError) as error:
-            if "No recording store" not in str(error):
-                hint = f"'servofd review {path} --repair -o FIXED.rrd' saves what is whole"
-                raise RecordingError(f"{path}: cut short or damaged; {hint}") from None
+        reader = _reader(path)
+        if len(recordings := reader.recordings()) > 1:
+            raise RecordingError(
+                f"{path}: holds {len(recordings)} recordings, and one is judged at a time; "
+                "'servofd audit LOG --rrd FILE' writes one for each log"
+            )
+        for chunk in reader.stream():
+            entities.add(chunk.entity_path)
+            if chunk.entity_path == _PROPERTIES:
+                properties |= _values(chunk)
+            elif _is_curve(chunk) and (curve := _curve(chunk)) is not None:
+                chunks[chunk.entity_path].append(curve)
         return cls(properties, frozenset(entities), chunks)
 
     def curves(self, place: str) -> tuple[FloatArray, FloatArray] | None:
@@ -232,15 +245,3 @@ def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
         return time_s
     exact_s = found[1][:, 0]
     return exact_s if np.all(np.abs(exact_s - time_s) < 1e-6) else time_s
-
-
-def repair_recording(path: str | Path, target: str | Path) -> None:
-    """Copy all whole chunks of a recording into a new one, with the index that a finished one has."""
-    source = Path(path)
-    check_is_recording(source)
-    with whole_file(target) as temporary:
-        # Only the viewer's own program may go on after an error; its Python interface stops at it.
-        done = run_rerun("rrd", "optimize", "--continue-on-error", str(source.resolve()), "-o", str(temporary))
-        if done.returncode != 0:
-            lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-            raise RecordingError(f"{path}: nothing of it can be saved: {[*lines, ''][-1][:160] or 'rerun failed'}")

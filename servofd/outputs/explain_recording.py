@@ -1,8 +1,8 @@
-"""Explanations and identifications as Rerun recordings: simulations beside the measurement, and what they miss.
+"""Explanations as Rerun recordings: both simulations beside the measurement, and what they miss.
 
-Entities below ``/surfaces/<name>`` (of further tests ``<name> 2`` and on): ``deflection`` (command, simulated, measured
-[deg]), ``error`` (measured minus simulated [deg]); of an explanation both before and after, and the lanes ``before``
-and ``after`` (seconds that disagree by more than noise); ``/report``.
+Entities below ``/surfaces/<name>``: ``deflection`` (command, as it was, with what was found, measured [deg]), ``error``
+(measured minus simulated [deg], before and after), the lanes ``before`` and ``after`` (seconds that disagree by more
+than noise); ``/report``.
 """
 
 from __future__ import annotations
@@ -15,51 +15,15 @@ from servofd.core.series import latest
 from servofd.discrepancy.locate import bad_seconds
 from servofd.outputs.document import markdown
 from servofd.outputs.explain_report import explain_report
-from servofd.outputs.identify_report import identify_report
 from servofd.outputs.recording.layout import REPORT, blueprint, curves, document, lanes, stacked
 from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
-from servofd.outputs.recording.surface import DEFLECTIONS, WIDTHS
 
 if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from servofd.core.types import FloatArray
     from servofd.discrepancy.explanation import Explanation
-    from servofd.identification.records import Run
-    from servofd.identification.result import Identification
     from servofd.outputs.recording.stream import Recorder
-
-
-def save_identification(found: Identification, path: str | Path, source: str) -> None:
-    """Write all tests, the servo that was found and its error into one .rrd file, with its layout inside."""
-    names = [found.surface, *(f"{found.surface} {k}" for k in range(2, len(found.runs) + 1))]
-    tabs = [*map(_tab, names), document("Report", REPORT)]
-    with recording_file(path, application_name("identify", found.surface, source), blueprint(tabs)) as recorder:
-        recorder.properties(source, {"schema": "servofd.identify/1", "surface": shown(found.surface)})
-        recorder.document(REPORT, markdown(identify_report(found, source)))
-        for name, run, error_deg in zip(names, found.runs, found.errors_deg, strict=True):
-            _send_run(recorder, surface_place(name), run, error_deg)
-
-
-def _send_run(recorder: Recorder, place: str, run: Run, error_deg: FloatArray) -> None:
-    simulated_deg = run.measured_deg - error_deg
-    deflections = np.column_stack(
-        [latest(run.command_s, run.command_deg, run.measured_s), simulated_deg, run.measured_deg]
-    )
-    recorder.lines(f"{place}/deflection", DEFLECTIONS, DEFLECTIONS, widths=WIDTHS)
-    recorder.scalars(f"{place}/deflection", run.measured_s, deflections)
-    recorder.lines(f"{place}/error", ["measured - simulated"], ["residual"])
-    recorder.scalars(f"{place}/error", run.measured_s, error_deg)
-
-
-def _tab(name: str) -> Any:  # noqa: ANN401 - rerun is untyped
-    place = surface_place(name)
-    views = [
-        curves(f"{name}: deflection [deg]", [f"{place}/deflection"], origin=place),
-        curves(f"{name}: measured minus simulated [deg]", [f"{place}/error"], origin=place),
-    ]
-    return stacked(name, views, [4, 3])
 
 
 _AROUND_S = 10.0
