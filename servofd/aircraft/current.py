@@ -117,6 +117,8 @@ class CalibratedCurrent(BaseModel):
     explained_share: _Finite
     most_a: _Positive
     """What it draws in motion, but for a reading in a thousand."""
+    moving_a: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    """What it draws by its model, but for a reading in a hundred of its good flights; 0 where that was not kept."""
     supply_v: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     """Usual supply; 0 where it was not logged."""
     airspeed_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0

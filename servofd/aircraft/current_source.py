@@ -21,6 +21,8 @@ _BESIDE = {"CSRV": ("A", "V"), "VOLZ": ("pc", "pv"), "CVOL": ("Cur", "V"), "UMSV
 """Fields of the messages with which servos report themselves: current [A] and supply [V]."""
 _HUB = re.compile(r"CSRV\[(\d+)\]\.A")
 """What hubs report of ordinary servos as well, which have no position."""
+_TOLD = re.compile(r"(?:.*:)?(?:NVF|NVAL|NAMED_VALUE_FLOAT)\[SRVA(\d+)\]\.[vV]alue")
+"""What a script sends of them, by the number of the output [A]."""
 _UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
 _EARLY = 0.1
 """Share of a refresh by which the next one may come early."""
@@ -50,7 +52,8 @@ def hub_outputs(log: FlightLog) -> dict[int, str]:
         if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and np.isfinite(value):
             mask |= int(value)
     base = 0 if mask and 0 not in found and all(mask >> (number - 1) & 1 for number in found) else 1
-    return {number + base: name for number, name in found.items()}
+    told = ((match, name) for name in log.channels if (match := _TOLD.fullmatch(name)) and _has_numbers(log, name))
+    return {int(match[1]): name for match, name in told} | {number + base: name for number, name in found.items()}
 
 
 def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSource]:
@@ -95,7 +98,7 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
                 channel=f"{stem}.{fields[0]}", unit="A", voltage=volts if volts in log.channels else ""
             )
         elif number is not None and number in hubs:
-            volts = f"{hubs[number].removesuffix('.A')}.V"
+            volts = f"{hubs[number].rpartition('.')[0]}.V"
             found[name] = CurrentSource(
                 channel=hubs[number], unit="A", voltage=volts if _has_numbers(log, volts) else ""
             )
@@ -105,6 +108,23 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
                 f"and unit in [surfaces.{name}.current] of the aircraft file"
             )
     return found
+
+
+def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:
+    """The same aircraft, whose surfaces name where a log holds their currents, and no position that it does not hold.
+
+    Raises
+    ------
+    NoMeasurement
+        If a column is a current in no unit.
+    """
+    surfaces = dict(aircraft.surfaces)
+    for name, source in current_sources(log, aircraft).items():
+        measured = surfaces[name].measured
+        is_there = measured is not None and measured.channel in log.channels
+        change = {"current": source, "measured": measured if is_there else None}
+        surfaces[name] = surfaces[name].model_copy(update=change)
+    return aircraft.model_copy(update={"surfaces": surfaces})
 
 
 def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:

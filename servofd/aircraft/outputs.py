@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, PulseCalibration, RadianCalibration
+from servofd.aircraft.current import CurrentSource
 from servofd.aircraft.schema import plain_channels
 
 if TYPE_CHECKING:
@@ -569,7 +570,10 @@ def _streamed(surface: Surface, *, has_card: bool) -> Surface:
             name = "SERVO_OUTPUT_RAW" + (f"[{message}]" if message else "")
             change["command"] = pulse.model_copy(update={"channel": f"{name}.servo{rest + 1}_raw"})
     channel = f"NAMED_VALUE_FLOAT[SRVP{number}].value"
-    if measured is None and surface.output is not None:
+    if surface.is_told_by_current:
+        if surface.current is None and not has_card:
+            change["current"] = CurrentSource(channel=f"NAMED_VALUE_FLOAT[SRVA{number}].value", unit="A")
+    elif measured is None and surface.output is not None:
         change["measured"] = DegreeCalibration(channel=channel, unit="deg")
     elif not has_card and isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):
         change["measured"] = measured.model_copy(update={"channel": channel})

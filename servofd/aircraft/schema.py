@@ -175,6 +175,18 @@ class Surface(_Entry):
         return known and self.suspicions
 
     @property
+    def is_told_by_current(self) -> bool:
+        """Whether nothing measures where it is, and its current in good flights is known."""
+        return self.measured is None and self.healthy_current is not None
+
+    @property
+    def watched_channel(self) -> str:
+        """Channel by which a monitor watches it: of its position, else of its current; empty if there is neither."""
+        if self.measured is not None:
+            return self.measured.channel
+        return self.current.channel if self.healthy_current is not None and self.current is not None else ""
+
+    @property
     def names_servo(self) -> bool:
         """Whether its file says which servo it is."""
         return self.servo != UNKNOWN_SERVO

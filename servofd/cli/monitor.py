@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from logparsers.codec import Codec
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
+from servofd.aircraft.current_source import with_current_sources
 from servofd.aircraft.outputs import resolved, streamed
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli.monitor_outputs import Outputs
@@ -102,6 +103,7 @@ def _replay(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
             raise ConfigError(f"{path}: is the log of one vehicle; give the one -c FILE of it")
         if not is_stream:
             aircraft = {system: resolved(log, craft) for system, craft in aircraft.items()}
+        aircraft = {system: with_current_sources(log, craft) for system, craft in aircraft.items()}
         session = Session(
             Codec(0, options.component, signature=recorded),
             aircraft,
@@ -130,7 +132,7 @@ def _alert_aside(options: Options, session: Session, speaker: Speaker, open_: co
 
 def _asks_its_log(aircraft: Mapping[int, Aircraft], log: FlightLog) -> bool:
     """Whether a telemetry log has the aircraft's channels in the autopilot's own log, which came with it."""
-    wanted = {s.measured.channel for craft in aircraft.values() for s in craft.surfaces.values() if s.measured}
+    wanted = {s.watched_channel for craft in aircraft.values() for s in craft.surfaces.values()} - {""}
     return any(name in log.channels for name in ChannelTable(wanted).unknown)
 
 
@@ -176,7 +178,7 @@ def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
                 f"-c {name}: given twice; two vehicles of one file are -c 1={name} -c 2={name}, by system id"
             )
         loaded.append(aircraft)
-        unnamed = [key for key, surface in aircraft.surfaces.items() if not surface.names_servo]
+        unnamed = [key for key, one in aircraft.surfaces.items() if not one.names_servo and not one.is_told_by_current]
         if unnamed:  # an audit fits them to its log; in flight there is none yet
             raise ConfigError(
                 f"{path or name}: {', '.join(unnamed)}: no servo is named; name one (servo = ...), or let "

@@ -210,6 +210,7 @@ def event_document(event: Published) -> dict[str, Any]:
             "end_s": None if fault.end_s is None else _number(fault.end_s),
             "parameters": {name: _number(estimate.value) for name, estimate in fault.parameters.items()},
             "probability": _number(fault.probability),
+            "witness": fault.witness,
             "alternatives": list(fault.alternatives),
         }
     return document

@@ -42,7 +42,7 @@ def _watching(options: Options) -> tuple[str, str, str]:
 def _streaming(options: Options) -> tuple[str, str, str]:
     if options.aircraft is None:
         text = stream_script(range(1, 17), Path(options.output).name)
-        return text, "sends SRVP1 to SRVP16, as far as servos answer", "SCR_ENABLE = 1"
+        return text, "sends SRVP1 to SRVP16 and SRVA1 to SRVA16, as far as servos answer", "SCR_ENABLE = 1"
     outputs = outputs_of(load_aircraft(options.aircraft), options.surface)
-    names = ", ".join(f"SRVP{output}" for output in outputs)
+    names = ", ".join(f"SRVP{output} and SRVA{output}" for output in outputs)
     return stream_script(outputs, Path(options.output).name), f"sends {names}", "SCR_ENABLE = 1"

@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.current_source import current_sources, read_current
-from servofd.aircraft.schema import UNKNOWN_SERVO
 from servofd.aircraft.series import SURROUNDINGS
 from servofd.core.errors import CalibrationError, NoMeasurement
-from servofd.current.judge import judge_current, limits_of, pushed, tells_motion
+from servofd.current.judge import judge_current, largest_of, limits_of, pushed, tells_motion
 from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
 from servofd.current.own import own_current
+from servofd.current.stream import motion_model
 from servofd.current.wear import features_of, wear_of
 from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.verdict import SERVO_OR_SENSOR, CurrentAudit, SurfaceAudit, describe
 from servofd.servo.context import Context
-from servofd.servo.library import ORDINARY
-from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -100,9 +98,12 @@ def healthy_currents(
             continue
         current = widened(fitted, flights)
         usual_a = float(np.mean([np.mean(each.current_a) for each in flights]))
-        wear = wear_of([features_of(see(each, current)) for each in flights], usual_a)
-        limits = limits_of([see(each, current) for each in flights], _MARGIN)
-        found[name] = current.model_copy(update={"wear": wear, "limits": limits})
+        current = current.model_copy(
+            update={"moving_a": round(largest_of([see(each, current) for each in flights]), 4)}
+        )
+        seen = [see(each, current) for each in flights]
+        wear = wear_of([features_of(each) for each in seen], usual_a)
+        found[name] = current.model_copy(update={"wear": wear, "limits": limits_of(seen, _MARGIN)})
     return found, {name: reason for name, reason in reasons.items() if name not in found}
 
 
@@ -116,13 +117,12 @@ def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: Curren
     """
     read = read_current(log, source)
     command_s, command_deg = commands(log, name, aircraft)
-    model = ServoModel.of(ORDINARY) if aircraft.surfaces[name].servo == UNKNOWN_SERVO else aircraft.model(name)
     airspeed_s, airspeed_m_s = _first_of(log, SURROUNDINGS["airspeed_m_s"])
     volts_s, volts_v = (read.voltage_s, read.voltage_v)
     if not volts_s.size:
         volts_s, volts_v = _first_of(log, SURROUNDINGS["servo_voltage_v"])
     context = Context(airspeed_s=airspeed_s, airspeed_m_s=airspeed_m_s, voltage_s=volts_s, voltage_v=volts_v)
-    motion = Motion.of(model, command_s, command_deg, float(read.time_s[-1]))
+    motion = Motion.of(motion_model(aircraft, name), command_s, command_deg, float(read.time_s[-1]))
     return CurrentSeries(name, read.time_s, read.current_a, motion, context, read.notes)
 
 

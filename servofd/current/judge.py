@@ -13,6 +13,7 @@ was fitted, sizes and the healthy terms are fitted to the window.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from servofd.current.model import CurrentSeries
     from servofd.detection.verdict import Status
 
-_LOOKS_S: Final = (2.5, 5.0, 10.0, 20.0)
+LOOKS_S: Final = (2.5, 5.0, 10.0, 20.0)
 """How far a look at what raised an alarm reaches back: from two samples at 1 Hz to several manoeuvres."""
 _OFTEN_S, _SELDOM_S, _OFTEN = 0.5, 2.5, 30
 """While an alarm stands it is looked into so often, the first so many times, and more seldom after that."""
@@ -50,7 +51,8 @@ _SLACK_DEG: Final = (1.5, 4.0, 9.0)
 _BEFORE_S: Final = 30.0
 """Time before an alarm in which its onset is looked for [s]."""
 _BRIEF_S: Final = 10.0
-"""What passes sooner is no fault where one part of a log is all that is known of its current: a gust, a landing."""
+"""What passes sooner is no fault where one part of a log is all that is known of its current, nor is it one that binds:
+a gust, a landing."""
 _MOST: Final = 6
 """Faults of one flight at most."""
 _FLAT: Final = 1e-6
@@ -68,11 +70,14 @@ _LARGEST: Final = 8.0
 """Nats that one reading counts for at most."""
 _WORTH: Final = 0.5
 """Share of its limit from which on an account of a given size is fitted."""
-_GRID_S: Final = 0.5
+GRID_S: Final = 0.5
 _PLACES: Final = 9
 """Places of the command's range at which a blocked servo may stand."""
 _TIMES: Final = (1.6, 2.5, 4.0)
 """How many times as much a binding servo draws, of the sizes that are followed."""
+_MOST_TIMES: Final = 6.0
+"""A servo that still moves draws less than so many times as much: of simulated motors at 10 Hz one with three times the
+friction draws 2.9 times, and a stalled one seems to draw 20 to 30 times."""
 _STALLS: Final = (1.0, 2.0, 4.0, 8.0)
 """How many times the least current of a stalled servo it draws, of the sizes that are followed."""
 _SOON_S, _LASTS_S = 0.25, 4.0
@@ -84,17 +89,15 @@ _ALWAYS: Final = 0.35
 def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Sequence[FloatArray] = ()) -> CurrentAudit:
     """Judge one surface by its current; wear with what `features_of` tells of cycles `before` it."""
     seen = see(series, known)
-    is_witness = known.explained_share >= (EXPLAINED_OWN if known.fitted_between_s else EXPLAINED)
-    found = tuple(_faults(seen)) if is_witness else ()
+    found = tuple(faults_of(seen)) if is_witness(known) else ()
     faults = tuple(fault for fault in found if fault.level == "fault")
-    sigma_a = np.sqrt(seen.noise_a**2 + np.einsum("ij,jk,ik->i", seen.slopes, known.covariance, seen.slopes))
     suspicions = tuple(fault for fault in found if fault.level == "suspect") or (() if faults else worn(seen, before))
     rows = seen.usable & (seen.moving > 0.5)
     if faults:
         rows &= series.time_s >= faults[0].start_s
     good_a = float(np.mean(seen.healthy_a[rows])) if rows.any() else 0.0
     ratio = round(float(np.mean(series.current_a[rows])) / good_a, 3) if good_a > 0.0 else None
-    status, reason = _status(seen, faults, suspicions, ratio, is_witness=is_witness)
+    status, reason = _status(seen, faults, suspicions, ratio)
     return CurrentAudit(
         status,
         "; ".join((reason, *series.notes)),
@@ -105,7 +108,7 @@ def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Seque
         series.time_s,
         series.current_a,
         seen.healthy_a,
-        sigma_a,
+        seen.sigma_a,
         (series.motion.time_s, series.motion.asked_deg),
         float(np.mean(seen.usable)) if seen.usable.size else 0.0,
         asked=would_show(seen),
@@ -173,16 +176,13 @@ def _nats(left: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def _status(
-    seen: Seen, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None, *, is_witness: bool
+    seen: Seen, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None
 ) -> tuple[Status, str]:
     known = seen.known
     if faults:
         return "fault", f"by its current: {'; then '.join(describe(fault) for fault in faults)}"
-    if not is_witness:
-        return "unknown", (
-            f"its current goes with only {max(known.explained_share, 0.0):.0%} of what it was asked to do: check that "
-            "it is the current of this servo, or record a minute of fast movements"
-        )
+    if not is_witness(known):
+        return "unknown", no_witness(known)
     if suspicions:
         return "suspect", f"by its current: {'; '.join(describe(fault) for fault in suspicions)}"
     if not would_show(seen):
@@ -221,12 +221,25 @@ class _Account(NamedTuple):
         return float(self.misfit.sum()) + self.cost
 
 
-def _faults(seen: Seen) -> Iterator[Fault]:
+def is_witness(known: CalibratedCurrent) -> bool:
+    """Whether a current goes with what its servo is asked to do."""
+    return known.explained_share >= (EXPLAINED_OWN if known.fitted_between_s else EXPLAINED)
+
+
+def no_witness(known: CalibratedCurrent) -> str:
+    """Why a current is none, in words."""
+    return (
+        f"its current goes with only {max(known.explained_share, 0.0):.0%} of what it was asked to do: check that it "
+        "is the current of this servo, or record a minute of fast movements"
+    )
+
+
+def faults_of(seen: Seen) -> Iterator[Fault]:
     """Look where an account of some size beats the good servo as it was fitted, until a fault lasts to the end."""
     if seen.series.time_s.size < 2:
         return
     earliest_s, looked_s, looks, found = float(seen.series.time_s[0]), -np.inf, 0, 0
-    for at_s in _worth_a_look(seen).tolist():
+    for at_s in worth_a_look(seen, _grid_s(seen)).tolist():
         looks = looks if at_s - looked_s < 2.0 * _SELDOM_S else 0
         if at_s <= earliest_s or at_s - looked_s < (_OFTEN_S if looks < _OFTEN else _SELDOM_S):
             continue
@@ -234,9 +247,15 @@ def _faults(seen: Seen) -> Iterator[Fault]:
         best = _best(seen, at_s, earliest_s)
         if best is None:
             continue
-        fault = _timed(seen, best, at_s, earliest_s)
+        so_far = _timed(seen, best, at_s, earliest_s, named_s=at_s)
+        if seen.known.fitted_between_s is None and so_far.kind == "binding" and at_s - so_far.start_s < _BRIEF_S:
+            continue
+        named_s = min(at_s + _NAMED_S, float(seen.series.time_s[-1]))
+        fault = _timed(seen, best, at_s, earliest_s, named_s=named_s)
+        if fault.kind == "binding" and named_s - fault.start_s < _BRIEF_S:
+            fault = replace(so_far, end_s=fault.end_s)
         lasted_s = np.inf if fault.end_s is None else fault.end_s - fault.start_s
-        if lasted_s > _BRIEF_S or (seen.known.fitted_between_s is None and fault.kind != "binding"):
+        if lasted_s > _BRIEF_S or seen.known.fitted_between_s is None:
             yield fault
             found += 1
         if fault.end_s is None or found >= _MOST:
@@ -244,9 +263,15 @@ def _faults(seen: Seen) -> Iterator[Fault]:
         earliest_s = max(fault.end_s, at_s)
 
 
-def _worth_a_look(seen: Seen) -> FloatArray:
-    """Instants at which an account of a given size beats the good servo over one of the windows [s], shape (k,)."""
-    at_s, largest = _followed(seen)
+def _grid_s(seen: Seen) -> FloatArray:
+    """When it is asked whether a current is worth a look [s]."""
+    first_s, last_s = (float(seen.series.time_s[k]) for k in (0, -1))
+    return np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S)
+
+
+def worth_a_look(seen: Seen, at_s: FloatArray) -> FloatArray:
+    """Which of these instants an account of a given size beats the good servo at, in one of the windows [s]."""
+    largest = _followed(seen, at_s)
     worth = np.zeros(at_s.size, dtype=bool)
     for kind, gain in largest.items():
         worth |= gain > _WORTH * _limit(seen.known, kind)
@@ -257,7 +282,7 @@ def limits_of(good: Iterable[Seen], margin: float) -> dict[str, float]:
     """Nats that each account needs: `margin` times what any stretch of good flights reaches."""
     limits = dict.fromkeys(("unpowered", "binding", "blocked"), _SURE)
     for seen in good:
-        for kind, gain in _followed(seen)[1].items():
+        for kind, gain in _followed(seen, _grid_s(seen)).items():
             limits[kind] = max(limits[kind], float(f"{margin * gain.max(initial=0.0):.3g}"))
     return limits
 
@@ -266,8 +291,8 @@ def _limit(known: CalibratedCurrent, kind: str) -> float:
     return float(dict(known.limits).get(kind, _SURE))  # type: ignore[call-overload]
 
 
-def _followed(seen: Seen) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Instants [s], (g,), and by how many nats each kind of fault beats the good servo in one of the windows, (g,)."""
+def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
+    """Nats by which each kind of fault beats the good servo in one of the windows that end at these instants, (g,)."""
     time_s, known = seen.series.time_s, seen.known
     idle, still = max(float(known.theta[0]), 0.0), known.noise.still_a
     motion, drawn = seen.series.motion, seen.series.current_a
@@ -287,7 +312,6 @@ def _followed(seen: Seen) -> tuple[FloatArray, dict[str, FloatArray]]:
             for stall in least * np.array(_STALLS):
                 sigma = np.hypot(still, _STALL_SPREAD * stall * np.maximum(share, 0.1))
                 gains["blocked"].append(good - _nats(drawn - idle - stall * share, sigma))
-    at_s = np.arange(time_s[0] + _GRID_S, time_s[-1] + _GRID_S, _GRID_S)
     last = np.searchsorted(time_s, at_s, side="right")
     largest = {}
     for kind, accounts in gains.items():
@@ -297,16 +321,21 @@ def _followed(seen: Seen) -> tuple[FloatArray, dict[str, FloatArray]]:
         table = np.where(seen.usable[:, None], each, 0.0)
         sums = np.concatenate([np.zeros((1, table.shape[1])), np.cumsum(table, axis=0)])
         largest[kind] = np.full(at_s.size, -np.inf)
-        for look_s in _LOOKS_S:
+        for look_s in LOOKS_S:
             first = np.searchsorted(time_s, at_s - look_s)
             largest[kind] = np.maximum(largest[kind], (sums[last] - sums[first]).max(axis=1))
-    return at_s, largest
+    return largest
 
 
 def _least_stall(seen: Seen) -> float:
     """What a stalled servo draws at least beyond its idle current [A]."""
-    largest_a = float(np.quantile(seen.healthy_a[seen.usable], 0.99)) if seen.usable.any() else 0.0
-    return _STALL * max(largest_a, 3.0 * seen.known.noise.still_a)
+    return _STALL * max(seen.known.moving_a or largest_of([seen]), 3.0 * seen.known.noise.still_a)
+
+
+def largest_of(good: Sequence[Seen]) -> float:
+    """What a good servo draws at most for the motions of some flights, but for a reading in a hundred [A]."""
+    healthy_a = np.concatenate([seen.healthy_a[seen.usable] for seen in good])
+    return float(np.quantile(healthy_a, 0.99)) if healthy_a.size else 0.0
 
 
 def _best(seen: Seen, at_s: float, earliest_s: float) -> _Account | None:
@@ -314,7 +343,7 @@ def _best(seen: Seen, at_s: float, earliest_s: float) -> _Account | None:
     time_s = seen.series.time_s
     surest, least = None, 1.0
     last = int(np.searchsorted(time_s, at_s, side="right"))
-    for look_s in _LOOKS_S:
+    for look_s in LOOKS_S:
         rows = slice(int(np.searchsorted(time_s, max(at_s - look_s, earliest_s))), last)
         if np.count_nonzero(seen.usable[rows]) < 2:
             continue
@@ -366,7 +395,7 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[_Account]:
     wider[-1, -1] = _FLAT
     heavier = np.column_stack([table, seen.healthy_a[use] - idle])
     left, best, deviation = fitted(heavier, wider)
-    if best[-1] > 0.0:
+    if 0.0 < best[-1] < _MOST_TIMES - 1.0:
         apart = best[:count]
         cost = 0.5 * (float(apart @ precision @ apart) + np.log(max(use.size, 2)))
         more = noise * (1.0 + float(best[-1]))
@@ -409,14 +438,13 @@ def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[_Account
             )
 
 
-def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float) -> Fault:
-    """The fault with its name, known a little later, its onset, from when it was the better account, and its end."""
+def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float, *, named_s: float) -> Fault:
+    """The fault with its name, as known at a time [s], its onset, from when it was the better account, and its end."""
     time_s = seen.series.time_s
     each = each_of(seen.series)
     rows = slice(*np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, earliest_s), np.nextafter(alarm_s, np.inf))))
     since = np.cumsum(each * _gains(seen, account, rows)[::-1])[::-1]
     start_s = float(min(time_s[rows][int(np.argmax(since))], alarm_s)) if since.size else alarm_s
-    named_s = min(alarm_s + _NAMED_S, float(time_s[-1]))
     healthy, *others = _accounts(
         seen, slice(*np.searchsorted(time_s, (start_s, np.nextafter(named_s, np.inf))).tolist())
     )

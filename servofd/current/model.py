@@ -378,6 +378,12 @@ class Seen(NamedTuple):
     usable: BoolArray
 
     @property
+    def sigma_a(self) -> FloatArray:
+        """By which good servos differ from it, shape (m,)."""
+        between: FloatArray = np.einsum("ij,jk,ik->i", self.slopes, self.known.covariance, self.slopes)
+        return np.asarray(np.sqrt(self.noise_a**2 + between))
+
+    @property
     def error_a(self) -> FloatArray:
         """Residual, NaN where none is judged, shape (m,)."""
         return np.where(self.usable, self.series.current_a - self.healthy_a, np.nan)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.event import EventKind
-    from servofd.detection.seen import Healthy
-    from servofd.detection.stream import CalibratedStream, Piece, Stream
+    from servofd.detection.seen import HealthyStream
+    from servofd.detection.stream import Following, Piece
     from servofd.detection.verdict import Fault
     from servofd.servo.context import Context
     from servofd.servo.servo_model import ServoModel
@@ -99,6 +99,8 @@ class SurfaceMonitor:
     name: str
     surface: Surface
     model: ServoModel
+    beside: HealthyStream | None = None
+    """What is read of it in a healthy servo; None: its position, as its file describes it."""
     listener: Callable[[str, Piece, Inputs], None] | None = None
     """Called with every piece that was evaluated."""
     reading: Reading | None = None
@@ -112,7 +114,7 @@ class SurfaceMonitor:
     """Whether commands are sent at a steady rate, as on a link: where they come unevenly, the rest was lost."""
     patience_s: float = 2.0
     """Without commands or positions for so long, while the vehicle sends, nothing is known of it [s]."""
-    _stream: Stream | CalibratedStream | None = None
+    _stream: Following | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _alarm: Alarm | None = None
     """The one that stands."""
@@ -196,9 +198,10 @@ class SurfaceMonitor:
                 until_s, gap_s = self._excused
                 self._received[what] = [rows[-1][0], gap_s if rows[-1][0] < until_s else 0.0]
         events = self._alive(seen)
-        new = self.uncorrected(commands, positions)
-        asked_then = self._asked_at(new)
-        counting = self._watch.take(new.time_s, new.position_deg, asked_then, seen_deg, stands)
+        counting = seen
+        if self.quantity == "position":  # a current may well stand still
+            new = self.uncorrected(commands, positions)
+            counting = self._watch.take(new.time_s, new.position_deg, self._asked_at(new), seen_deg, stands)
         if self._stream is None:
             return events + self._warm_up(asked, counting)
         self._hand_over(asked, counting)
@@ -232,6 +235,11 @@ class SurfaceMonitor:
         was_known, self._steady_s = self.outage, np.inf
         self.outage = f"positions of all servos stand still since {since_s:.1f} s: servo bus?"
         return [] if was_known else [Event(now_s, self.name, "no_data", text=self.outage)]
+
+    @property
+    def quantity(self) -> Literal["position", "current"]:
+        """What is read of it."""
+        return "position" if self.beside is None else "current"
 
     @property
     def is_watched(self) -> bool:
@@ -283,8 +291,8 @@ class SurfaceMonitor:
         return self._healthy.needs
 
     @property
-    def _healthy(self) -> Healthy:
-        return healthy_of(self.surface, self.model)
+    def _healthy(self) -> HealthyStream:
+        return self.beside or healthy_of(self.surface, self.model)
 
     @property
     def rate_hz(self) -> float:
@@ -349,7 +357,8 @@ class SurfaceMonitor:
             last_s, excused_s = self._received[what]
             longest_s = max(self.patience_s, 5.0 * (period_s if np.isfinite(period_s) else 1.0))
             if now_s - last_s - excused_s > longest_s:
-                was_known, self.outage, self._steady_s = self.outage, f"no {what} since {last_s:.1f} s", np.inf
+                missing = self.quantity if what == "position" else what
+                was_known, self.outage, self._steady_s = self.outage, f"no {missing} since {last_s:.1f} s", np.inf
                 return [] if was_known else [Event(now_s, self.name, "no_data", text=self.outage)]
         if self.outage:
             self._steady_s = min(self._steady_s, now_s)
@@ -549,7 +558,7 @@ class SurfaceMonitor:
             if self._told_still or now_s - positions[0][0] < WARM_UP_S:
                 return []
             self._told_still = True
-            return [Event(now_s, self.name, "no_data", text="the position never changes: not a measurement")]
+            return [Event(now_s, self.name, "no_data", text=f"the {self.quantity} never changes: not a measurement")]
         return self._begin()
 
     def _begin(self) -> list[Event]:
@@ -581,7 +590,8 @@ class SurfaceMonitor:
             return [] if was_known else [Event(positions[-1][0], self.name, "no_data", text=problem)]
         self.problem, self._stream = "", stream
         self._command_period_s = beat.period_s
-        self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
+        if self.quantity == "position":
+            self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
         self._stream.surroundings(self._context)
         self._waiting = ([], [])
@@ -676,4 +686,6 @@ class SurfaceMonitor:
 
     def _event(self, look: Look, event: EventKind, fault: Fault) -> Event:
         numbers = float(look.residuals.residual_deg[-1]), float(look.threshold.level_deg[-1])
+        if self.quantity == "current":  # amperes are no degrees
+            numbers = float("nan"), float("nan")
         return Event(look.at_s, self.name, event, fault.kind, *numbers, fault=fault)

@@ -20,7 +20,7 @@ from servofd.detection.faults import as_raised, judged, watched_calibrated
 from servofd.detection.named import judge
 from servofd.detection.probability import Noise
 from servofd.detection.residual import ResidualGenerator, prepared
-from servofd.detection.stream import CalibratedStream, Stream
+from servofd.detection.stream import CalibratedStream, Following, Stream
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import load_at
 
@@ -110,8 +110,8 @@ class Pace(NamedTuple):
     """Of the commands that came."""
 
 
-class Healthy(Protocol):
-    """The healthy servo of a surface, beside which a log or a stream of it is seen."""
+class HealthyStream(Protocol):
+    """What a healthy servo does, its position or its current, beside which a stream of it is seen."""
 
     @property
     def stands_loss(self) -> bool:
@@ -119,16 +119,25 @@ class Healthy(Protocol):
         ...
 
     @property
+    def slowest_hz(self) -> float:
+        """Rate below which readings are too far apart, where a link loses nothing [Hz]."""
+        ...
+
+    @property
     def needs(self) -> frozenset[str]:
         """What acts on it beside the command, by the names of `servofd.aircraft.series.SURROUNDINGS`."""
         ...
 
-    def beside(self, segment: Series) -> Seen:
-        """See a log beside it."""
+    def stream(self, pace: Pace) -> Following:
+        """See a stream beside it."""
         ...
 
-    def stream(self, pace: Pace) -> Stream | CalibratedStream:
-        """See a stream beside it."""
+
+class Healthy(HealthyStream, Protocol):
+    """The healthy servo of a surface, beside which a log or a stream of it is seen."""
+
+    def beside(self, segment: Series) -> Seen:
+        """See a log beside it."""
         ...
 
 
@@ -147,13 +156,15 @@ def healthy_of(surface: Surface, model: ServoModel, *, asked: bool = False) -> H
     return OfFlights(surface, model, surface.calibrated)
 
 
-def least_rate_hz(healthy: Healthy, command_s: FloatArray, *, is_link: bool) -> float:
+def least_rate_hz(healthy: HealthyStream, command_s: FloatArray, *, is_link: bool) -> float:
     """Rate below which positions are too far apart [Hz], by the times of the first commands [s]; a link loses some."""
     is_lossy = is_link and sent_period_s(command_s) is not None
-    return SLOWEST_LEFT_HZ if is_lossy and healthy.stands_loss else SLOWEST_RATE_HZ
+    return min(SLOWEST_LEFT_HZ, healthy.slowest_hz) if is_lossy and healthy.stands_loss else healthy.slowest_hz
 
 
-def too_few(healthy: Healthy, period_s: float, command_s: FloatArray, measured_s: FloatArray, *, is_link: bool) -> str:
+def too_few(
+    healthy: HealthyStream, period_s: float, command_s: FloatArray, measured_s: FloatArray, *, is_link: bool
+) -> str:
     """Why positions of a period [s], and first commands and positions at these times [s], are too few to judge by.
 
     Empty if they are not. Of a link commands and positions get lost.
@@ -177,6 +188,11 @@ class OfFlights:
     def stands_loss(self) -> bool:
         """It is judged there."""
         return True
+
+    @property
+    def slowest_hz(self) -> float:
+        """That of positions."""
+        return SLOWEST_RATE_HZ
 
     @property
     def needs(self) -> frozenset[str]:
@@ -240,6 +256,11 @@ class OfModel:
     def stands_loss(self) -> bool:
         """It is not judged there."""
         return False
+
+    @property
+    def slowest_hz(self) -> float:
+        """That of positions."""
+        return SLOWEST_RATE_HZ
 
     @property
     def needs(self) -> frozenset[str]:

@@ -195,15 +195,62 @@ class Remembered(NamedTuple):
     """As they reach the servo."""
 
 
-class _Waiting:
-    """What both kinds of surfaces do: positions wait until they are decided, and then are tested."""
+class Following:
+    """What a monitor hands commands and readings of one surface to, a reading every so often [s]."""
 
     noise_gain = 1.0
-    """Of the residual's noise over the position's."""
+    """Of the residual's noise over the reading's."""
     doubts_wiring = False
     """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
+    logged: CommandBuffer
+    effective: CommandBuffer
+    """Commands as they came, and as they reach the servo."""
+
+    def __init__(self, period_s: float) -> None:
+        self.latched = 0
+        self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
+        self.latest_s = -np.inf
+        self._newest: tuple[float, float] = (-np.inf, 0.0)
+        """The latest command, when [s] and what [deg]."""
+        self._positions: list[tuple[float, float]] = []
+
+    def command(self, time_s: float, command_deg: float) -> None:
+        """Add a command [deg]; one that is no later than the one before is left out."""
+        raise NotImplementedError
+
+    def position(self, time_s: float, measured_deg: float) -> None:
+        """Add a reading, NaN where there is none; one that is no later than the one before is left out."""
+        if time_s > self.latest_s:
+            self.latest_s = time_s
+            self._positions.append((time_s, measured_deg))
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether any reading waits for a command."""
+        return bool(self._positions)
+
+    def surroundings(self, context: Context) -> None:
+        """Airspeed and supply, as far as they are known by now."""
+        raise NotImplementedError
+
+    def evaluate(self, *, final: bool = False) -> Piece | None:
+        """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
+        raise NotImplementedError
+
+    def found(self, seen: Remembered, names: dict[float, Named]) -> Found:
+        """Faults and suspicions of what is remembered; depends on nothing that changes as the stream goes on."""
+        raise NotImplementedError
+
+    def again(self) -> None:
+        """Begin the tests anew, because the alarm that stood is over."""
+        raise NotImplementedError
+
+
+class _Waiting(Following):
+    """What both kinds of positions do: they wait until they are decided, and then are tested."""
 
     def __init__(self, surface: Surface, known: CalibratedServo, period_s: float, longest_gap_s: float) -> None:
+        super().__init__(period_s)
         self.surface, self.longest_gap_s = surface, longest_gap_s
         self._known_servo, self._period_s = known, period_s
         self._limits = thresholds_of(known)
@@ -212,30 +259,13 @@ class _Waiting:
         self._context = NO_CONTEXT
         self._begin_tests()
         self._before = np.zeros(len(STATISTICS))
-        self.latched = 0
-        self.history = History(int(MEMORY_S / max(period_s, 1e-3)))
-        self.latest_s = -np.inf
-        self._newest: tuple[float, float] = (-np.inf, 0.0)
-        """The latest command, when [s] and what [deg]."""
-        self._positions: list[tuple[float, float]] = []
         self._pending: list[FloatArray] = []
         self._glitch = new_glitch_memory()
-
-    def position(self, time_s: float, measured_deg: float) -> None:
-        """Add a position [deg], NaN where there is none; one that is no later than the one before is left out."""
-        if time_s > self.latest_s:
-            self.latest_s = time_s
-            self._positions.append((time_s, measured_deg))
 
     def again(self) -> None:
         """Begin the tests anew, because the alarm that stood is over."""
         self._memory, self.latched = Memory(self._tests), 0
         self._before = np.zeros(len(STATISTICS))
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether any position waits for a command."""
-        return bool(self._positions)
 
     def evaluate(self, *, final: bool = False) -> Piece | None:
         """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing."""
@@ -256,10 +286,6 @@ class _Waiting:
         decided = decide(self._glitch, error_deg, rows[4].astype(np.int8), glitch, final)
         self._pending = [rows[:, decided:]] if decided < rows.shape[1] else []
         return self._judged(rows[:, :decided], error_deg[:decided], glitch[:decided]) if decided else None
-
-    def found(self, seen: Remembered, names: dict[float, Named]) -> Found:
-        """Faults and suspicions of what is remembered; depends on nothing that changes as the stream goes on."""
-        raise NotImplementedError
 
     def _begin_tests(self) -> None:
         """Make ready what tests a residual."""

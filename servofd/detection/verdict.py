@@ -79,6 +79,10 @@ class Statistics:
 Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
 
 
+WITHIN_SIGMAS = 3.0
+"""Half width of the band in which a healthy current stays, in standard deviations."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CurrentAudit:
     """What the current of one surface tells; arrays of shape (m,)."""

@@ -72,6 +72,18 @@ class Alarm:
         return begin_s <= max(fault.start_s, fault.alarm_s) and fault.start_s <= end_s
 
 
+def over(fault: Fault | None) -> str:
+    """What is said once a fault is over.
+
+    Examples
+    --------
+    >>> over(None)
+    'moves as commanded again'
+    """
+    by_current = fault is not None and fault.witness == "current"
+    return "draws as a good servo again" if by_current else "moves as commanded again"
+
+
 def travel_deg(surface: Surface) -> float:
     """How far a surface moves from stop to stop [deg], as far as its file says."""
     known = surface.calibrated.reach_deg if surface.calibrated is not None else None

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
 from servofd.aircraft.names import short_names
 from servofd.detection.kinds import KINDS, filled
+from servofd.live.alarms import over
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -153,7 +154,7 @@ def _words(event: Published) -> str:
     if event.event == "clear":
         if event.text and event.kind != "healthy":
             return event.text.partition(":")[0]
-        return "cleared: within tolerance" if event.kind == "healthy" else "moves as commanded again"
+        return "cleared: within tolerance" if event.kind == "healthy" else over(event.fault)
     if event.event == "alarm" and event.fault is None and event.text:
         return "AXIS ALARM by its motion"
     if event.event == "alarm" and event.fault is None:

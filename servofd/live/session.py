@@ -40,8 +40,8 @@ _LATEST_US = 2**64 - 1
 
 
 def _positions(craft: Aircraft) -> set[str]:
-    """Channels of the positions that a file names."""
-    return {surface.measured.channel for surface in craft.surfaces.values() if surface.measured is not None}
+    """Channels of the positions that a file names, and of currents where there are none."""
+    return {surface.watched_channel for surface in craft.surfaces.values()} - {""}
 
 
 def stamped(arrival_s: float, frame: bytes) -> bytes:
@@ -169,7 +169,7 @@ class Session:
         self._match(arrival_now_s)
         for vehicle in tuple(self.vehicles.values()):
             for monitor in vehicle.monitors.values():
-                monitor.listener = self.listener
+                monitor.listener = self.listener if monitor.quantity == "position" else None
             seen = [*vehicle.evaluate(final=final), *vehicle.silence(arrival_now_s), *self._look(vehicle)]
             mine = vehicle.alarms.publish(seen)
             self._speak(vehicle, mine, arrival_now_s)
@@ -378,7 +378,7 @@ class Session:
                 missing.setdefault(why.partition(": ")[2], []).append("axes")
         for vehicle, monitor in self.watched:
             if not monitor.is_watched:
-                channel = monitor.surface.measured.channel if monitor.surface.measured else ""
+                channel = monitor.surface.watched_channel
                 pace = "learning its pace" if math.isfinite(monitor.rate_hz) else f"waiting for {channel}"
                 why = monitor.silenced or pace
                 who = monitor.name if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"

@@ -14,6 +14,7 @@ from logparsers.protocol import NO_INDEX, Component
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.watch import Bus
 from servofd.core.errors import ConfigError
+from servofd.current.stream import OfCurrent, motion_model
 from servofd.detection.event import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alarms import Alarms, Published, travel_deg
@@ -183,19 +184,21 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         for name, surface in self.aircraft.surfaces.items():
-            if surface.measured is None:
+            if not surface.watched_channel:
                 continue
             self.monitors[name] = self._monitor(name, surface)
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
-            self._routes.setdefault(surface.measured.channel, []).append((name, 1))
-        self._bus = Bus(list(self.monitors))
+            self._routes.setdefault(surface.watched_channel, []).append((name, 1))
+        self._bus = self._new_bus()
         streamed: set[str] = set()
         if self.aircraft.motion is not None:
             from servofd.live.axes import STREAMED, AxisWatch
 
             self.axes, streamed = AxisWatch(self.aircraft.motion), set(STREAMED)
         if not self.monitors and self.axes is None:
-            raise ConfigError("the aircraft file names no measured channel: nothing can be watched")
+            raise ConfigError(
+                "the aircraft file names no measured channel, and no calibrated current: nothing can be watched"
+            )
         self.settings = Settings({name: output_of(self.aircraft.surfaces[name]) for name in self.monitors})
         self.messages = ChannelTable(self._routes).messages
         self._needs = sorted({need for m in self.monitors.values() for need in m.needs})
@@ -216,11 +219,20 @@ class Vehicle:
             )
 
     def _monitor(self, name: str, surface: Surface) -> SurfaceMonitor:
-        monitor = SurfaceMonitor(name, surface, self.aircraft.model(name))
+        if surface.is_told_by_current and surface.current is not None and surface.healthy_current is not None:
+            model = motion_model(self.aircraft, name)
+            beside = OfCurrent(name, model, surface.current, surface.healthy_current)
+            monitor = SurfaceMonitor(name, surface, model, beside)
+        else:
+            monitor = SurfaceMonitor(name, surface, self.aircraft.model(name))
         monitor.is_periodic = self.is_stream
         if not self.is_stream:
             monitor.patience_s = LOG_SILENCE_S
         return monitor
+
+    def _new_bus(self) -> Bus:
+        """That of the positions: currents may well stand still together."""
+        return Bus([name for name, monitor in self.monitors.items() if monitor.quantity == "position"])
 
     @property
     def channels(self) -> list[str]:
@@ -274,7 +286,7 @@ class Vehicle:
         self.now_s, self._checked_s, self._disorder = time_s, -math.inf, Disorder()
         self._samples.clear()
         self._held_s.clear()
-        self._bus, self._around = Bus(list(self.monitors)), Surroundings(self._needs)
+        self._bus, self._around = self._new_bus(), Surroundings(self._needs)
         if self.axes is not None:
             self.axes.restart()
         text = f"vehicle {self.system} has restarted; the monitor begins anew"
@@ -357,13 +369,15 @@ class Vehicle:
             ready[name] = now
             if any(times for times, _ in later):
                 self._samples[name] = later
-        stands = self._bus.take({name: self.monitors[name].uncorrected(*now) for name, now in ready.items()})
+        by_position = {name: now for name, now in ready.items() if self.monitors[name].quantity == "position"}
+        stands = self._bus.take({name: self.monitors[name].uncorrected(*now) for name, now in by_position.items()})
         for name, now in ready.items():
-            events += self.monitors[name].feed(*now, stands[name])
+            events += self.monitors[name].feed(*now, stands.get(name))
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
             for monitor in self.monitors.values():
-                events += monitor.stands_still(self._bus.since_s, self.now_s)
+                if monitor.quantity == "position":
+                    events += monitor.stands_still(self._bus.since_s, self.now_s)
                 events += monitor.silence(self.now_s)
         if self.axes is not None and math.isfinite(self.now_s):
             events += self.axes.due(self.now_s)

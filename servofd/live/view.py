@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from logparsers.protocol import Severity
 from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import describe
+from servofd.live.alarms import over
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -57,13 +58,14 @@ def event_line(event: Published) -> str:
     what = {
         "alarm": f"{_STATUS.get(event.severity, 'ALARM')}{size}",
         "named": event.kind.replace("_", " "),
-        "clear": "taken back: within tolerance" if event.kind == "healthy" else "moves as commanded again",
+        "clear": "taken back: within tolerance" if event.kind == "healthy" else over(event.fault),
         "no_data": "no data",
         "link_lost": "LINK LOST",
         "link_restored": "link restored",
     }[event.event]
     more = f": {event.text}" if event.text else ""
-    if event.fault is not None and event.event == "named":
+    by_current = event.fault is not None and event.fault.witness == "current" and event.event == "alarm"
+    if event.fault is not None and (event.event == "named" or by_current):
         what, more = f"{_STATUS[event.severity]}, {describe(event.fault)}", ""
     return f"{event.time_s:7.2f} s  {who}{what}{more}"
 
@@ -140,9 +142,7 @@ class View:
         """The same in plain lines, one for each surface."""
         lines = []
         for row in (*self._surfaces(), *self._axes()):
-            numbers = (
-                "command {} deg, measured {} deg, residual {} of {} deg".format(*row.numbers) if row.numbers else ""
-            )
+            numbers = _said(row.numbers) if row.numbers else ""
             since = f"since {row.since}" if row.since else ""
             said = ", ".join(filter(None, (row.status, numbers, since, row.words)))
             lines.append(f"{row.at_s:7.2f} s  {row.name}: {said}")
@@ -176,7 +176,8 @@ class View:
             alarm, reading = vehicle.alarms.standing(monitor.name), monitor.reading
             name, word = self._of(vehicle, monitor.name), status_of(monitor, alarm, is_lost=vehicle.is_lost)
             since, words = _since(alarm), monitor.silenced if word in ("no data", "waiting") else _to_do(alarm)
-            yield Row(vehicle.now_s, name, word, _numbers(reading), _share(reading), since, words)
+            numbers = _numbers(reading, " A" * (monitor.quantity == "current"))
+            yield Row(vehicle.now_s, name, word, numbers, _share(reading), since, words)
 
     def _axes(self) -> Iterator[Row]:
         """Axes of all vehicles by the latest judgement of their motion."""
@@ -207,7 +208,9 @@ class View:
             state += f", {late_s:.0f} s late" if late_s >= _LATE_S else ""
             now = f"{vehicle.now_s:.1f} s since it booted" if math.isfinite(vehicle.now_s) else "its time not known yet"
             rates = [monitor.rate_hz for monitor in vehicle.monitors.values() if math.isfinite(monitor.rate_hz)]
-            pace = f"; {min(rates):.0f} positions a second" if rates else ""
+            by_position = any(monitor.quantity == "position" for monitor in vehicle.monitors.values())
+            what = "positions" if by_position else "currents"
+            pace = f"; {min(rates):.0f} {what} a second" if rates else ""
             frames = (
                 f"; {lost / max(received + lost, 1):.1%} of {received + lost} frames did not come here"
                 if received
@@ -295,11 +298,25 @@ def _list(rows: Sequence[Row]) -> list[Text]:
     return lines
 
 
-def _numbers(reading: Reading | None) -> tuple[str, ...]:
+def _numbers(reading: Reading | None, unit: str) -> tuple[str, ...]:
+    """As the screen has them; of what is not in degrees with its unit."""
     if reading is None:
         return ()
-    signed = (f"{value:+.1f}" for value in (reading.command_deg, reading.measured_deg))
-    return (*signed, f"{reading.residual_deg:+.2f}", f"{reading.threshold_deg:.2f}")
+    measured = f"{reading.measured_deg:.2f}" if unit else f"{reading.measured_deg:+.1f}"
+    asked, residual, level = (
+        f"{reading.command_deg:+.1f}",
+        f"{reading.residual_deg:+.2f}",
+        f"{reading.threshold_deg:.2f}",
+    )
+    return asked, f"{measured}{unit}", f"{residual}{unit}", f"{level}{unit}"
+
+
+def _said(numbers: tuple[str, ...]) -> str:
+    """The numbers of a row in words."""
+    command, measured, residual, level = numbers
+    if measured.endswith(" A"):
+        return f"command {command} deg, draws {measured}, {residual} from a good servo within {level}"
+    return f"command {command} deg, measured {measured} deg, residual {residual} of {level} deg"
 
 
 def _share(reading: Reading | None) -> float:

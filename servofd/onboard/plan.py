@@ -189,11 +189,11 @@ def plan_onboard(
 
 
 def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
-    """Outputs of the surfaces that have a position, rising; of all surfaces if none is named."""
+    """Outputs of the surfaces that have a position or a known current, rising; of all surfaces if none is named."""
     found = set()
     aircraft.check_names(surfaces)
     for name in surfaces or aircraft.surfaces:
-        if aircraft.surfaces[name].measured is not None:
+        if aircraft.surfaces[name].measured is not None or aircraft.surfaces[name].is_told_by_current:
             found.add(_output(aircraft.surfaces[name]))
     if not found:
         raise ConfigError("the aircraft file names no measured channel for any surface: there is nothing to send")

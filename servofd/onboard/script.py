@@ -39,11 +39,11 @@ def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:
 
 
 def stream_script(outputs: Sequence[int], file_name: str = "servofd.lua") -> str:
-    """Text of the script that only sends the measured positions of some outputs (from 1) to the ground.
+    """Text of the script that only sends positions and currents of the servos on some outputs (from 1) to the ground.
 
     Examples
     --------
-    >>> "ipairs({ 1, 4 })" in stream_script([4, 1])
+    >>> "local outputs = { 1, 4 }" in stream_script([4, 1])
     True
     """
     if not outputs:

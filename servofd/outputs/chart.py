@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from servofd.detection.verdict import gravest
+from servofd.detection.verdict import WITHIN_SIGMAS, gravest
 from servofd.outputs.sentence import clock, spoken
 
 if TYPE_CHECKING:
@@ -404,8 +404,6 @@ def current_charts(surface: SurfaceAudit) -> list[Chart]:
 
 _NEAR_S = 10.0
 """Time before the onset and after the alarm in a close-up of a current [s]."""
-WITHIN_SIGMAS = 3.0
-"""Half width of the band in which a healthy current stays, in standard deviations."""
 
 
 def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Panel]:

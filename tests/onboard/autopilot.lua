@@ -37,6 +37,8 @@ function telemetry.measured_position(self)
    local deg = row[self.k + 1]
    if deg == deg then return deg end
 end
+function telemetry.current()
+end
 function telemetry.last_update_ms(self)
    shared_ms.value = row[self.k + 2]
    return shared_ms

@@ -1,16 +1,16 @@
--- {{ file }}: sends what servos measure of themselves to the ground, as SRVP1, SRVP2, ... [deg].
+-- {{ file }}: sends what servos measure of themselves to the ground, as SRVP1, SRVP2, ... [deg] and SRVA1, ... [A].
 -- Made by `servofd onboard --stream-only` {{ version }} for ArduPilot 4.6 or newer: copy it to APM/scripts, set SCR_ENABLE = 1.
-local names = {}
-for _, output in ipairs({ {{ outputs | join(", ") }} }) do
-   names[output] = "SRVP" .. output
-end
+local outputs = { {{ outputs | join(", ") }} }
 
 local function send()
-   for output, name in pairs(names) do
+   for _, output in ipairs(outputs) do
       local telemetry = servo_telem:get_telem(output - 1)
-      local position = telemetry and telemetry:measured_position()
+      local position, current = telemetry and telemetry:measured_position(), telemetry and telemetry:current()
       if position then
-         gcs:send_named_float(name, position)
+         gcs:send_named_float("SRVP" .. output, position)
+      end
+      if current then
+         gcs:send_named_float("SRVA" .. output, current)
       end
    end
    return send, {{ period_ms }}

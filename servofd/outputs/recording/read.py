@@ -14,7 +14,7 @@ import numpy as np
 from logparsers.detect import RECORDING
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning
-from servofd.outputs.chart import WITHIN_SIGMAS
+from servofd.detection.verdict import WITHIN_SIGMAS
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
 from servofd.outputs.recording.surface import AIRSPEED, SUPPLY

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.outputs.chart import WITHIN_SIGMAS
+from servofd.detection.verdict import WITHIN_SIGMAS
 from servofd.outputs.recording.states import breaks_s, events, ratio, states
 from servofd.outputs.recording.stream import STATES, microseconds, seconds, surface_place
 

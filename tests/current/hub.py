@@ -1,0 +1,61 @@
+"""Logs of an aircraft with ordinary servos on a hub that reports what they draw, and no position."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logparsers.dataflash import encode as dataflash
+from logparsers.protocol import Autopilot, Kind, ParameterType, State
+from logparsers.telemetry import encode as telemetry
+from servofd.simulation.dataflash_writer import pulses, rows, words
+from servofd.simulation.surroundings import EPOCH_US, microseconds
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from servofd.core.types import IntArray
+    from tests.current.motor import Flown
+
+KNOWN = {"SERVO1_FUNCTION": 4.0, "CAN_D1_UC_SRV_BM": 1.0}
+"""An aileron on output 1, which the hub on the bus turns."""
+US_PER_DEG = 1.0 / 0.09
+"""ArduPilot's: 1000 to 2000 us are 90 deg."""
+
+
+def dataflash_of(flight: Flown) -> bytes:
+    """What the autopilot writes on its card."""
+    asked_us, read_us = microseconds(flight.command_s), microseconds(flight.current_s)
+    drawn = rows("CSRV", read_us, Id=1, Pos=np.nan, Force=np.nan, Speed=np.nan, PosCmd=np.nan, A=flight.current_a)
+    sent = pulses(asked_us, {1: 1500.0 + US_PER_DEG * flight.command_deg})
+    return dataflash.encode([*words(asked_us[:1], KNOWN, "ArduPlane V4.7.0-dev (simulated)"), sent, drawn])
+
+
+def telemetry_of(flight: Flown) -> bytes:
+    """What a ground station receives: pulses, and by a script ``SRVA1``, what the servo on output 1 draws [A]."""
+    asked_us, read_us = microseconds(flight.command_s), microseconds(flight.current_s)
+    seconds_us = np.arange(asked_us[0], asked_us[-1], 1_000_000)
+    beat = {"type": Kind.FIXED_WING, "autopilot": Autopilot.ARDUPILOTMEGA, "system_status": State.ACTIVE}
+    known: dict[str, ArrayLike] = {
+        "param_id": list(KNOWN),
+        "param_value": list(KNOWN.values()),
+        "param_count": [2, 2],
+        "param_index": [0, 1],
+    }
+    messages: list[tuple[str, IntArray, dict[str, ArrayLike]]] = [
+        ("HEARTBEAT", seconds_us, {name: np.full(seconds_us.size, value) for name, value in beat.items()}),
+        ("SYSTEM_TIME", seconds_us, {"time_unix_usec": EPOCH_US + seconds_us, "time_boot_ms": seconds_us // 1000}),
+        ("PARAM_VALUE", asked_us[:1].repeat(2), known | {"param_type": np.full(2, ParameterType.REAL32)}),
+        (
+            "SERVO_OUTPUT_RAW",
+            asked_us,
+            {"time_usec": asked_us, "servo1_raw": np.round(1500.0 + US_PER_DEG * flight.command_deg)},
+        ),
+        (
+            "NAMED_VALUE_FLOAT",
+            read_us,
+            {"time_boot_ms": read_us // 1000, "name": ["SRVA1"] * read_us.size, "value": flight.current_a},
+        ),
+    ]
+    return telemetry.encode([telemetry.Message(name, EPOCH_US + at_us, fields) for name, at_us, fields in messages])
