@@ -62,6 +62,12 @@ class Limits(BaseModel):
     """None: the constant threshold."""
     margin: _Share = 0.0
     """Share of the threshold that must be left."""
+    current_ratio: _Positive | None = None
+    """Current of motion over that of good flights; None: three times what good flights differ by."""
+    current_spread_a: _Positive | None = None
+    """Of the current in motion; None: likewise, from four good flights on."""
+    idle_current_a: _Positive | None = None
+    """None: none."""
 
 
 UNKNOWN_SERVO = "unknown"

@@ -41,7 +41,7 @@ _LAGS_S: Final = (0.0, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24, 0.35, 0.5)
 """Lags of the motion behind the command that are tried [s]."""
 _LONGEST_GAP_S: Final = 1.0
 """A command that comes after more than this says nothing of the motion before it."""
-_HUBER: Final = 2.5
+HUBER: Final = 2.5
 """Standard deviations beyond which an error counts by its size, and not its square (Huber)."""
 _LOOSE_A: Final = 10.0
 """How far any term of a servo's current may be from zero."""
@@ -235,7 +235,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
             draft.lag_s, draft.width_s = lag_s, width_s
             table = np.concatenate([terms(part, draft)[0][each] for part, each in zip(parts, rows, strict=True)])[some]
             left = drawn[some] - table @ _solved(table, drawn[some], np.ones(len(table)))[0]
-            cost = float(np.mean(np.minimum(np.abs(left), _HUBER * _spread(left)) ** 2))
+            cost = float(np.mean(np.minimum(np.abs(left), HUBER * _spread(left)) ** 2))
             if cost < best:
                 best, chosen = cost, _Seeing(ends, lag_s, width_s, draft.supply_v, draft.airspeed_m_s)
     tables = [terms(part, chosen)[0] for part in parts]
@@ -248,11 +248,11 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
         motion_a = np.maximum(table @ theta - theta[0], 0.0)
         still, share = _noise(left, motion_a)
         sigma = np.hypot(still, share * motion_a)
-        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(left) / sigma, 1e-9)) / sigma**2
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(left) / sigma, 1e-9)) / sigma**2
     theta, covariance = _solved(table, drawn, weight)
     left = drawn - table @ theta
     sigma = np.hypot(still, share * np.maximum(table @ theta - theta[0], 0.0))
-    scaled = np.clip(left / sigma, -_HUBER, _HUBER)
+    scaled = np.clip(left / sigma, -HUBER, HUBER)
     colour = float(np.clip(np.mean(scaled[1:] * scaled[:-1]) / np.mean(scaled**2), 0.0, 0.95))
     spread_a, free = float(np.var(drawn)), drawn.size - 2 * len(NAMES)  # half of the terms follow a few starts
     known = CalibratedCurrent(
@@ -280,7 +280,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
 
 _UNCERTAINTIES: Final = 4.0
 """Factor by which the covariance of the fit is widened: two standard deviations count as one."""
-_APART: Final = 0.1
+APART: Final = 0.1
 """Share by which each term of a current differs between flights: wind, warmth and supply."""
 _APART_OWN: Final = 0.2
 """The same within a log that it was fitted to a part of, whose motions are few."""
@@ -299,7 +299,7 @@ def widened(fitted: CurrentFit, parts: Sequence[CurrentSeries], *, is_own: bool 
     known = fitted.known
     tables = [terms(part, known)[0] for part in parts]
     usual_a = float(np.mean(np.maximum(np.concatenate(tables) @ known.theta - known.theta[0], 0.0)))
-    share = _APART_OWN if is_own else _APART
+    share = _APART_OWN if is_own else APART
     apart = np.hypot(share * known.theta, _LEAST * usual_a) ** 2
     apart[0] = (_IDLE_APART * np.hypot(known.theta[0], known.noise.still_a)) ** 2
     if len(parts) > 1:

@@ -15,11 +15,13 @@ import numpy as np
 from servofd.aircraft.calibrated import lower_triangle
 from servofd.aircraft.current import FEATURES, NAMES, Wear
 from servofd.core.statistics import Estimate
+from servofd.current.model import APART, HUBER
 from servofd.detection.verdict import Fault
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servofd.aircraft.current import CalibratedCurrent
     from servofd.core.types import FloatArray
     from servofd.current.model import Seen
 
@@ -91,6 +93,61 @@ def wear_of(features: Sequence[FloatArray], usual_a: float) -> Wear | None:
             together = table[block[max(0, k + 1 - TOGETHER) : k + 1]]
             largest = max(largest, distance(others, together))
     return known.model_copy(update={"limit": float(f"{max(largest, _LEAST_LIMIT):.4g}")})
+
+
+_PARTS: Final = 10
+"""Parts of a flight, each left out once, whose disagreement gives the intervals of what is followed over flights."""
+
+
+def quantities_of(seen: Seen) -> dict[str, Estimate]:
+    """What is followed of a current over flights, with 95 % intervals; what a flight does not show is left out.
+
+    Its size in motion beside that of good flights, its spread in motion, about a running mean, and what is drawn at
+    rest [A].
+    """
+    parts = np.array_split(np.arange(seen.usable.size), _PARTS)
+    rest = []
+    for part in parts:
+        usable = seen.usable.copy()
+        usable[part] = False
+        rest.append(_followed(seen._replace(usable=usable)))
+    whole, others = _followed(seen), np.array(rest)
+    deviation = np.sqrt((_PARTS - 1.0) * np.mean((others - others.mean(axis=0)) ** 2, axis=0))  # of the jackknife
+    names = ("current_ratio", "current_spread_a", "idle_current_a")
+    found = zip(names, whole.tolist(), deviation.tolist(), strict=True)
+    return {name: Estimate.of(value, one) for name, value, one in found if np.isfinite((value, one)).all()}
+
+
+def _followed(seen: Seen) -> FloatArray:
+    """Size of the current in motion over the model's, spread and rest, shape (3,)."""
+    rows = seen.usable
+    motion_a = seen.healthy_a[rows] - seen.known.theta[0]
+    columns = np.column_stack([motion_a, np.ones(motion_a.size)]) / seen.noise_a[rows, None]
+    drawn = seen.series.current_a[rows] / seen.noise_a[rows]
+    if not motion_a.size or np.ptp(motion_a) == 0.0:
+        return np.full(3, np.nan)
+    best = np.array([1.0, seen.known.theta[0]])
+    for _ in range(_ROUNDS):  # as the model itself was fitted, to which starts and gusts are spikes
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(drawn - columns @ best), 1e-9))
+        weighted = columns * weight[:, None]
+        best = np.linalg.lstsq(weighted.T @ columns, weighted.T @ drawn, rcond=None)[0]
+    return np.array([best[0], np.exp(np.mean(features_of(seen)[_SPREADS])), best[1]])
+
+
+_SPREADS: Final = slice(FEATURES.index("spread_up"), FEATURES.index("spread_down") + 1)
+_ROUNDS: Final = 5
+"""Of weighted least squares, as many as the model took."""
+_DEVIATIONS: Final = 3.0
+"""Between good flights, that make a limit: as of positions."""
+
+
+def followed_limits(known: CalibratedCurrent) -> dict[str, float]:
+    """What `quantities_of` may come to, by what good flights differ by."""
+    limits = {"current_ratio": 1.0 + _DEVIATIONS * APART}
+    if known.wear is not None:
+        deviation = float(np.sqrt(np.mean(np.diag(known.wear.covariance)[_SPREADS])))
+        limits["current_spread_a"] = float(np.exp(np.mean(known.wear.mean[_SPREADS]) + _DEVIATIONS * deviation))
+    return limits
 
 
 def _known(table: FloatArray, usual_a: float) -> Wear:

@@ -140,7 +140,7 @@ def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any
     if alarms and status == "healthy":
         status, badge = "suspect", f"alarm in flight {', '.join(alarms)}"
     parts: list[Part] = []
-    if not any(QUANTITIES[one].of_axis for one in (*quantities, *surface["missing"])):
+    if not any(QUANTITIES[one].of == "motion" for one in (*quantities, *surface["missing"])):
         serials = [
             f"{one['serial'] or 'number unknown'} since flight {one['from_flight']}" for one in surface["serials"]
         ]

@@ -45,8 +45,8 @@ class Quantity:
     scale: float = 1.0
     """From the number to what is shown in `unit`."""
     digits: int = 2
-    of_axis: bool = False
-    """Found by the motion of an aircraft whose servos report nothing."""
+    of: Literal["position", "current", "motion"] = "position"
+    """What tells it; the motion of an aircraft whose servos report nothing is that of an axis."""
 
 
 QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
@@ -65,8 +65,13 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
             Quantity("noise_deg", "noise of the position", "deg", "up", digits=3),
             Quantity("residual_p95_deg", "residual, 95th percentile", "deg", "up", digits=3),
             Quantity("margin", "threshold margin", "%", "down", 100.0, 0),
-            Quantity("effect", "effect that is left", "%", "down", 100.0, 0, of_axis=True),
-            Quantity("offset_us", "offset", "us", "away", digits=0, of_axis=True),
+            Quantity("effect", "effect that is left", "%", "down", 100.0, 0, of="motion"),
+            Quantity("offset_us", "offset", "us", "away", digits=0, of="motion"),
+            Quantity(
+                "current_ratio", "current of motion beside that of good flights", "%", "up", 100.0, 0, of="current"
+            ),
+            Quantity("current_spread_a", "spread of the current in motion", "A", "up", digits=3, of="current"),
+            Quantity("idle_current_a", "current at rest", "A", "up", digits=3, of="current"),
         )
     }
 )
@@ -141,7 +146,7 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
     if count < _LEAST_SAMPLES:
         raise NoMeasurement(f"only {count} samples that can be judged; too short a flight")
     values = _of_residual(seen)
-    of_servo = [name for name, what in QUANTITIES.items() if not (what.of_axis or name in values)]
+    of_servo = [name for name, what in QUANTITIES.items() if what.of == "position" and name not in values]
     if unfit:
         return ServoEstimate(values, dict.fromkeys(of_servo, unfit))
     found = _Servo.of(seen.flight)

@@ -450,11 +450,11 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
     bounds = sorted({*bounds, *(event.first for event in events if event.kind == "swap")})
     quantities = {name: _quantity(name, one, bounds, wear.limits.get(name)) for name, one in series.items()}
     last = flights[-1][1]
-    of_axis = any(QUANTITIES[name].of_axis for name in (*series, *last.missing))
+    told_by = {QUANTITIES[name].of for name in (*series, *last.missing)}
     missing = {
         name: last.missing.get(name, "not in these flights")
         for name, what in QUANTITIES.items()
-        if name not in series and what.of_axis == of_axis
+        if name not in series and what.of in told_by
     }
     serials = _serials(bounds, dict(known), wear)
     return SurfaceTrend(surface, serials, quantities, tuple(events), missing, notes)
@@ -531,7 +531,7 @@ def _forecast(name: str, last: Piece, now: float, limit: float | None) -> Foreca
     else:
         found = forecast(last, limit, above=worse == "up")
         beyond = lately.low > limit if worse == "up" else lately.high < limit
-    if beyond and found.kind != "reached" and not QUANTITIES[name].of_axis:  # an axis has alarms of its own
+    if beyond and found.kind != "reached" and QUANTITIES[name].of != "motion":  # an axis has alarms of its own
         # One flight moves no line, and a servo that failed in it is no less at fault.
         return Forecast("reached", "was beyond its limit in the last flight: audit that flight")
     return found

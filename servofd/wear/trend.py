@@ -14,12 +14,17 @@ import numpy as np
 
 from logparsers import LogError
 from servofd.aircraft.axis_names import SURFACE_AXES
+from servofd.aircraft.current_source import current_sources
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.aircraft.series import bus_of, cut
 from servofd.batch.find import fetched, find_logs
 from servofd.batch.local import run_local
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.core.statistics import Estimate
+from servofd.current.audit import current_series
+from servofd.current.judge import judge_current
+from servofd.current.model import see
+from servofd.current.wear import followed_limits, quantities_of
 from servofd.detection.audit import audit_segment
 from servofd.detection.kinds import STANDS_STILL
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of
@@ -27,12 +32,13 @@ from servofd.wear.estimate import QUANTITIES, FlightEstimate, estimate_flight
 from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from datetime import datetime
 
     from logparsers import FlightLog
     from servofd.aircraft.axes import MotionModel
     from servofd.batch.find import LogSource, Skipped
+    from servofd.core.types import Marks
     from servofd.wear.series import Piece, QuantityTrend
 
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
@@ -76,26 +82,57 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
         aircraft = surfaces_of(log, aircraft)
     bus = bus_of(log, aircraft)
     for name in surfaces or aircraft.surfaces:
-        entry = aircraft.surfaces[name]
-        if entry.measured is None:
-            continue
-        try:
-            segment = cut(log, name, aircraft, bus)
-            verdict = audit_segment(segment, aircraft, duration_s=log.duration_s)
-            stood = any(fault.kind in STANDS_STILL for fault in verdict.faults)
-            unfit = "stood still for a part of the flight" if stood else ""
-            estimated = estimate_flight(segment, aircraft, unfit=unfit)
-        except ServofdError as error:
-            problems.append(f"{name}: {error}")
-            continue
-        alarm = verdict.reason if verdict.status == "fault" else ""
-        flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *estimated, alarm=alarm))
+        values: dict[str, Estimate] = {}
+        missing: dict[str, str] = {}
+        alarms: list[str] = []
+        reasons: list[str] = []
+        for tell in (partial(_by_position, bus=bus), _by_current):
+            try:
+                told = tell(log, name, aircraft)
+            except ServofdError as error:
+                reasons.append(f"{name}: {error}")
+                continue
+            if told is not None:
+                values |= told.values
+                missing |= told.missing
+                alarms += [told.alarm] * bool(told.alarm)
+        if values or missing:
+            told_by = values, missing, "; ".join(alarms)
+            flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *told_by))
+        problems += reasons if not values else []
     if aircraft.motion is not None and not surfaces:
         try:
             flights += _axes(log, path, aircraft.motion)
         except NoMeasurement as error:
             problems.append(f"axes: {error}")
     return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
+
+
+class _Told(NamedTuple):
+    """What one witness tells of a surface in a flight, as `FlightEstimate` has it."""
+
+    values: dict[str, Estimate]
+    missing: dict[str, str]
+    alarm: str
+
+
+def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks]) -> _Told | None:
+    if aircraft.surfaces[name].measured is None:
+        return None
+    segment = cut(log, name, aircraft, bus)
+    verdict = audit_segment(segment, aircraft, duration_s=log.duration_s)
+    stood = any(fault.kind in STANDS_STILL for fault in verdict.faults)
+    estimated = estimate_flight(segment, aircraft, unfit="stood still for a part of the flight" if stood else "")
+    return _Told(*estimated, verdict.reason if verdict.status == "fault" else "")
+
+
+def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> _Told | None:
+    known, source = aircraft.surfaces[name].healthy_current, current_sources(log, aircraft).get(name)
+    if known is None or source is None:
+        return None
+    series = current_series(log, name, aircraft, source)
+    verdict = judge_current(series, known)
+    return _Told(quantities_of(see(series, known)), {}, verdict.reason if verdict.faults else "")
 
 
 def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
@@ -268,8 +305,12 @@ AXIS_LIMITS = {"effect": 0.75, "offset_us": 60.0}
 
 def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:
     """Limit of each quantity of `servofd.wear.estimate.QUANTITIES` that has one."""
-    entry, servo = aircraft.surfaces[surface], aircraft.servo(surface)
-    tolerance, given = entry.tolerances, entry.limits.model_dump(exclude_none=True)
+    entry = aircraft.surfaces[surface]
+    drawn = {} if entry.healthy_current is None else followed_limits(entry.healthy_current)
+    given = entry.limits.model_dump(exclude_none=True)
+    if not entry.names_servo:
+        return drawn | given
+    tolerance, servo = entry.tolerances, aircraft.servo(surface)
     derived = {
         "bias_deg": entry.threshold_deg,
         "delay_s": servo.transport_delay_s + _DELAYS * tolerance.delay_s,
@@ -279,11 +320,13 @@ def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:
     }
     if servo.rate_limit_deg_s is not None:
         derived["rate_limit_deg_s"] = servo.rate_limit_deg_s * (1.0 - _TOLERANCES * tolerance.rate)
-    return {name: float(value) for name, value in (derived | given).items() if value > 0.0 or name == "margin"}
+    return {name: float(value) for name, value in (drawn | derived | given).items() if value > 0.0 or name == "margin"}
 
 
 def telling_steps(aircraft: Aircraft, surface: str) -> dict[str, float]:
-    """Smallest sudden change that is reported, of each quantity."""
+    """Smallest sudden change that is reported, of each quantity that a position tells."""
+    if not aircraft.surfaces[surface].names_servo:
+        return {}
     entry, servo = aircraft.surfaces[surface], aircraft.servo(surface)
     tolerance = entry.tolerances
     rate_deg_s = servo.rate_limit_deg_s or np.inf
