@@ -133,4 +133,4 @@ def read_all(
                     strange.append(Damage("corrupt", f"not read: {error}"))
     if not logs:
         raise problems[0]
-    return (replace(logs[0], damage=(*strange, *logs[0].damage)), *logs[1:])
+    return (replace(logs[0], damage=(*strange, *logs[0].damage)), *logs[1:]) if strange else tuple(logs)

@@ -25,18 +25,18 @@ bytes."""
 class BinaryStore(Store):
     """Index of a binary DataFlash log.
 
-    `data`: the log; it is kept, and read from when columns are asked for. `compiled`: whether to compile the walk over
-    the records; None decides by size.
+    `data`: the log; it is kept, and read from when columns are asked for. `strides`: False walks over the records one
+    by one.
     """
 
-    def __init__(self, data: memoryview, compiled: bool | None = None) -> None:
+    def __init__(self, data: memoryview, *, strides: bool = True) -> None:
         super().__init__(len(data))
         self._data = data
         self._pieces: dict[str, list[NDArray[Any]]] = {}
         self._names: dict[int, str] = {}
         self._odd = array("q")
         self._bad: list[tuple[int, int, int, int]] = []
-        self._walk = scan.Walk(data, compiled)
+        self._walk = scan.Walk(data, strides)
         self._define(FMT, 0)
         self._walk.defined[FMT.type] = -1
         self._index()
@@ -92,10 +92,10 @@ class BinaryStore(Store):
         self._take_events()
         if not n:
             return
-        types = np.frombuffer(self._walk.types, np.uint8, n)
+        types = self._walk.types[:n]
         small = np.uint32 if self.size < 1 << 32 else np.int64
         order = np.argsort(types, kind="stable")
-        offsets = np.frombuffer(self._walk.offsets, np.int64, n)[order].astype(small)
+        offsets = self._walk.offsets[:n][order].astype(small)
         ends = np.cumsum(np.bincount(types, minlength=256))
         for kind in np.flatnonzero(np.diff(ends, prepend=0)):
             begin = ends[kind - 1] if kind else 0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -69,16 +70,19 @@ class Topic(NamedTuple):
     label: str
 
 
+_UNIT = re.compile(f"(?:{'|'.join(_UNITS)})$")
+
+
 def unit_of(field: str) -> str:
     """Read the unit off the end of a field's name; empty if there is none.
 
     Examples
     --------
-    >>> unit_of("true_airspeed_m_s"), unit_of("voltage5v_v"), unit_of("control[3]")
-    ('m/s', 'V', '')
+    >>> unit_of("true_airspeed_m_s"), unit_of("voltage5v_v"), unit_of("control[3]"), unit_of("rate_rad[0]")
+    ('m/s', 'V', '', 'rad')
     """
-    stem = field.partition("[")[0]
-    return next((unit for ending, unit in _UNITS.items() if stem.endswith(ending)), "")
+    found = _UNIT.search(field.partition("[")[0])
+    return _UNITS[found[0]] if found else ""
 
 
 class UlogFile:
@@ -145,9 +149,9 @@ class UlogFile:
     def column(self, topic: str, field: str, *, instance: int = 0) -> NDArray[Any]:
         """Values of one field in the order of the file, shape (n,), in the type that pyulog gives them."""
         parts = self._parts(topic, instance)
-        if any(field not in part.data for part in parts):
+        columns = [part.data[field] for part in parts if field in part.data]
+        if len(columns) < len(parts):
             raise MissingChannel(f"{topic} has no field {field!r}; it has {', '.join(parts[0].data)}")
-        columns = [part.data[field] for part in parts]
         return columns[0] if len(columns) == 1 else np.concatenate(columns)
 
     def time_s(self, topic: str, *, instance: int = 0) -> FloatArray:
@@ -159,14 +163,12 @@ class UlogFile:
         """Every series by the name of its channel."""
         found: dict[str, Series] = {}
         for topic, instance in self.topics:
-            labels = self._labels(topic, instance)
-            for field, kind in self.fields(topic, instance).items():
-                if field == "timestamp" or kind == "char":
-                    continue
-                for label in labels:
-                    bracket = f"[{label}]" if label else ""
-                    group, origin = Topic(topic, instance, label), f"{topic}.{field}"
-                    found[f"{topic}[{instance}]{bracket}.{field}"] = Series(group, field, None, unit_of(field), origin)
+            numbers = {f: unit_of(f) for f, kind in self.fields(topic, instance).items() if kind != "char"}
+            numbers.pop("timestamp", None)
+            for label in self._labels(topic, instance):
+                group, stem = Topic(topic, instance, label), f"{topic}[{instance}]{f'[{label}]' if label else ''}"
+                for field, unit in numbers.items():
+                    found[f"{stem}.{field}"] = Series(group, field, None, unit, f"{topic}.{field}")
         return found
 
     def stamps(self, group: Topic) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:

@@ -138,18 +138,18 @@ def test_what_was_encoded_is_what_is_read() -> None:
 
 
 @pytest.mark.slow
-def test_the_compiled_and_the_plain_walk_agree_on_damaged_logs() -> None:
+def test_strides_take_the_records_that_a_walk_takes_one_by_one_however_damaged() -> None:
     rng = random.Random(SEED)  # noqa: S311 - a seed, not a secret
     sound = encode(servo_flight(20))
     for _ in range(30):
         data = memoryview(mutated(rng, sound))
-        plain, compiled = BinaryStore(data, compiled=False), BinaryStore(data, compiled=True)
-        assert plain.stretches == compiled.stretches
-        assert plain.steps == compiled.steps
-        assert plain.layouts == compiled.layouts
+        plain, strode = BinaryStore(data, strides=False), BinaryStore(data)
+        assert plain.stretches == strode.stretches
+        assert plain.steps == strode.steps
+        assert plain.layouts == strode.layouts
         for name in plain.layouts:
-            assert (plain.offsets(name) == compiled.offsets(name)).all()
-            assert (plain.suspect(name) == compiled.suspect(name)).all()
+            assert (plain.offsets(name) == strode.offsets(name)).all()
+            assert (plain.suspect(name) == strode.suspect(name)).all()
 
 
 def test_units_come_from_the_log() -> None:
