@@ -21,7 +21,7 @@ _BESIDE = {"CSRV": ("A", "V"), "VOLZ": ("pc", "pv"), "CVOL": ("Cur", "V"), "UMSV
 """Fields of the messages with which servos report themselves: current [A] and supply [V]."""
 _HUB = re.compile(r"CSRV\[(\d+)\]\.A")
 """What hubs report of ordinary servos as well, which have no position."""
-_TOLD = re.compile(r"(?:.*:)?(?:NVF|NVAL|NAMED_VALUE_FLOAT)\[SRVA(\d+)\]\.[vV]alue")
+_SENT = re.compile(r"(?:.*:)?(?:NVF|NVAL|NAMED_VALUE_FLOAT)\[SRVA(\d+)\]\.[vV]alue")
 """What a script sends of them, by the number of the output [A]."""
 _UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
 _EARLY = 0.1
@@ -52,8 +52,8 @@ def hub_outputs(log: FlightLog) -> dict[int, str]:
         if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and np.isfinite(value):
             mask |= int(value)
     base = 0 if mask and 0 not in found and all(mask >> (number - 1) & 1 for number in found) else 1
-    told = ((match, name) for name in log.channels if (match := _TOLD.fullmatch(name)) and _has_numbers(log, name))
-    return {int(match[1]): name for match, name in told} | {number + base: name for number, name in found.items()}
+    sent = ((match, name) for name in log.channels if (match := _SENT.fullmatch(name)) and _has_numbers(log, name))
+    return {int(match[1]): name for match, name in sent} | {number + base: name for number, name in found.items()}
 
 
 def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSource]:

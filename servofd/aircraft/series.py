@@ -472,20 +472,14 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
     ['unsettled from 0.0 to 0.0 s']
     """
     surface = aircraft.surfaces[name]
-    command = _channel(log, surface.command.channel, "command")
+    command = channel_of(log, surface.command.channel, "command")
     if surface.measured is None:
         raise NoMeasurement("the aircraft file names no measured channel for this surface")
-    measured = _channel(log, surface.measured.channel, "position")
+    measured = channel_of(log, surface.measured.channel, "position")
     if measured.is_constant:
         value = measured.values[np.isfinite(measured.values)][0]
         raise NoMeasurement(f"position channel {measured.name!r} never changes (always {value:g}): not a measurement")
-    command_deg = surface.command.to_deg(command.values)
-    given = np.isfinite(command_deg)
-    if not given.any():
-        raise NoMeasurement(f"command channel {command.name!r} holds no command (a pulse of 0 us is none)")
-    command_s, command_deg = command.time_s[given], command_deg[given]
-    if surface.command_saturation_deg is not None:
-        command_deg = np.clip(command_deg, *surface.command_saturation_deg)
+    command_s, command_deg = asked(surface, command)
     measured_deg = surface.measured.to_deg(measured.values)
     for channel, values_deg in ((command, command_deg), (measured, measured_deg)):
         largest_deg = float(np.nanmax(np.abs(values_deg)))
@@ -514,11 +508,28 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
             *(
                 column
                 for kind, sources in SURROUNDINGS.items()
-                for column in _signal(log, _sources(kind, sources, name, surface))
+                for column in signal_of(log, _sources(kind, sources, name, surface))
             )
         ),
         sent_period_s=sent_s,
     )
+
+
+def asked(surface: Surface, command: Channel) -> tuple[FloatArray, FloatArray]:
+    """What a surface is asked: times [s] and deflections [deg], shape (n,) each.
+
+    Raises
+    ------
+    NoMeasurement
+        If the channel holds no command.
+    """
+    command_deg = surface.command.to_deg(command.values)
+    given = np.isfinite(command_deg)
+    if not given.any():
+        raise NoMeasurement(f"command channel {command.name!r} holds no command (a pulse of 0 us is none)")
+    if surface.command_saturation_deg is not None:
+        command_deg = np.clip(command_deg, *surface.command_saturation_deg)
+    return command.time_s[given], command_deg[given]
 
 
 def _reasons(why: Marks) -> str:
@@ -625,7 +636,7 @@ def _sources(kind: str, sources: Mapping[str, float], name: str, surface: Surfac
     return {surface.load: 1.0} if surface.load else {f"{name}_{each}": 1.0 for each in sources} | dict(sources)
 
 
-def _signal(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+def signal_of(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """Times and values of the first of these channels that holds any; empty if none does."""
     for name, scale in sources.items():
         if name in log.channels:
@@ -636,7 +647,14 @@ def _signal(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, F
     return np.zeros(0), np.zeros(0)
 
 
-def _channel(log: FlightLog, name: str, kind: str) -> Channel:
+def channel_of(log: FlightLog, name: str, kind: str) -> Channel:
+    """A channel that holds values; `kind` says what is missing.
+
+    Raises
+    ------
+    NoMeasurement
+        If there is none of that name, or it is empty.
+    """
     try:
         channel = log[name]
     except MissingChannel as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.current_source import current_sources, read_current
-from servofd.aircraft.series import SURROUNDINGS
+from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.current.judge import judge_current, largest_of, limits_of, pushed, tells_motion
 from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
@@ -20,7 +20,7 @@ from servofd.detection.verdict import SERVO_OR_SENSOR, CurrentAudit, SurfaceAudi
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from logparsers.records import FlightLog
     from servofd.aircraft.current import CalibratedCurrent, CurrentSource
@@ -116,44 +116,15 @@ def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: Curren
         If it holds none, or no command.
     """
     read = read_current(log, source)
-    command_s, command_deg = commands(log, name, aircraft)
-    airspeed_s, airspeed_m_s = _first_of(log, SURROUNDINGS["airspeed_m_s"])
+    surface = aircraft.surfaces[name]
+    command_s, command_deg = asked(surface, channel_of(log, surface.command.channel, "command"))
+    airspeed_s, airspeed_m_s = signal_of(log, SURROUNDINGS["airspeed_m_s"])
     volts_s, volts_v = (read.voltage_s, read.voltage_v)
     if not volts_s.size:
-        volts_s, volts_v = _first_of(log, SURROUNDINGS["servo_voltage_v"])
+        volts_s, volts_v = signal_of(log, SURROUNDINGS["servo_voltage_v"])
     context = Context(airspeed_s=airspeed_s, airspeed_m_s=airspeed_m_s, voltage_s=volts_s, voltage_v=volts_v)
     motion = Motion.of(motion_model(aircraft, name), command_s, command_deg, float(read.time_s[-1]))
     return CurrentSeries(name, read.time_s, read.current_a, motion, context, read.notes)
-
-
-def commands(log: FlightLog, name: str, aircraft: Aircraft) -> tuple[FloatArray, FloatArray]:
-    """What a surface was asked: times [s] and deflections [deg], shape (n,) each.
-
-    Raises
-    ------
-    NoMeasurement
-        If the log does not tell.
-    """
-    surface = aircraft.surfaces[name]
-    if surface.command.channel not in log.channels:
-        raise NoMeasurement(f"no command: the log has no channel {surface.command.channel!r}")
-    channel = log[surface.command.channel]
-    asked_deg = surface.command.to_deg(channel.values)
-    given = np.isfinite(asked_deg)
-    if np.count_nonzero(given) < 2:
-        raise NoMeasurement(f"command channel {channel.name!r} holds no command")
-    if surface.command_saturation_deg is not None:
-        asked_deg = np.clip(asked_deg, *surface.command_saturation_deg)
-    return channel.time_s[given], asked_deg[given]
-
-
-def _first_of(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-    for name, scale in sources.items():
-        if name in log.channels:
-            good = np.isfinite(log[name].values)
-            if np.count_nonzero(good) > 1:
-                return log[name].time_s[good], scale * log[name].values[good]
-    return np.zeros(0), np.zeros(0)
 
 
 def _judged(
@@ -198,8 +169,8 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
     joined = replace(surface, current=current)
     if current.time_s is None:  # it could not be judged, which takes nothing from what the position says
         return joined if surface.is_judged else replace(joined, reason=f"{surface.reason}; {current.reason}")
-    told, left = _confirmed(surface.faults, current.faults)
-    faults = tuple(sorted((*told, *left), key=lambda fault: fault.start_s))
+    known, left = _confirmed(surface.faults, current.faults)
+    faults = tuple(sorted((*known, *left), key=lambda fault: fault.start_s))
     suspicions = tuple(sorted((*surface.suspicions, *current.suspicions), key=lambda fault: fault.start_s))
     joined = replace(joined, faults=faults, suspicions=suspicions)
     if surface.segment is None:  # nothing but its current tells
@@ -215,13 +186,13 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
     if surface.status in ("unknown", "no_data") and current.status == "healthy":
         status = surface.status  # a current alone clears no position that was there and could not be judged
     reason = surface.reason
-    for before, now in zip(surface.faults, told, strict=True):
+    for before, now in zip(surface.faults, known, strict=True):
         reason = reason.replace(describe(before), describe(now))
-    if told and all(fault.confirmed_by for fault in told):
+    if known and all(fault.confirmed_by for fault in known):
         reason = reason.replace(SERVO_OR_SENSOR, "servo: ")
     if left or current.status == "suspect" or _SENSOR in current.reason:
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
-    if any(abs(a.start_s - b.start_s) <= _AGREE_S for a in told for b in left):
+    if any(abs(a.start_s - b.start_s) <= _AGREE_S for a in known for b in left):
         reason += "; position and current agree"
     return replace(joined, status=status, reason=reason)
 
@@ -232,14 +203,14 @@ def _confirmed(positions: Sequence[Fault], currents: Sequence[Fault]) -> tuple[l
     A servo that stands still while it pushes, or without power, is one fault. Two witnesses that err independently
     multiply their odds, and what only one of them takes for possible is none of its alternatives any more.
     """
-    told, left = list(positions), list(currents)
-    for place, fault in enumerate(told):
+    found, left = list(positions), list(currents)
+    for place, fault in enumerate(found):
         until_s = np.inf if fault.end_s is None else fault.end_s
         same = [c for c in left if c.kind in _AT_REST and fault.start_s - _AGREE_S <= c.start_s <= until_s]
         if fault.kind in STANDS_STILL and same:
             wrong, other = 1.0 - fault.probability, 1.0 - same[0].probability
             right = fault.probability * same[0].probability
-            told[place] = replace(
+            found[place] = replace(
                 fault,
                 start_s=min(fault.start_s, same[0].alarm_s),
                 alarm_s=min(fault.alarm_s, same[0].alarm_s),
@@ -248,4 +219,4 @@ def _confirmed(positions: Sequence[Fault], currents: Sequence[Fault]) -> tuple[l
                 confirmed_by=same[0],
             )
             left = [c for c in left if c not in same]
-    return told, left
+    return found, left

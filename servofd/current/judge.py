@@ -266,7 +266,8 @@ def faults_of(seen: Seen) -> Iterator[Fault]:
 def _grid_s(seen: Seen) -> FloatArray:
     """When it is asked whether a current is worth a look [s]."""
     first_s, last_s = (float(seen.series.time_s[k]) for k in (0, -1))
-    return np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S)
+    grid_s: FloatArray = np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S)
+    return np.minimum(grid_s, last_s)
 
 
 def worth_a_look(seen: Seen, at_s: FloatArray) -> FloatArray:

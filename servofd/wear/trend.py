@@ -86,19 +86,19 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
         missing: dict[str, str] = {}
         alarms: list[str] = []
         reasons: list[str] = []
-        for tell in (partial(_by_position, bus=bus), _by_current):
+        for witness in (partial(_by_position, bus=bus), _by_current):
             try:
-                told = tell(log, name, aircraft)
+                found = witness(log, name, aircraft)
             except ServofdError as error:
                 reasons.append(f"{name}: {error}")
                 continue
-            if told is not None:
-                values |= told.values
-                missing |= told.missing
-                alarms += [told.alarm] * bool(told.alarm)
+            if found is not None:
+                values |= found.values
+                missing |= found.missing
+                alarms += [found.alarm] * bool(found.alarm)
         if values or missing:
-            told_by = values, missing, "; ".join(alarms)
-            flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *told_by))
+            shown = values, missing, "; ".join(alarms)
+            flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *shown))
         problems += reasons if not values else []
     if aircraft.motion is not None and not surfaces:
         try:
@@ -108,7 +108,7 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
     return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
 
 
-class _Told(NamedTuple):
+class _Shown(NamedTuple):
     """What one witness tells of a surface in a flight, as `FlightEstimate` has it."""
 
     values: dict[str, Estimate]
@@ -116,23 +116,23 @@ class _Told(NamedTuple):
     alarm: str
 
 
-def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks]) -> _Told | None:
+def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks]) -> _Shown | None:
     if aircraft.surfaces[name].measured is None:
         return None
     segment = cut(log, name, aircraft, bus)
     verdict = audit_segment(segment, aircraft, duration_s=log.duration_s)
     stood = any(fault.kind in STANDS_STILL for fault in verdict.faults)
     estimated = estimate_flight(segment, aircraft, unfit="stood still for a part of the flight" if stood else "")
-    return _Told(*estimated, verdict.reason if verdict.status == "fault" else "")
+    return _Shown(*estimated, verdict.reason if verdict.status == "fault" else "")
 
 
-def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> _Told | None:
+def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> _Shown | None:
     known, source = aircraft.surfaces[name].healthy_current, current_sources(log, aircraft).get(name)
     if known is None or source is None:
         return None
     series = current_series(log, name, aircraft, source)
     verdict = judge_current(series, known)
-    return _Told(quantities_of(see(series, known)), {}, verdict.reason if verdict.faults else "")
+    return _Shown(quantities_of(see(series, known)), {}, verdict.reason if verdict.faults else "")
 
 
 def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:

@@ -184,7 +184,7 @@ def _current(entry: Mapping[str, Any]) -> CurrentAudit | None:
         return None
     current = entry["current"]
     faults, suspicions = (
-        tuple(told for one in entry[which] if (told := _told_by_current(_fault(one))) is not None)
+        tuple(fault for one in entry[which] if (fault := _by_current(_fault(one))) is not None)
         for which in ("faults", "suspicions")
     )
     return CurrentAudit(
@@ -198,7 +198,7 @@ def _current(entry: Mapping[str, Any]) -> CurrentAudit | None:
     )
 
 
-def _told_by_current(fault: Fault) -> Fault | None:
+def _by_current(fault: Fault) -> Fault | None:
     return fault if fault.witness == "current" else fault.confirmed_by
 
 
