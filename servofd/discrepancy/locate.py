@@ -317,7 +317,7 @@ def _binned(values: FloatArray, error: FloatArray, block: IntArray) -> FloatArra
 
 _FALSE_DISCOVERIES = 0.01
 """Share of the bad seconds that chance alone may have made (Benjamini and Hochberg)."""
-_SHOWN_SHARE = 0.25
+SHOWN_SHARE = 0.25
 """Share of the disagreement, in blocks from which it was not learnt, from which on a quantity is named."""
 _EXCESS = 0.03
 """Relative excess over the noise floor's energy that is still noise."""
@@ -403,7 +403,7 @@ def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[s
         *_after_reversals(record, error_deg, sigma_deg),
         *_at_frequencies(record, error_deg, sigma_deg),
     ]
-    telling = [f"{_percent(m.share)} follows the {m.quantity}" for m in found[:3] if m.share > _SHOWN_SHARE]
+    telling = [f"{_percent(m.share)} follows the {m.quantity}" for m in found[:3] if m.share > SHOWN_SHARE]
     texts.append(
         f"of the excess, {', '.join(telling)}"
         if telling

@@ -147,7 +147,7 @@ def identify(
         segments=tuple(itertools.chain(*sets)),
     )
     _check_explained(result, tests)
-    if not any(_is_stepwise(run) for run in tests.runs):
+    if not any(is_stepwise(run) for run in tests.runs):
         named = [(run, tests.names[run.servo]) for run in tests.runs]
         _refuse_most(named, lambda run, label: check_saturation(run, final, label))
     return result
@@ -222,7 +222,7 @@ def _is_usable(segment: Series) -> bool:
 def _check_all(runs: Sequence[Run], uniform: Sequence[Uniform], labels: Sequence[str]) -> None:
     """Refuse what most runs refuse; among many runs a single one may be odd."""
     moving = [k for k, u in enumerate(uniform) if np.ptp(u.command_deg) > 0.0]
-    smooth = [k for k in moving if not _is_stepwise(runs[k])]
+    smooth = [k for k in moving if not is_stepwise(runs[k])]
     _refuse_most([(uniform[k], labels[k]) for k in moving], check_order_of_columns)
     _refuse_most([(runs[k], labels[k]) for k in smooth], check_clipping)
 
@@ -238,7 +238,8 @@ def _refuse_most(tests: Sequence[tuple[_T, str]], check: Callable[[_T, str], Non
         raise refusals[0]
 
 
-def _is_stepwise(run: Run) -> bool:
+def is_stepwise(run: Run) -> bool:
+    """Whether a run is steps, rather than a motion that is sampled."""
     seldom = np.count_nonzero(np.diff(run.command_deg)) < _STEPWISE * run.measured_s.size
     return bool(seldom or np.unique(run.command_deg).size <= _LEVELS)
 
@@ -246,7 +247,7 @@ def _is_stepwise(run: Run) -> bool:
 def _sweep(run: Run, uniform: Uniform, lags_s: float) -> FrequencyResponse | None:
     """Frequency response of a run that sweeps far enough; None if it does not."""
     duration_s = uniform.sample_time_s * uniform.command_deg.size
-    if duration_s < _SHORTEST_SWEEP_S or np.ptp(uniform.command_deg) == 0.0 or _is_stepwise(run):
+    if duration_s < _SHORTEST_SWEEP_S or np.ptp(uniform.command_deg) == 0.0 or is_stepwise(run):
         return None
     lags = min(round(lags_s / uniform.sample_time_s), uniform.command_deg.size // 4)
     response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s, lags)
@@ -270,7 +271,7 @@ def _check_phase(response: FrequencyResponse, band: tuple[float, float] | None, 
 
 def _check_follows(fit: MotionFit, tests: _Tests) -> None:
     runs = tests.fitted(fit)
-    if fit.rms_deg > _FOLLOWS * _deviation_deg(runs) and not any(_is_stepwise(run) for run in runs):
+    if fit.rms_deg > _FOLLOWS * _deviation_deg(runs) and not any(is_stepwise(run) for run in runs):
         raise IdentificationError(
             f"{tests.names[0]}: the position does not follow the command: the best servo leaves {fit.rms_deg:.3g} deg "
             f"rms of a motion of {_deviation_deg(runs):.3g} deg; is this the right position channel, and was it moving?"
@@ -281,7 +282,7 @@ def _check_drift(fit: MotionFit, tests: _Tests) -> None:
     swept = [
         ((run, error), tests.names[run.servo])
         for run, error in zip(tests.fitted(fit), fit.errors_deg, strict=True)
-        if not _is_stepwise(run)
+        if not is_stepwise(run)
     ]
     _refuse_most(swept, lambda pair, label: check_drift(*pair, label))
 

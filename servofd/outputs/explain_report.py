@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.statistics import Z_95
-from servofd.discrepancy.locate import binned, maps, spectrum
+from servofd.discrepancy.locate import SHOWN_SHARE, binned, maps, spectrum
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
@@ -70,11 +70,11 @@ def _traces(found: Explanation, *, excerpt: bool) -> Chart:
 
 
 def _maps(found: Explanation) -> list[Chart]:
-    """The error before and after, over each quantity that it may depend on."""
+    """The error before and after, over each quantity that it depends on."""
     record, selection = found.record, found.selection
     charts = []
     for each in maps(record, selection.nominal.error_deg, selection.sigma_deg):
-        if not np.ptp(each.values) > 0.0 or not each.unit:  # the direction of motion is no axis
+        if each.share < SHOWN_SHARE or not each.unit or each.quantity == "time":  # the direction of motion is no axis
             continue
         curves = []
         for name, role, fit in (("before", "before", selection.nominal), ("after", "after", selection.final)):
@@ -85,7 +85,8 @@ def _maps(found: Explanation) -> list[Chart]:
         if not ends[0] < ends[1]:
             continue
         text = (
-            f"Median error, with the middle 90% of it as bars; noise is {2 * selection.sigma_deg:.2g} deg either way."
+            f"It predicts {each.share:.0%} of the gap in blocks from which that was not learnt. Median error, with the "
+            f"middle 90% of it as bars; noise is {2 * selection.sigma_deg:.2g} deg either way."
         )
         panel = Panel.around("error", "deg", curves)
         name = each.quantity
@@ -145,7 +146,6 @@ def _correlation(found: Explanation) -> Chart:
 
 _MOST_RIVALS = 5
 """Rivals of an effect that are listed at most."""
-_SHARES = ("quantity", "share of the gap")
 _STATUS = {"nothing_missing": "healthy", "explained": "unknown", "partly_explained": "suspect", "unexplained": "fault"}
 _METHOD = (
     "The servo is simulated with its model as it is known, and with each effect of a catalogue added to it. All "
@@ -209,7 +209,6 @@ def _surface(found: Explanation, anchor: str) -> Section:
         found.surface,
         [
             Words(found.answer, style="verdict"),
-            Words(_numbers(document), f"{spoken(found.conclusion).capitalize()}:"),
             Section("Where model and measurement disagree", [Bullets(said)]),
             Figures(lambda: [_traces(found, excerpt=True), _traces(found, excerpt=False)]),
             Table("Error after each step [deg rms]", ("model", "fitted samples", "held-out samples"), ladder),
@@ -218,40 +217,12 @@ def _surface(found: Explanation, anchor: str) -> Section:
                 "Rivals, tried in the place of what was found", ("instead of", "rival", "held out [deg rms]"), rivals
             ),
             Table(on_others, ("flight", "before", "after", "noise floor"), elsewhere),
-            Table("What predicts the gap, in blocks from which it was not learnt", _SHARES, _shares(found)),
             Figures(lambda: [*explain_charts(found).values()][2:]),
         ],
         "fault" if found.has_fault else _STATUS[found.conclusion],
         spoken(found.conclusion),
         anchor=anchor,
     )
-
-
-def _shares(found: Explanation) -> list[tuple[str, ...]]:
-    """How much of the gap each quantity predicts."""
-    shares = [
-        one
-        for one in maps(found.record, found.selection.nominal.error_deg, found.selection.sigma_deg)
-        if one.quantity != "time"
-    ]
-    return [(one.quantity, f"{one.share:.0%}") for one in shares]
-
-
-def _numbers(document: dict[str, Any]) -> str:
-    before, after = (document[key]["held_out_rms_deg"] for key in ("nominal", "final"))
-    names = " and ".join(_name(step) for step in document["steps"])
-    shrinks = f"the error shrinks from {before:.3g} to {after:.3g} deg rms on samples that were not fitted"
-    text = {
-        "nothing_missing": f"{before:.3g} deg rms are left",
-        "explained": f"{names} explains the gap: {shrinks}",
-        "partly_explained": f"{names} explains a part: {shrinks}, and something stays",
-        "unexplained": f"nothing in the catalogue explains the gap of {before:.3g} deg rms",
-    }[document["conclusion"]]
-    if document["fault_s"] is not None:
-        left = f"with {names} what came before shrinks from {before:.3g} to {after:.3g} deg rms"
-        text = f"a fault sets in at {document['fault_s']:.1f} s; "
-        text += left if names else f"{before:.3g} deg rms are left of what came before"
-    return f"{text}; the noise floor is {document['noise_floor_rms_deg']:.3g} deg."
 
 
 def _name(step: dict[str, Any]) -> str:

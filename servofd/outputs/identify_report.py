@@ -9,6 +9,7 @@ import numpy as np
 
 from logparsers.units import MS_PER_S
 from servofd.identification.choice import steps_of
+from servofd.identification.identify import is_stepwise
 from servofd.identification.records import longest_uniform
 from servofd.identification.response import raw_response
 from servofd.outputs.chart import Chart, Curve, Panel, Span
@@ -17,6 +18,8 @@ from servofd.outputs.sentence import known_digits, spoken
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
+    from servofd.identification.choice import Step
+    from servofd.identification.records import Run
     from servofd.identification.result import Identification
 
 _FEWEST = 2
@@ -35,7 +38,7 @@ _COHERENT = 0.8
 
 def identify_charts(found: Identification) -> dict[str, Chart]:
     """All charts that the tests allow, by name: step, motion, response, validation."""
-    charts = {"step": _step(found)} if any(map(steps_of, found.runs)) else {}
+    charts = {"step": _step(found)} if any(_steps(run) for run in found.runs) else {}
     charts["motion"] = _motion(found)
     if found.response is not None:
         charts["response"] = _response(found)
@@ -123,9 +126,14 @@ def _traced(found: Identification, index: int, title: str, first_s: float, last_
     return Chart(title, text, first_s, last_s, panels)
 
 
+def _steps(run: Run) -> list[Step]:
+    """Steps of a run; those between the samples of a chirp are none."""
+    return steps_of(run) if is_stepwise(run) else []
+
+
 def _step(found: Identification) -> Chart:
     """Largest step."""
-    every = ((k, step) for k, run in enumerate(found.runs) for step in steps_of(run))
+    every = ((k, step) for k, run in enumerate(found.runs) for step in _steps(run))
     index, step = max(every, key=lambda one: abs(one[1].jump_deg))
     last_s = min(step.start_s + _STEP_S, step.end_s)
     return _traced(found, index, "Step (thesis Fig. 3.3)", step.start_s - 0.1, last_s)

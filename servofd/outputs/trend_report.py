@@ -78,10 +78,12 @@ def trend_report(document: dict[str, Any], pages: Mapping[str, str] = MappingPro
 def _verdict(document: dict[str, Any], alarms: list[str], count: str) -> str:
     """The whole trend in a sentence or two."""
     found = [(name, one) for name, all_of in document["surfaces"].items() for one in all_of["quantities"].values()]
-    limits = [
-        f"{spoken(name)}: {one['title']} {_when(one)}" for name, one in found if one["forecast"]["kind"] != "none"
-    ]
-    said = [f"{'; '.join(limits)}."] if limits else []
+    limits: dict[str, list[str]] = {}
+    for name, one in found:
+        if one["forecast"]["kind"] != "none":
+            limits.setdefault(name, []).append(f"{one['title']} {_when(one)}")
+    lines = [f"{spoken(name)}: {', '.join(all_of)}" for name, all_of in limits.items()]
+    said = [f"{'; '.join(lines)}."] if lines else []
     if alarms:
         more = f" (and {len(alarms) - 1} more)" if len(alarms) > 1 else ""
         said.append(f"{alarms[-1]}{more}.")

@@ -50,7 +50,8 @@ class Identified(Identification, Shown):
     def plot(self) -> Figure:
         """Figure of the frequency response, or of the motion where there is none."""
         needs("matplotlib")
-        return chart_figure(next(iter(identify_charts(self).values())))
+        charts = identify_charts(self)
+        return chart_figure(charts.get("response", charts["motion"]))
 
     def _rows(self) -> list[dict[str, Any]]:
         (table,) = (part for part in self.report().parts if isinstance(part, Table))

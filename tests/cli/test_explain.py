@@ -147,7 +147,7 @@ def test_what_has_no_better_model_is_not_saved(tmp_path: Path, capsys: pytest.Ca
     path, saved = healthy().write(tmp_path / "log.csv"), tmp_path / "same.toml"
     assert main(["explain", *KNOWN, str(path), "--save", str(saved)]) == 0
     captured = capsys.readouterr()
-    assert "Nothing missing" in captured.out
+    assert "Nothing is missing" in captured.out
     assert "stays as it was: no effect was found" in captured.err
     assert "was not written: nothing that was found is a better model" in captured.err
     assert not saved.exists()

@@ -128,7 +128,7 @@ def test_a_flight_with_a_fault_stands_before_those_without() -> None:
 @pytest.mark.slow
 def test_an_explanation_shows_the_gap_before_and_after(explained: str) -> None:
     page = Page(explained)
-    for words in ("rate limit", "explains the gap", "held-out samples", "Rivals, tried"):
+    for words in ("rate limit", "noise floor", "held-out samples", "Rivals, tried"):
         assert words in page.text
     assert len(page.of("svg")) >= 8
 
