@@ -1,10 +1,9 @@
-"""Identification of a servo from the chirp of thesis 3.2.3, against the thesis' own method and a subspace method.
+"""Identification of a servo from the chirp of thesis 3.2.3, against a subspace method.
 
-Run it from anywhere: ``python benchmarks/identify.py``. 120 s at 100 Hz, 0.1 deg of noise, 12 bit. The peers see the
-same data: the thesis' log-Chebyshev magnitude fit (``--method magnitude``, here with the hold divided out, to which
-MATLAB's ``fitmagfrd`` has no equivalent), and python-control's Markov parameters with the eigensystem realisation,
-which know neither a delay nor noise. Times are processor time, so that other work on the machine does not count;
-without OMP_NUM_THREADS=1 idle threads of the linear algebra do.
+Run it from anywhere: ``python benchmarks/identify.py``. 120 s at 100 Hz, 0.1 deg of noise, 12 bit. The peer sees the
+same data: python-control's Markov parameters with the eigensystem realisation, which know neither a delay nor noise.
+Times are processor time, so that other work on the machine does not count; without OMP_NUM_THREADS=1 idle threads of
+the linear algebra do.
 """
 
 from __future__ import annotations
@@ -50,9 +49,6 @@ def main() -> None:
             f"  servofd    {name:14} {seconds:6.2f} s CPU   dominant pole {pole:5.2f} %   bandwidth {bandwidth:5.2f} %"
         )
     servo = servo_named("hs225bb-eq31")
-    seconds, found = timed(lambda: identify(record("hs225bb-eq31", 0), method="magnitude"))
-    pole = dominant_error(found.poles_rad_s, servo.transfer.poles_rad_s)
-    print(f"  magnitude  hs225bb-eq31   {seconds:6.2f} s CPU   dominant pole {pole:5.2f} %")
     seconds, poles = timed(realisation)
     pole = dominant_error(poles, servo.transfer.poles_rad_s)
     print(f"  Markov+ERA hs225bb-eq31   {seconds:6.2f} s CPU   dominant pole {pole:5.2f} %")

@@ -25,9 +25,7 @@ def run(options: Options) -> int:
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]})
     aircraft = known_aircraft(options.config)
     with progress("identify", _STEPS) as step:
-        found = identify(
-            options.logs, aircraft, surface=options.surface, method=options.method, order=options.order, progress=step
-        )
+        found = identify(options.logs, aircraft, surface=options.surface, order=options.order, progress=step)
     source = ", ".join(Path(log).name for log in options.logs)
     report = identify_report(found, source)
     if options.save and not found.not_told:

@@ -245,8 +245,6 @@ def _identify(parser: Parser) -> None:
     parser.add_argument("logs", nargs="+", metavar="LOG", help=logs)
     parser.add_argument("-s", "--surface", metavar="SURFACE", help="which servo, if the logs hold several")
     parser.config(help="aircraft file: columns, calibration")
-    method = "response: exact hold and delay, refined on the motion (default); magnitude: the thesis' fit"
-    parser.add_argument("--method", choices=["response", "magnitude"], default="response", help=method)
     parser.add_argument("--order", type=int, choices=[1, 2, 3], help="number of poles (default: the data choose)")
     parser.json(instead="text")
     parser.file("--save", "write a servo file, for --servo and aircraft files", "SERVO.toml")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.identification.choice import (
     Choice,
@@ -18,7 +17,7 @@ from servofd.identification.choice import (
     steps_of,
     with_unity_gain,
 )
-from servofd.identification.motion import MotionFit, ServoCandidate, check_saturation, evaluated, fit_motion
+from servofd.identification.motion import MotionFit, check_saturation, evaluated, fit_motion
 from servofd.identification.records import (
     Run,
     Uniform,
@@ -29,14 +28,13 @@ from servofd.identification.records import (
     longest_uniform,
     prepared,
 )
-from servofd.identification.response import LAGS_S, FrequencyResponse, average, estimate, fit_magnitude
+from servofd.identification.response import FrequencyResponse, average, estimate
 from servofd.identification.result import Identification
 from servofd.identification.summary import intervals_of, notes_on_servo, notes_on_spread
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
 
-Method = Literal["response", "magnitude"]
 _T = TypeVar("_T")
 
 _SHORTEST_SWEEP_S = 10.0
@@ -53,28 +51,25 @@ _FOLLOWS = 0.7
 """Share of the position's deviation that a model may leave if the servo follows."""
 _SWAPPED_RAD = 0.05
 """Mean phase above which the position is ahead of the command [rad]: the columns are swapped."""
-_MAGNITUDE_ORDER, _MAGNITUDE_LAGS_S = 3, 1.0
-"""The largest deviation of a wide window would be noise: thesis Appendix A takes 100 lags at 100 Hz."""
 
 
 def identify(
     records: Series | Sequence[Sequence[Series]],
     *,
-    method: Method = "response",
     order: int | None = None,
     labels: Sequence[str] = (),
     progress: Callable[[str], object] = str,
 ) -> Identification:
     """Identify a servo from chirps, steps or other motion.
 
+    By the frequency response with the exact hold and delay, refined on the motion itself; without a sweep by the motion
+    alone.
+
     Parameters
     ----------
     records : Series, or sequence of sequences of Series
         One test; or for each of several servos of one kind its tests. The servo is their mean, `notes` tell how far
         they differ.
-    method : {"response", "magnitude"}
-        "response": frequency response with the exact hold and delay, refined on the motion itself; without a sweep
-        the motion alone. "magnitude": the thesis' log-Chebyshev fit.
     order : int, optional
         Number of poles, 1 to 3; left out, the data choose.
     labels : sequence of str
@@ -108,10 +103,8 @@ def identify(
     """
     sets = records if isinstance(records, Sequence) else [[records]]
     names = labels or [segments[0].surface for segments in sets]
-    tests = _Tests.of(sets, names, _MAGNITUDE_LAGS_S if method == "magnitude" else LAGS_S)
+    tests = _Tests.of(sets, names)
     spread_notes = notes_on_spread(tests.small, order, tests.names)
-    if method == "magnitude":
-        return _by_magnitude(tests, order or _MAGNITUDE_ORDER, sets)
     choice = choose_linear(tests.small or tests.runs, order)
     free, notes = choice.fit, list(tests.notes)
     progress("linear servo")
@@ -167,7 +160,7 @@ class _Tests:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, sets: Sequence[Sequence[Series]], names: Sequence[str], lags_s: float) -> _Tests:
+    def of(cls, sets: Sequence[Sequence[Series]], names: Sequence[str]) -> _Tests:
         runs, labels = [], []
         for servo, (segments, name) in enumerate(zip(sets, names, strict=True)):
             for segment in segments:
@@ -179,9 +172,7 @@ class _Tests:
             raise IdentificationError(f"{names[0]}: no test long enough; a chirp or steps are needed")
         uniform = [longest_uniform(run) for run in runs]
         _check_all(runs, uniform, labels)
-        sweeps = [
-            (run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u, lags_s))
-        ]
+        sweeps = [(run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u))]
         responses = tuple(
             average([response for run, _, response in sweeps if run.servo == servo])[0]
             for servo in sorted({run.servo for run, _, _ in sweeps})
@@ -244,13 +235,12 @@ def is_stepwise(run: Run) -> bool:
     return bool(seldom or np.unique(run.command_deg).size <= _LEVELS)
 
 
-def _sweep(run: Run, uniform: Uniform, lags_s: float) -> FrequencyResponse | None:
+def _sweep(run: Run, uniform: Uniform) -> FrequencyResponse | None:
     """Frequency response of a run that sweeps far enough; None if it does not."""
     duration_s = uniform.sample_time_s * uniform.command_deg.size
     if duration_s < _SHORTEST_SWEEP_S or np.ptp(uniform.command_deg) == 0.0 or is_stepwise(run):
         return None
-    lags = min(round(lags_s / uniform.sample_time_s), uniform.command_deg.size // 4)
-    response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s, lags)
+    response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s)
     band = response.band_rad_s()
     return response if band is not None and band[1] >= _NARROWEST_SWEEP * band[0] else None
 
@@ -318,31 +308,3 @@ def _no_rate(runs: Sequence[Run]) -> str:
             "limit, use larger ones"
         )
     return f"rate limit not identified: {why}"
-
-
-def _by_magnitude(tests: _Tests, order: int, sets: Sequence[Sequence[Series]]) -> Identification:
-    """The thesis' fit; no intervals, for the method gives none."""
-    notes = list(tests.notes)
-    if tests.nominal is None or tests.band_rad_s is None:
-        raise IdentificationError(f"{tests.names[0]}: --method magnitude needs a sweep; --method response does without")
-    linear = fit_magnitude(tests.nominal.within(tests.band_rad_s), order)
-    if linear.delay_s < 0.0:
-        notes.append(f"phase asks for a delay of {MS_PER_S * linear.delay_s:.2f} ms: set to 0")
-        linear = replace(linear, delay_s=0.0)
-    servo = ServoCandidate(linear)
-    errors, offsets = evaluated(tests.runs, servo)
-    return Identification(
-        surface=sets[0][0].surface,
-        method="magnitude",
-        servo=servo,
-        intervals={},
-        notes=(*notes, "magnitude fit (thesis 3.3): no intervals and no rate limit; --method response gives them"),
-        runs=tests.runs,
-        errors_deg=errors,
-        offset_deg=float(offsets.mean()),
-        response=tests.nominal,
-        responses=tests.responses,
-        spread=average(tests.responses)[1],
-        band_rad_s=tests.band_rad_s,
-        segments=tuple(itertools.chain(*sets)),
-    )

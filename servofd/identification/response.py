@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.errors import IdentificationError
 from servofd.core.series import stretches
-from servofd.identification.motion import LinearServo
-from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,20 +77,6 @@ class FrequencyResponse:
         good = excited & (self.frequency_rad_s <= highest) & (self.coherence > LOWEST_COHERENCE)
         first, last = _longest_run(good)
         return (float(self.frequency_rad_s[first]), float(self.frequency_rad_s[last])) if last > first else None
-
-    def within(self, band_rad_s: tuple[float, float]) -> FrequencyResponse:
-        """About 150 frequencies of a band, evenly spaced on a logarithmic scale, for a fit."""
-        wanted = np.geomspace(*band_rad_s, 150)
-        return self._at(np.unique(np.searchsorted(self.frequency_rad_s, wanted * (1.0 - 1e-12))))
-
-    def _at(self, index: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FrequencyResponse:
-        return FrequencyResponse(
-            self.frequency_rad_s[index],
-            self.response[index],
-            self.coherence[index],
-            self.command_power[index],
-            self.sample_time_s,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,57 +173,3 @@ def _longest_run(flags: BoolArray) -> tuple[int, int]:
         else:
             merged.append((first, last))
     return max(merged, key=lambda run: run[1] - run[0], default=(0, -1))
-
-
-_LARGEST_RIPPLE = 3.0
-"""Of the logarithm of the magnitude: a factor of 20 is no fit."""
-_LOWEST = 1e-9
-"""Least squared magnitude of the denominator in the linear programme, so that it stays positive."""
-_FAR = 1e3
-"""The squared magnitude must stay positive up to so many times the highest frequency of the fit."""
-
-
-def fit_magnitude(response: FrequencyResponse, order: int) -> LinearServo:
-    r"""Fit the magnitude as MATLAB's ``fitmagfrd`` does, then the delay to the phase.
-
-    With :math:`x = (w/w_g)^2` an all-pole servo has :math:`|G|^2 = 1 / A(x)`. The smallest g for which a polynomial
-    with :math:`e^{-2g} \le |G_{sm}|^2 A \le e^{2g}` exists is found by a linear programme (HiGHS); the roots of A give
-    the poles, :math:`s = -\sqrt{-x}`. Unlike the thesis, the hold is divided out first, so that neither the magnitude
-    nor the delay contains it. Fragile where poles lie far beyond the band.
-    """
-    w, half = response.frequency_rad_s, 0.5 * response.sample_time_s
-    plain = response.response / (np.sinc(w * half / np.pi) * np.exp(-1j * w * half))
-    scale = float(np.sqrt(w[0] * w[-1]))
-    polynomial = _smallest_ripple((w / scale) ** 2, np.abs(plain) ** 2, order)
-    poles = -np.sqrt(-np.roots(polynomial).astype(complex)) * scale
-    if poles.size < order or not np.all(poles.real < 0.0):
-        raise IdentificationError(
-            f"no stable servo of order {order} has this magnitude; try a lower --order, or --method response"
-        )
-    denominator = np.poly(poles).real
-    gain = float(1.0 / np.sqrt(polynomial[-1]))
-    transfer = TransferFunction((gain * float(denominator[-1]),), tuple(denominator.tolist()))
-    phase_rad = np.unwrap(np.angle(plain / transfer.at(np.asarray(1j * w, dtype=complex))))
-    phase_rad -= 2.0 * np.pi * np.round(phase_rad[0] / (2.0 * np.pi))
-    return LinearServo.of(transfer, float(-(phase_rad @ w) / (w @ w)))
-
-
-def _smallest_ripple(x: FloatArray, power: FloatArray, order: int) -> FloatArray:
-    """Coefficients of A, highest power first: exp(2 g) A and exp(4 g) are the unknowns of one linear programme."""
-    from scipy.optimize import linprog
-
-    rows = power[:, np.newaxis] * np.vander(x, order + 1)
-    far = np.vander(np.geomspace(x[-1], x[-1] * _FAR, 30), order + 1)
-    far /= far.max(axis=1, keepdims=True)
-    one, none = np.ones((x.size, 1)), np.zeros((x.size, 1))
-    result = linprog(
-        np.append(np.zeros(order + 1), 1.0),
-        A_ub=np.vstack([np.hstack([rows, -one]), np.hstack([-rows, none]), np.pad(-far, ((0, 0), (0, 1)))]),
-        b_ub=np.concatenate([np.zeros(x.size), -np.ones(x.size), np.full(len(far), -_LOWEST)]),
-        bounds=[(None, None)] * order + [(_LOWEST, None), (1.0, np.exp(4.0 * _LARGEST_RIPPLE))],
-        method="highs",
-    )
-    if result.status != 0 or result.x is None:
-        raise IdentificationError(f"no servo of order {order} comes near this magnitude")
-    coefficients: FloatArray = result.x[:-1] / np.sqrt(result.x[-1])
-    return coefficients

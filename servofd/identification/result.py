@@ -28,7 +28,7 @@ class Identification:
 
     surface: str
     method: str
-    """``"response"`` (frequency response, then motion), ``"motion"`` (no sweep: motion alone) or ``"magnitude"``."""
+    """``"response"`` (frequency response, then motion), or ``"motion"`` (no sweep: motion alone)."""
     servo: ServoCandidate
     intervals: Mapping[str, Estimate]
     """95 % intervals by name: ``delay_s``, ``dc_gain``, ``bandwidth_rad_s``, ``lag_s``, ``pole_0_real_rad_s`` ..."""

@@ -12,7 +12,6 @@ import numpy as np
 from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.feedback.flown import log_files, logs_of, surfaces_of
-from servofd.identification.identify import Method
 from servofd.identification.identify import identify as identify_records
 
 if TYPE_CHECKING:
@@ -67,7 +66,6 @@ def identify(
     aircraft: Aircraft | None = None,
     *,
     surface: str | None = None,
-    method: Method = "response",
     order: int | None = None,
     progress: Callable[[str], object] = str,
 ) -> Identification:
@@ -81,7 +79,7 @@ def identify(
         Which channels they are, of logs that do not say.
     surface : str, optional
         Which surface of the logs.
-    method, order, progress
+    order, progress
         As of `servofd.identification.identify.identify`.
 
     Raises
@@ -96,19 +94,19 @@ def identify(
     (3, True)
     """
     if isinstance(tests, Series) or _are_segments(tests):
-        return identify_records(tests, method=method, order=order, progress=progress)
+        return identify_records(tests, order=order, progress=progress)
     paths = log_files(tests)
     found = [bench_tests(path, aircraft, surface) for path in paths]
     labels = [label_of(path) for path in paths]
     sources = tuple(dict.fromkeys(test.source for one in found for test in one))
     segments = [[test.segment for test in one] for one in found]
-    result = identify_records(segments, method=method, order=order, labels=labels, progress=progress)
+    result = identify_records(segments, order=order, labels=labels, progress=progress)
     if not any(test.pulse_us is not None for one in found for test in one):
         return replace(result, notes=(*sources, *result.notes))
     gain = result.servo.linear.gain
     scaled = [[_rescaled(test.segment, gain, result.offset_deg) for test in one] for one in found]
     slope = gain * _slope_deg_per_us(found[0][0])
-    result = identify_records(scaled, method=method, order=order, labels=labels)
+    result = identify_records(scaled, order=order, labels=labels)
     scale = f"pulses were converted with the scale that gives a dc gain of 1: {slope:.5f} deg/us"
     return replace(result, notes=(*sources, scale, *result.notes))
 

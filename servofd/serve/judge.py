@@ -79,7 +79,7 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     document = json.loads(to_json(report.data).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1]))
     audits = [result for result in results if not isinstance(result, FailedLog)]
     too_long = bool(audits) and _positions(audits[0]) > _MOST_RECORDED
-    summary = replace(_summary(results, document["logs"], job), too_long=too_long)
+    summary = replace(_summary(results, document["logs"], report.sentence, job), too_long=too_long)
     if not audits:
         summary = _unread(Path(log), results, summary)
         if summary.table or summary.status == "not_a_log":
@@ -153,16 +153,20 @@ def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) ->
     return summary
 
 
-def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], job: Job) -> Summary:
-    """Of several runs the worst."""
+def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], sentence: str, job: Job) -> Summary:
+    """Of several runs the worst; of a log that could not be judged the sentence of its page."""
     judged = [
         (LEAST_CLEARED.index(worst((*result.surfaces, *result.axes))), result, document)
         for result, document in zip(results, documents, strict=True)
         if not isinstance(result, FailedLog)
     ]
     if not judged:
-        error = str(documents[0]["error"])
-        return Summary("unknown", f"Could not be read: {error.partition(': ')[2] or error}", key=job.key)
+        first, (known, *_) = results[0], documents
+        error = str(known["error"])
+        said = f"Could not be read: {error.partition(': ')[2] or error}"
+        if isinstance(first, FailedLog) and (first.log is not None or first.flight is not None):
+            said = sentence
+        return Summary("unknown", said, known.get("duration_s"), known.get("start_utc"), key=job.key)
     _, shown, document = min(judged, key=lambda one: one[0])
     faults = [fault.alarm_s for surface in shown.surfaces for fault in surface.faults]
     name, outline = worst_outline(document)

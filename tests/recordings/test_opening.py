@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import servofd
-from servofd.outputs.identify_recording import _worst
+from servofd.outputs.explain_recording import _worst
 from servofd.outputs.recording import save_recording
 
 

@@ -118,17 +118,6 @@ def check_invariants(name: str, seed: int) -> None:
         assert result.intervals["delay_s"].low <= truth.delay_s
 
 
-def test_the_magnitude_method_of_the_thesis_is_rougher() -> None:
-    segment = sweep("hs225bb-eq31", seed=1)
-    result = identify(segment, method="magnitude")
-    poles, delay_ms, bandwidth, _ = errors(result, HS225)
-    assert poles < 25.0
-    assert delay_ms < 1.0
-    assert bandwidth < 10.0
-    assert poles > errors(found(FINE, 1), HS225)[0]
-    assert result.intervals == {}
-
-
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_rate_limits_from_a_large_step(seed: int) -> None:
     servo = identify(step(72.0, seed=seed)).servo
