@@ -179,7 +179,7 @@ def test_what_cannot_be_used_is_told_in_a_sentence(
     segment, sentence = BAD[name]
     path = written(tmp_path / "bad.csv", segment)
     outputs = ["--save", str(tmp_path / "s.toml"), "--html", str(tmp_path / "p.html"), "--json", str(tmp_path / "j")]
-    assert main(["identify", str(path), *outputs, "-o", str(tmp_path / "out")]) == 2
+    assert main(["identify", str(path), *outputs]) == 2
     printed = capsys.readouterr()
     (line,) = printed.err.strip().splitlines()
     assert sentence in line
