@@ -101,6 +101,7 @@ def fly_airframe(
     duration_s: float = 180.0,
     rate_hz: float = 25.0,
     turbulence: float = 1.0,
+    manoeuvres: float = 1.0,
     faults: tuple[AirframeFault, ...] = (),
     engine_cut_s: float = float("inf"),
     day: int | None = None,
@@ -115,6 +116,8 @@ def fly_airframe(
         Of the log; the rate divides 100 Hz.
     turbulence : float
         1 is moderate: gusts of 1.5 m/s.
+    manoeuvres : float
+        1 banks by up to 34 deg; 2.4 is aerobatic.
     faults : tuple of AirframeFault
         One for each surface at most.
     day : int, optional
@@ -149,7 +152,7 @@ def fly_airframe(
     states = _flown(
         steps,
         rng.standard_normal((steps, 3)),
-        _targets(rng, steps),
+        _targets(rng, steps, manoeuvres),
         mix,
         table,
         load,
@@ -175,7 +178,7 @@ def fly_airframe(
     )
 
 
-def _targets(rng: np.random.Generator, steps: int) -> FloatArray:
+def _targets(rng: np.random.Generator, steps: int, manoeuvres: float) -> FloatArray:
     """Bank, pitch, airspeed and rudder that are wanted, each held for some seconds; shape (steps, 4)."""
     found = np.zeros((steps, 4))
     for column, (low, high, shortest_s, longest_s) in enumerate(
@@ -187,7 +190,7 @@ def _targets(rng: np.random.Generator, steps: int) -> FloatArray:
             value = rng.uniform(low, high)
             found[k : k + length, column] = value if column < 3 or rng.random() < 0.4 else 0.0
             k += length
-    return found
+    return found * [manoeuvres, manoeuvres, 1.0, manoeuvres]
 
 
 @compiled

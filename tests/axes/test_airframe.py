@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import io
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import logparsers
-from servofd.axes.motion import motion_of_autopilot
+from servofd.axes.calibrate import calibrate_motion
+from servofd.axes.judge import judge_motion
+from servofd.axes.motion import Motion, motion_of_autopilot
 from servofd.cli import main
 from servofd.simulation.airframe import MIXERS, AirframeFault, fly_airframe
+from servofd.simulation.airframe_log import airframe_log
 
 
 @pytest.mark.slow
@@ -37,6 +43,28 @@ def test_a_jam_takes_half_of_the_roll_and_an_engine_cut_the_speed() -> None:
     cut = fly_airframe(4, duration_s=60.0, turbulence=0.0, engine_cut_s=20.0)
     assert cut.airspeed_m_s[-1] < well.airspeed_m_s[-1] - 1.0
     assert cut.throttle[-1] > 0.5
+
+
+def flown(seed: int, day: int, **how: Any) -> Motion:
+    """A flight as its log is read."""
+    content = airframe_log(fly_airframe(seed, day=day, duration_s=120.0, **how))
+    return replace(motion_of_autopilot(logparsers.read(io.BytesIO(content))), day=f"day {day}")
+
+
+@pytest.mark.slow
+def test_an_aerobatic_flight_among_those_of_calibration_hides_no_half_of_an_elevator() -> None:
+    days = [flown(1000 + day, day, turbulence=0.6 + 0.2 * (day % 4)) for day in range(6)]
+    wild = flown(1100, 9, manoeuvres=2.4)
+    assert np.max(np.abs(wild.roll_deg)) > 75.0
+    half = AirframeFault("elevator", "loss_of_effectiveness", 60.0, 0.5)
+    failed = [flown(seed, seed, faults=(half,)) for seed in (5001, 5003)]
+    for flights in (days, [*days, wild]):
+        model = calibrate_motion(flights)
+        assert model.regime.lift_high_m_s2 < 20.0
+        for motion in failed:
+            (pitch,) = (audit for audit in judge_motion(model, motion) if audit.axis == "pitch")
+            assert pitch.status in ("suspect", "fault")
+            assert 60.0 < min(event.alarm_s for event in pitch.events) < 75.0
 
 
 @pytest.mark.parametrize(
