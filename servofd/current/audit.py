@@ -15,8 +15,9 @@ from servofd.current.model import CurrentSeries, Motion, fit_current, see, widen
 from servofd.current.own import own_current
 from servofd.current.stream import motion_model
 from servofd.current.wear import features_of, wear_of
+from servofd.detection.audit import with_common_causes
 from servofd.detection.kinds import STANDS_STILL
-from servofd.detection.verdict import SERVO_OR_SENSOR, CurrentAudit, SurfaceAudit, describe
+from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, CurrentAudit, SurfaceAudit, describe
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ _MARGIN: Final = 1.3
 """Times what good flights reach, that a fault has to exceed."""
 _AGREE_S: Final = 15.0
 """Two witnesses tell of one event if they notice it within so much of each other."""
+_FALLEN: Final = 0.9
+"""Share of its volts below which a supply has fallen: the rail of the simulated motors sags by 5 % under load."""
 _AT_REST: Final = ("blocked", "unpowered")
 """What a current tells of a servo that stands still."""
 
@@ -62,7 +65,23 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
         elif source is not None:
             current = _judged(log, aircraft, surface, source, cycles.setdefault(surface.surface, []))
         surfaces.append(_joined(surface, current))
-    return replace(audit, surfaces=tuple(surfaces))
+    common, causes = tuple(surfaces), audit.common_causes
+    if any(fault.kind == "unpowered" for s in surfaces if s.current for fault in s.current.faults):
+        common, new = with_common_causes(surfaces)
+        causes = (*(one for one in causes if all(abs(one.since_s - other.since_s) > _AGREE_S for other in new)), *new)
+    return replace(audit, surfaces=common, common_causes=tuple(_with_supply(one, log) for one in causes))
+
+
+def _with_supply(cause: CommonCause, log: FlightLog) -> CommonCause:
+    """A supply that gave way, with the volts by which it fell, if the log holds them."""
+    time_s, volts_v = signal_of(log, SURROUNDINGS["servo_voltage_v"])
+    before_v = volts_v[(time_s < cause.since_s) & (time_s >= cause.since_s - _AGREE_S)]
+    after_v = volts_v[(time_s > cause.since_s) & (time_s <= min(cause.since_s + _AGREE_S, cause.end_s or np.inf))]
+    if cause.kind != "supply" or not before_v.size or not after_v.size:
+        return cause
+    was_v, is_v = float(np.median(before_v)), float(np.median(after_v))
+    fell = f"; it fell from {was_v:.1f} to {is_v:.1f} V" if is_v < _FALLEN * was_v else ""
+    return replace(cause, text=f"{cause.text}{fell}")
 
 
 def healthy_currents(

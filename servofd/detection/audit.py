@@ -304,7 +304,10 @@ def with_common_causes(
 
 
 def _first_s(surfaces: Sequence[SurfaceAudit]) -> float:
-    return min((float(s.residuals.time_s[0]) for s in surfaces if s.residuals is not None), default=0.0)
+    """When the first surface is seen [s]."""
+    seen = (s.residuals or s.current for s in surfaces)
+    begun_s = [float(one.time_s[0]) for one in seen if one is not None and one.time_s is not None and one.time_s.size]
+    return min(begun_s, default=0.0)
 
 
 def _struck(surface: SurfaceAudit, at_s: float) -> Fault | None:
@@ -357,6 +360,9 @@ def _cause(struck: Sequence[tuple[str, Fault]], still: Sequence[str], at_s: floa
     if at_s - first_s <= _AT_START_S:
         text = f"{count}: look for a wrong servo type, calibration or pairing (--servo unknown fits servos to this log)"
         return CommonCause("servo_type", at_s, end_s, names, text)
+    if 2 * sum("unpowered" in (fault.kind, *_confirming(fault)) for fault in faults) > len(faults):
+        text = f"{len(names)} servos draw no current since {at_s:.2f} s: look at their supply, its fuse and its plugs"
+        return CommonCause("supply", at_s, end_s, names, text)
     if still or 2 * sum(fault.kind in _FROZEN for fault in faults) > len(faults):
         until = "" if end_s is None else f", for {end_s - at_s:.1f} s"
         text = f"{count}: their positions stand still{until}; look for a frozen or late bus, or a failed supply"
@@ -367,6 +373,11 @@ def _cause(struck: Sequence[tuple[str, Fault]], still: Sequence[str], at_s: floa
         text = f"{len(names)} servos have {speed} since {at_s:.2f} s: measure their supply under load"
         return CommonCause("supply", at_s, end_s, names, text)
     return CommonCause("unknown", at_s, end_s, names, f"{count}: look at the servo supply, the bus and the clocks")
+
+
+def _confirming(fault: Fault) -> tuple[str, ...]:
+    """What another witness takes the fault for."""
+    return () if fault.confirmed_by is None else (fault.confirmed_by.kind,)
 
 
 def _convicted(surface: SurfaceAudit, given: Fault) -> SurfaceAudit:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -183,6 +184,38 @@ def test_a_recording_says_what_the_audit_said(tmp_path: Path, position: bool) ->
 def test_it_is_drawn_in_a_notebook(tmp_path: Path) -> None:
     found = servofd.audit(written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")))
     assert [axes.get_ylabel() for axes in found.plot().axes] == ["deflection [deg]", "current [A]"]
+
+
+def together(flights: Mapping[str, Flown], volts_v: Callable[[float], float]) -> str:
+    """One table of several surfaces, with their common supply."""
+    rows = []
+    for k, (name, flight) in enumerate(flights.items()):
+        before, after = ",," * k, ",," * (len(flights) - 1 - k)
+        for line in flight.csv(name).splitlines()[1:]:
+            at_s, rest = line.split(",", 1)
+            rows.append((float(at_s), f"{at_s},{before}{rest}{after},{volts_v(float(at_s)):.2f}"))
+    head = ["time_s", *(f"{name}_cmd_deg,{name}_current_a" for name in flights), "servo_voltage_v"]
+    return "\n".join([",".join(head), *(row for _, row in sorted(rows))]) + "\n"
+
+
+@pytest.mark.parametrize("lost", [("aileron", "elevator", "rudder"), ("elevator",)])
+def test_servos_without_power_at_once_are_one_supply_that_gave_way(tmp_path: Path, lost: tuple[str, ...]) -> None:
+    flights = {
+        name: flown(30 + k, 10.0, "unpowered" if name in lost else "")
+        for k, name in enumerate(("aileron", "elevator", "rudder"))
+    }
+    path = tmp_path / "flight.csv"
+    path.write_text(together(flights, lambda at_s: 0.4 if at_s > START_S and len(lost) == 3 else 6.0))
+    found = servofd.audit(path)
+    assert [s.surface for s in found.surfaces if s.status == "fault"] == list(lost)  # as grave as its parts
+    if len(lost) == 1:
+        assert found.common_causes == ()
+        return
+    (cause,) = found.common_causes
+    assert (cause.kind, cause.surfaces) == ("supply", lost)
+    assert abs(cause.since_s - START_S) < 1.5
+    assert "it fell from 6.0 to 0.4 V" in cause.text
+    assert found.sentence.startswith("SUPPLY GAVE WAY at 1:")
 
 
 def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
