@@ -30,7 +30,7 @@ import numpy as np
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
 from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus, excludes_none, left_out, reason_of
-from servofd.axes.windows import Sliding, Windows, lags, nothing_known, sliding
+from servofd.axes.windows import Sliding, Solved, Windows, lags, nothing_known, sliding
 from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR, Z_95, Estimate
 
@@ -325,17 +325,13 @@ def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: flo
     inputs = _beside(inputs, past)
     healthy = np.array([[past.loss_var[0], past.cross[0]], [past.cross[0], past.offset_var[0]]]) / axis.noise_var
     first = max(begin, alarm - round(_ONSET_S * rate_hz))
-    a, b, c, d1, d2, count = (total[alarm] - total[first:alarm] for total in inputs.sums[:6])
-    determinant = a * c - b * b
-    good = (count > 3) & (determinant > 1e-9 * a * c)
-    safe = np.where(good, determinant, 1.0)
-    explained = np.where(good, (c * d1**2 - 2.0 * b * d1 * d2 + a * d2**2) / safe, -np.inf)
+    *products, count = (total[alarm] - total[first:alarm] for total in inputs.sums[:6])
+    explained = np.where(count > _UNKNOWNS, Solved.of(*products).explained, np.nan)
     prior = np.linalg.inv(healthy)
     a, b, c, d1, d2, count = (total[first:alarm] - total[first] for total in inputs.sums[:6])
-    a, b, c = a + prior[0, 0], b + prior[0, 1], c + prior[1, 1]
-    of_flight = (c * d1**2 - 2.0 * b * d1 * d2 + a * d2**2) / (a * c - b * b)
+    of_flight = Solved.of(a + prior[0, 0], b + prior[0, 1], c + prior[1, 1], d1, d2).explained
     explained += np.where(count > _AT_ONCE_S * rate_hz, of_flight, 0.0)
-    return first + int(np.argmax(explained)) if good.any() else alarm
+    return first + int(np.nanargmax(explained)) if np.isfinite(explained).any() else alarm
 
 
 def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> Sliding:

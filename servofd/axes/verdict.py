@@ -350,7 +350,7 @@ def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) 
     if event.lag_s is not None:
         late = event.lag_s
         text = f"answered {late.value:.2f} s [{late.low:.2f}, {late.high:.2f}] later than calibrated: slow"
-    elif lost.high < _ALL:
+    elif lost.high < _ALL or (lost.low <= 0.0 and lost.value < _ALL and excludes_none(event.offset_us)):
         text = f"acted as if {event.offset_us.value:+.0f} us away"
     elif lost.low <= 0.0:
         away = event.offset_us

@@ -53,15 +53,38 @@ def nothing_known(flight: FloatArray) -> Sliding:
     return Sliding(zero, zero, flight[:1, 0], flight[:1, 1], flight[1:, 1])
 
 
+class Solved(NamedTuple):
+    """Least squares of a residual e on x1 and x2, shape (n,) each; NaN where the two cannot be told apart.
+
+    Both coefficients, the inverse of the products of x1 and x2, and what they explain of e^2.
+    """
+
+    loss: FloatArray
+    offset: FloatArray
+    loss_loss: FloatArray
+    loss_offset: FloatArray
+    offset_offset: FloatArray
+    explained: FloatArray
+
+    @classmethod
+    def of(cls, a: FloatArray, b: FloatArray, c: FloatArray, d1: FloatArray, d2: FloatArray) -> Solved:
+        """From x1 x1, x1 x2, x2 x2, x1 e and x2 e."""
+        determinant = a * c - b * b
+        determinant = np.where(determinant > 1e-9 * a * c, determinant, np.nan)
+        loss, offset = (c * d1 - b * d2) / determinant, (a * d2 - b * d1) / determinant
+        inverse = (c / determinant, -b / determinant, a / determinant)
+        return cls(loss, offset, *inverse, loss * d1 + offset * d2)
+
+
 def sliding(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOUGH) -> Sliding:
     """Least squares in every window of a length."""
     sums = inputs.sums.within(length)
-    a, b, c, d1, d2 = sums[:5]
-    determinant = a * c - b * b
-    determinant = np.where((sums.samples >= enough * length) & (determinant > 1e-9 * a * c), determinant, np.nan)
-    loss, offset = (c * d1 - b * d2) / determinant, (a * d2 - b * d1) / determinant
-    noise = noise_var * _noise_ratio(inputs, sums, loss * d1 + offset * d2)
-    return Sliding(loss, offset, noise * c / determinant, -noise * b / determinant, noise * a / determinant)
+    solved = Solved.of(*sums[:5])
+    noise = noise_var * _noise_ratio(inputs, sums, solved.explained)
+    noise = np.where(sums.samples >= enough * length, noise, np.nan)
+    known = 0.0 * noise
+    variances = (noise * solved.loss_loss, noise * solved.loss_offset, noise * solved.offset_offset)
+    return Sliding(solved.loss + known, solved.offset + known, *variances)
 
 
 def _noise_ratio(inputs: Inputs, sums: Sums, explained: FloatArray) -> FloatArray:
@@ -84,14 +107,11 @@ def lags(inputs: Inputs, length: int, noise_var: float, *, enough: float = _ENOU
     """Lag beside any loss and offset, by least squares in every window of a length."""
     sums = inputs.sums.within(length)
     a, b, c, d1, d2 = sums[:5]
-    u, v = sums.lag_loss, sums.lag_offset
-    determinant = a * c - b * b
-    determinant = np.where((sums.samples >= enough * length) & (determinant > 1e-9 * a * c), determinant, np.nan)
-    g1, g2 = (c * u - b * v) / determinant, (a * v - b * u) / determinant
-    left = sums.lag_lag - g1 * u - g2 * v
-    left = np.where(left > 1e-6 * sums.lag_lag, left, np.nan)
-    lag_s = (sums.lag_e - g1 * d1 - g2 * d2) / left
-    explained = ((c * d1 - b * d2) * d1 + (a * d2 - b * d1) * d2) / determinant + lag_s**2 * left
+    of_lag = Solved.of(a, b, c, sums.lag_loss, sums.lag_offset)
+    left = sums.lag_lag - of_lag.explained
+    left = np.where((sums.samples >= enough * length) & (left > 1e-6 * sums.lag_lag), left, np.nan)
+    lag_s = (sums.lag_e - of_lag.loss * d1 - of_lag.offset * d2) / left
+    explained = Solved.of(a, b, c, d1, d2).explained + lag_s**2 * left
     return Lags(lag_s, noise_var * _noise_ratio(inputs, sums, explained) / left)
 
 

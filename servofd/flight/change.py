@@ -25,7 +25,7 @@ import numpy as np
 
 from servofd.axes.model import FORMS, Filtered
 from servofd.axes.verdict import named
-from servofd.axes.windows import Sliding, distance, smallest
+from servofd.axes.windows import Sliding, Solved, distance, smallest
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
 
 if TYPE_CHECKING:
@@ -187,26 +187,26 @@ def windows(seconds: Seconds, length_s: int) -> Sliding:
         return found
     residual, variance, fit = seconds.fitted(begins)
     gram = seconds.totals[ends] - seconds.totals[begins]
-    q = gram.shape[-1]
-    gain = np.ones(ends.size) if seconds.form.inverse else -residual[:, 0]
-    directions = np.zeros((ends.size, 2, q))
-    directions[:, 0, 0], directions[:, 1, q - 2] = -gain, gain
-    tells = directions @ gram
-    normal = tells @ directions.transpose(0, 2, 1)
-    determinant = np.linalg.det(normal)
-    sound = determinant > 1e-9 * normal[:, 0, 0] * normal[:, 1, 1]
-    inverse = np.linalg.inv(np.where(sound[:, None, None], normal, np.eye(2)))
-    right = np.einsum("kij,kj->ki", tells, residual)
-    theta = np.einsum("kij,kj->ki", inverse, right)
-    left = np.einsum("ki,kij,kj->k", residual, gram, residual) - np.einsum("ki,ki->k", theta, right)
+    solved, tells = _solved(seconds, residual, gram)
+    left = np.einsum("ki,kij,kj->k", residual, gram, residual) - solved.explained
     noise = np.maximum(np.maximum(left, 0.0) / inside, variance) * _COLOUR_S * seconds.rate_hz
-    of_fit = (inverse @ tells) @ fit @ (inverse @ tells).transpose(0, 2, 1)
-    covariance = noise[:, None, None] * inverse + (variance * _COLOUR_S * seconds.rate_hz)[:, None, None] * of_fit
-    places = (ends - 1)[sound]
-    values = (theta[:, 0], theta[:, 1], covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1])
+    inverse = np.array([[solved.loss_loss, solved.loss_offset], [solved.loss_offset, solved.offset_offset]])
+    to_fit = np.einsum("ijk,kjq->kiq", inverse, tells)
+    of_fit = np.einsum("kiq,kqr,kjr->ijk", to_fit, fit, to_fit) * variance * _COLOUR_S * seconds.rate_hz
+    covariance = noise * inverse + of_fit
+    values = (solved.loss, solved.offset, covariance[0, 0], covariance[0, 1], covariance[1, 1])
     for into, value in zip(found, values, strict=True):
-        into[places] = value[sound]
+        into[ends - 1] = value
     return found
+
+
+def _solved(seconds: Seconds, residual: FloatArray, gram: FloatArray) -> tuple[Solved, FloatArray]:
+    """Loss and offset in windows with these products of columns, and products of what they leave with the columns."""
+    gain = np.ones(len(gram)) if seconds.form.inverse else -residual[:, 0]
+    tells = np.stack([-gain[:, None] * gram[:, 0], gain[:, None] * gram[:, -2]], axis=1)
+    a, b, c = -gain * tells[:, 0, 0], gain * tells[:, 0, -2], gain * tells[:, 1, -2]
+    d1, d2 = np.einsum("kij,kj->ik", tells, residual)
+    return Solved.of(a, b, c, d1, d2), tells
 
 
 def expected(found: Sliding, length_s: int, spread: FloatArray) -> Sliding:
@@ -428,21 +428,12 @@ def onset(seconds: Seconds, reported: int) -> float:
 
     Of the windows that end where it was reported, the one whose loss and offset explain most.
     """
-    last = WINDOWS_S[-1]
-    base = np.array([max(reported - last, 0)])
-    residual, _, _ = seconds.fitted(base)
-    best, onset_s = 0.0, float(reported - _HELD_S)
-    for begin in range(int(base[0]), reported - _HELD_S + 1):
-        gram = seconds.totals[reported] - seconds.totals[begin]
-        gain = 1.0 if seconds.form.inverse else -residual[0, 0]
-        directions = np.zeros((2, gram.shape[0]))
-        directions[0, 0], directions[1, -2] = -gain, gain
-        right = directions @ gram @ residual[0]
-        normal = directions @ gram @ directions.T
-        explained = float(right @ np.linalg.pinv(normal) @ right)
-        if explained > best:
-            best, onset_s = explained, float(begin)
-    return onset_s
+    begins = np.arange(max(reported - WINDOWS_S[-1], 0), reported - _HELD_S + 1)
+    residual, _, _ = seconds.fitted(begins[:1])
+    solved, _ = _solved(
+        seconds, np.repeat(residual, begins.size, axis=0), seconds.totals[reported] - seconds.totals[begins]
+    )
+    return float(begins[np.argmax(np.nan_to_num(solved.explained))])
 
 
 def thrust_missing_s(motion: Motion, usable: BoolArray, reference_m_s: float) -> float | None:

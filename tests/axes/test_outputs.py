@@ -11,7 +11,7 @@ from scipy import stats
 
 from servofd.aircraft.axes import motion_to_toml
 from servofd.axes.judge import judge_motion
-from servofd.axes.verdict import AxisEvent
+from servofd.axes.verdict import AxisDetectable, AxisEvent, reason_of
 from servofd.cli import main
 from servofd.core.statistics import Estimate
 from servofd.fleets.overview import overview
@@ -131,6 +131,21 @@ def test_sizes_that_cannot_be_or_say_nothing_are_no_reason(
 ) -> None:
     event = AxisEvent(10.0, 11.0, None, 3.0, Estimate(*lost), Estimate(*offset))
     assert (event.model_holds, event.is_nothing) == (holds, nothing)
+
+
+@pytest.mark.slow
+def test_an_offset_that_is_known_is_not_called_a_loss_that_may_be_none() -> None:
+    model, half = calibrated(), Estimate(0.07, -0.13, 0.27)
+    event = AxisEvent(60.0, 61.0, None, 9.0, half, Estimate(56.0, 40.0, 72.0))
+    either = replace(event, lost_share=Estimate(0.25, -0.21, 0.99), offset_us=Estimate(70.0, -16.0, 155.0))
+    said = [
+        reason_of(
+            "roll", model, (), (one,), 1.0, {}, None, status="suspect", worst=one, shows=AxisDetectable(0.5, 50.0)
+        )
+        for one in (event, either)
+    ]
+    assert "acted as if +56 us away" in said[0]
+    assert "hardly tells which" in said[1]
 
 
 @pytest.mark.slow
