@@ -249,8 +249,6 @@ NAMES, FITS = 8, 10
 """Names and structures that are fitted from one base."""
 _CLOSE, _SHARE = 60.0, 0.3
 """How far behind the best of its name a structure may be: so much, or that share of what it improves."""
-_STEEP = 0.9
-"""A load that pulls back more steeply where the servo works is a lost gain and an offset."""
 LIMITS = ("rate_limit", "voltage_rate")
 """Effects that limit the speed."""
 _LATE = (Delay, SensorLag, SlowDynamics)
@@ -303,7 +301,7 @@ class Search:
 
     def is_physical(self, fit: Fit) -> bool:
         """Whether no number is at its bound, and none so small that it is none."""
-        if fit.ran_away or (TiltedLoad in fit.effects and load_slope(self.fitter.record, fit) > _STEEP):
+        if fit.ran_away:
             return False
         neutral, first = self.fitter.record.plant.neutral, 0
         for effect in fit.effects:
@@ -330,9 +328,9 @@ class Search:
             if effect.name not in excluded(base.effects) and self.fitter.strains(effect, base)
         ]
         loose = [fit for fit in fits if fit.effects[-1].family == "hysteresis"]
-        if loose and self.fitter.record.known.starts:
+        if loose:
             self.exchange(min(loose, key=lambda fit: fit.misfit), enough, len(base.effects))
-        if fits and self.fitter.record.known.starts:
+        if fits:
             best = min(fits, key=lambda fit: fit.misfit)
             if best.effects[-1].name in LIMITS:  # what limits the speed, and how, passes for one another at each place
                 limited = [fit for fit in fits if fit.effects[-1].name == best.effects[-1].name]

@@ -169,8 +169,6 @@ def _widened(search: Search, root: Fit) -> None:
             search.grow(base, least + 40.0, framed=base is beam[0])
             if base is best and _suffices(search, best, size + 1):
                 break
-        if not record.known.starts:
-            _exchanged(search, size + 1)
         # The correlation of what the best leaves is that of the noise; without an effect there is more.
         search.fitter.remember(min(search.visited.values(), key=lambda fit: fit.misfit))
         search.look_again()
@@ -184,7 +182,7 @@ def _widened(search: Search, root: Fit) -> None:
                 fewer = _without(search, fit, k)
                 if size + 1 > 1 and fit.misfit < best.misfit - _window(search, best, fit):
                     search.grow(fewer, min(f.misfit for f in search.visited.values()) + 40.0)
-        best = best if record.known.starts else search.visited[best.key]
+        best = search.visited[best.key]
         longer = _best_of_size(search, size + 1)
         if not longer:
             return
@@ -206,22 +204,6 @@ def _suffices(search: Search, best: Fit, size: int) -> bool:
     if longer and longer[0].misfit < best.misfit - 0.5 * OCCAM:
         return False
     return not adequacy(fitter.record, fitter.judged(best.effects, best.physics)).reasons
-
-
-def _exchanged(search: Search, size: int) -> None:
-    """The likeliest structure of a size, and those that stick, are dead or loose, with like effects instead.
-
-    Of these the likeliest beside each set of other effects: which of those it is may depend on the form of this one.
-    """
-    likely = _best_of_size(search, size)
-    beside: dict[tuple[str, ...], Fit] = {}
-    for fit in likely:
-        if any(effect.family == "hysteresis" for effect in fit.effects):
-            others = tuple(sorted(effect.name for effect in fit.effects if effect.family != "hysteresis"))
-            if _cost(search, fit) < _cost(search, likely[0]) + 2.0 * OCCAM or not beside:
-                beside.setdefault(others, fit)
-    for fit in dict.fromkeys((*likely[:1], *list(beside.values())[:_BEAM])):
-        search.exchange(fit, min(f.misfit for f in search.visited.values()) + 40.0)
 
 
 def _polished(search: Search, size: int) -> None:
