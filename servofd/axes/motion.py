@@ -435,12 +435,9 @@ def _airspeed(log: FlightLog) -> tuple[Series, str]:
         if sensor is not None and float(np.max(sensor.values)) > _MEASURES_M_S:
             return sensor, "sensor"
     for north, east, down, wind_north, wind_east in _WINDS:
-        parts = [series_of(log, name) for name in (north, east, down, wind_north, wind_east)]
-        vn, ve, vd, wn, we = parts
-        if vn is not None and ve is not None and vd is not None and wn is not None and we is not None:
-            wind = [np.interp(vn.time_s, one.time_s, one.values) for one in (wn, we)]
-            speed = np.sqrt((vn.values - wind[0]) ** 2 + (ve.values - wind[1]) ** 2 + vd.values**2)
-            return Series(vn.time_s, speed), "GPS and wind"
+        estimate = through_the_wind(log, (north, east, down, wind_north, wind_east))
+        if estimate is not None:
+            return estimate, "GPS and wind"
     for name in ("CTUN.As", "VFR_HUD.airspeed"):
         estimate = series_of(log, name)
         if estimate is not None and float(np.max(estimate.values)) > _MEASURES_M_S:
@@ -449,6 +446,20 @@ def _airspeed(log: FlightLog) -> tuple[Series, str]:
         f"{log.label}: no airspeed that measures anything: the effect of a surface grows with its square; log a sensor "
         "(ARSP), or the estimator's velocity and wind (XKF1, XKF2)"
     )
+
+
+def at_times_of_first(parts: Sequence[Series]) -> list[FloatArray]:
+    """Values of channels whose damaged samples were left out, each of its own, at the times of the first."""
+    return [np.interp(parts[0].time_s, one.time_s, one.values) for one in parts]
+
+
+def through_the_wind(log: FlightLog, names: Sequence[str]) -> Series | None:
+    """Airspeed [m/s] from channels of velocity north, east and down and of wind north and east; None if one lacks."""
+    parts = [one for name in names if (one := series_of(log, name)) is not None]
+    if len(parts) < len(names):
+        return None
+    north, east, down, wind_north, wind_east = at_times_of_first(parts)
+    return Series(parts[0].time_s, np.sqrt((north - wind_north) ** 2 + (east - wind_east) ** 2 + down**2))
 
 
 def _throttle(airframe: Airframe, of_output: Callable[[LoggedOutput], FloatArray], grid_s: FloatArray) -> FloatArray:

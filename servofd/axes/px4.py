@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.outputs import PX4_TYPES, WITHOUT_SURFACES
-from servofd.axes.motion import Series, on_one_grid, series_of
+from servofd.axes.motion import Series, at_times_of_first, on_one_grid, series_of, through_the_wind
 from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def _vector(log: FlightLog, stems: tuple[str, ...], scale: float, size: int = 3)
 
 def _attitude(q: list[Series]) -> tuple[Series, Series]:
     """Bank and pitch from the attitude's quaternion [deg]."""
-    w, x, y, z = (one.values for one in q)
+    w, x, y, z = at_times_of_first(q)
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x**2 + y**2))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     return Series(q[0].time_s, np.degrees(roll)), Series(q[0].time_s, np.degrees(pitch))
@@ -154,15 +154,11 @@ def _airspeed(log: FlightLog) -> tuple[Series, str]:
         sensor = series_of(log, name)
         if sensor is not None and float(np.max(sensor.values)) > 1.0:
             return sensor, "sensor"
-    ground = [series_of(log, f"vehicle_local_position[0].{one}") for one in ("vx", "vy", "vz")]
+    ground = [f"vehicle_local_position[0].v{axis}" for axis in "xyz"]
     for topic in ("wind[0]", "wind_estimate[0]"):
-        wind = [series_of(log, f"{topic}.windspeed_{one}") for one in ("north", "east")]
-        parts = [one for one in (*ground, *wind) if one is not None]
-        if len(parts) == 5:
-            vx, vy, vz, north, east = parts
-            blown = [np.interp(vx.time_s, one.time_s, one.values) for one in (north, east)]
-            speed = np.sqrt((vx.values - blown[0]) ** 2 + (vy.values - blown[1]) ** 2 + vz.values**2)
-            return Series(vx.time_s, speed), "GPS and wind"
+        estimate = through_the_wind(log, [*ground, f"{topic}.windspeed_north", f"{topic}.windspeed_east"])
+        if estimate is not None:
+            return estimate, "GPS and wind"
     raise NoMeasurement(
         f"{log.label}: no airspeed_validated, nor ground speed with wind: motion cannot be judged without"
     )

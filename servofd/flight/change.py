@@ -370,7 +370,11 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
     air_s = float(flies.sum()) / motion.rate_hz
     if not judged.any():
         text = f"{name}: {air_s:.0f} s in the air; {LEAST_PAST_S + WINDOWS_S[0]} s are needed"
-        return AxisChange(name, "unknown", text if flies.any() else f"{name}: it never flew", members)
+        if not flies.any():
+            flew = np.any(motion.present & (motion.airspeed_m_s > _MEANS_FLIGHT_M_S))
+            broken = f"no {_AFTER_TAKEOFF_S + _BEFORE_LANDING_S:.0f} s of flight without a gap in what it needs"
+            text = f"{name}: {broken if flew else 'it never flew'}"
+        return AxisChange(name, "unknown", text, members)
     until_s = min(float(second_s[judged][-1]), float(motion.time_s[usable][-1]))
     known = AxisChange(
         name,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,17 @@ def test_a_vtol_that_only_hovers_is_no_flight_to_calibrate(tmp_path: Path) -> No
     alone = judge_flight(read_as_ulog(tmp_path, flight, ALLOCATED, vtol_state=np.full(flight.time_s.size, 3.0)))
     assert alone is not None
     assert "never flew" in alone.sentence
+
+
+def test_damaged_samples_of_one_component_are_left_out_alone(tmp_path: Path) -> None:
+    flight = flown(5, duration_s=60.0)
+    log = read_as_ulog(tmp_path, flight, ALLOCATED)
+    channels = dict(log.channels)
+    wrong = channels["vehicle_attitude[0].q[1]"]
+    values = np.where(np.arange(wrong.values.size) == 400, np.nan, wrong.values)
+    channels[wrong.name] = replace(wrong, values=values)
+    sound, found = motion_of(log), motion_of(replace(log, channels=channels))
+    np.testing.assert_allclose(found.roll_deg, sound.roll_deg, atol=2.0)
 
 
 @pytest.mark.parametrize(
