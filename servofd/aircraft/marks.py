@@ -375,8 +375,9 @@ _LEAST_SPIKE_DEG: Final = 0.5
 """Smaller ones move no residual beyond a threshold that noise leaves free."""
 _SPIKE_OF_NOISE: Final = 8.0
 """Times the median second difference of the readings before: 13 standard deviations of white noise."""
-_BACK, _ASKED_FOR = 1.0 / 3.0, 0.5
-"""Share of a spike within which the reading is back; share of it that a command asked for within as long."""
+_BACK, _BEYOND, _ASKED_FOR = 1.0 / 3.0, 2.0, 0.5
+"""Share of a spike within which the reading is back, and beyond which motion to the other side has not taken it; share
+of it that a command asked for within as long, or by which it sets out and comes back faster than the motion around."""
 _BEFORE_ROWS, _FEWEST_BEFORE, _ASKED_BEFORE_S = 32, 4, 0.5
 """Rows that tell the noise, at most and at least, and how long before its motion a servo may have been asked for it."""
 
@@ -396,10 +397,13 @@ def _spikes(rows: Rows, why: Marks) -> int:
             continue
         away_deg = (position_deg[k:] - position_deg[k - 1]) * np.sign(position_deg[k] - position_deg[k - 1])
         within = max(int(np.searchsorted(time_s, time_s[k] + _SPIKE_S + TINY_DEG, side="right")) - k - 1, 1)
-        near = np.flatnonzero(np.abs(away_deg[1 : within + 1]) <= _BACK * away_deg[0])
+        share = away_deg[1 : within + 1] / away_deg[0]
+        near = np.flatnonzero((share <= _BACK) & (share >= -_BEYOND))
         is_open = not near.size and k + within >= time_s.size
         back = k + 1 + int(near[0]) if near.size else time_s.size - 1
         if not (near.size or is_open) or _was_asked(rows, k, back, float(away_deg[0])):
+            continue
+        if near.size and not _is_thrown(rows, k, back, float(away_deg[0])):
             continue
         if _is_noise(rows, k, float(away_deg[0])):  # or motion, without which it were much smoother
             is_open = is_open or back == time_s.size - 1  # the row after it tells
@@ -412,6 +416,18 @@ def _spikes(rows: Rows, why: Marks) -> int:
         why[k:back] = Why.SPIKE
         taken = back + 1
     return undecided
+
+
+def _is_thrown(rows: Rows, first: int, back: int, size_deg: float) -> bool:
+    """Whether an excursion sets out and comes back faster than the motion around it: an overshoot slows down first."""
+    time_s, position_deg, last = rows.time_s, rows.position_deg, rows.time_s.size - 1
+    apart_deg = []
+    for inside, edge, beside in ((first, first - 1, max(first - 2, 0)), (back - 1, back, min(back + 1, last))):
+        step_s, before_s = abs(time_s[inside] - time_s[edge]), abs(time_s[edge] - time_s[beside])
+        going_deg = (position_deg[edge] - position_deg[beside]) * min(step_s / max(before_s, _STEP_S), _BEYOND)
+        apart_deg.append(position_deg[inside] - position_deg[edge] - going_deg)
+    side = np.sign(position_deg[first] - position_deg[first - 1])
+    return bool(min(side * each for each in apart_deg) >= _ASKED_FOR * size_deg)
 
 
 def _is_noise(rows: Rows, first: int, size_deg: float) -> bool:

@@ -28,7 +28,6 @@ import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.evidence import Detectable
-from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.residual import Residuals
 from servofd.detection.threshold import Threshold
 from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
@@ -83,8 +82,9 @@ _CHANGE_OF: Final = tuple(
 _LATE: Final = 0.22
 """A line passes its limit of 6.4 where it is three times what a servo that is late by one standard deviation leaves
 there: (3 / 6.4)^2."""
-_LARGEST, _LARGEST_LOSSY = 6.0, 4.0
-"""Times its sigma that a residual counts for. A command that went and came back unseen is in several positions."""
+_LARGEST, _LARGEST_UNSEEN, _UNSEEN_S = 6.0, 3.0, 0.05
+"""Times its sigma that a residual counts for; the second where a command may have gone and come back unseen, for most
+are lost or positions lie further apart than the last [s]: it is in several positions, or in one that is far off."""
 _DELAY: Final = NAMES.index("delay_s")
 _UNITS = np.array([*(prior.between for prior in PRIORS), *(1.0 for _ in PATTERNS)])
 
@@ -115,7 +115,8 @@ class Tests(NamedTuple):
         hz = np.arange(_FIRST_HZ, min(_LAST_HZ, 1.0 / period_s / 3.0) + 1e-9, _SPACING_HZ)
         turn = np.exp(-2j * np.pi * hz * period_s)
         spectrum = (noise.innovation / np.abs(1.0 - first * turn - second * turn**2)) ** 2
-        colour = np.array([first, second, noise.innovation, _LARGEST_LOSSY if is_lossy else _LARGEST])
+        largest = _LARGEST_UNSEEN if is_lossy or period_s > _UNSEEN_S else _LARGEST
+        colour = np.array([first, second, noise.innovation, largest])
         root = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
         inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
         return cls(colour, root, inverse, spectrum, period_s, missed_deg)
@@ -464,10 +465,7 @@ def watched(known: CalibratedServo, record: Record) -> Watched:
     )
     reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, known.reach_deg)
     error_deg, _ = residual(record.measured_deg, reading_deg, known.reach_deg)
-    error_deg = np.where(record.usable, error_deg, np.nan)
-    glitch = np.zeros(error_deg.size, dtype=bool)
-    decide(new_glitch_memory(), error_deg, np.isfinite(record.start_deg).astype(np.int8), glitch, True)
-    usable = record.usable & ~glitch & (record.load <= load_at(known.last_judged_m_s))
+    usable = record.usable & (record.load <= load_at(known.last_judged_m_s))
     noise = known.noise.noise.at(record.period_s)
     noise_deg = np.hypot(noise.sigma_deg(peaks(speed_deg_s, record.time_s)), record.unknown_deg(theta))
     tests = Tests.of(known.noise.noise, known.covariance, record.period_s, is_lossy=record.sent is not None)

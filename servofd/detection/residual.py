@@ -9,8 +9,7 @@ it becomes a weighted sum of :math:`L \dots L^{n+1}` whose weights are closed-fo
 :math:`\Delta t`: this form carries over to irregular steps, has the right dc gain on every one of them, and has
 no step length at which it fails.
 
-Before a log is judged, commands that were thinned out are taken as straight lines, and positions that jump away and
-back are left out: no servo does (`servofd.detection.glitches`).
+Before a log is judged, commands that were thinned out are taken as straight lines.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from servofd.aircraft.series import pace_steps
 from servofd.core.errors import DesignError
 from servofd.core.series import latest, subdivided
 from servofd.core.types import BoolArray, ComplexArray, FloatArray
-from servofd.detection.glitches import glitches
 from servofd.detection.pulse import fastest_pole_rad_s
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.loops import compiled, fixed, inner
@@ -193,15 +191,6 @@ class ResidualGenerator:
         residual_deg, rest_deg = self._both_deg(segment.measured_s, simulated_deg, measured_deg, restart)
         return Residuals(
             segment.measured_s, simulated_deg, measured_deg, residual_deg, settled, rest_deg, restart, segment.context
-        )
-
-    def without(self, residuals: Residuals, left_out: BoolArray) -> Residuals:
-        """The same residuals as if some positions, marked in an array of shape (n,), had not come."""
-        seen, measured_deg = residuals, np.where(left_out, np.nan, residuals.measured_deg)
-        residual_deg, immobile_deg = self._both_deg(seen.time_s, seen.simulated_deg, measured_deg, seen.restart)
-        settled = seen.settled & ~left_out
-        return replace(
-            seen, measured_deg=measured_deg, residual_deg=residual_deg, settled=settled, immobile_deg=immobile_deg
         )
 
     def _both_deg(
@@ -633,9 +622,9 @@ class Prepared(NamedTuple):
 
 
 def prepared(generator: ResidualGenerator, segment: Series) -> Prepared:
-    """Run the generator, without glitches and with the hold that suits the commands.
+    """Run the generator with the hold that suits the commands.
 
-    A position that leaves the model for one or two samples and is back is no servo's fault. Commands that were given
+    Commands that were given
     more often than the 10 to 25 Hz of the log look like steps that were not commanded: if straight lines between them
     leave a clearly smaller residual, that is what they were.
     """
@@ -649,12 +638,6 @@ def prepared(generator: ResidualGenerator, segment: Series) -> Prepared:
         if _rms_deg(by_lines) < _CLEARLY_SMALLER * _rms_deg(residuals):
             segment, residuals = straight, by_lines
             notes.append("commands are logged more thinly than they were given, and taken as straight lines between")
-    jumps = glitches(residuals.error_deg, residuals.restart)
-    if jumps.any():
-        segment = replace(segment, measured_deg=np.where(jumps, np.nan, segment.measured_deg))
-        residuals = generator.without(residuals, jumps)
-        count = int(np.count_nonzero(jumps))
-        notes.append(f"{count} reading{'s' if count > 1 else ''} away from the model for a moment only, not judged")
     return Prepared(segment, residuals, tuple(notes))
 
 

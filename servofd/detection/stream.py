@@ -3,8 +3,7 @@
 The steps are those of an audit (`servofd.detection.residual`, `servofd.detection.threshold`, or for a calibrated
 surface `servofd.detection.changes`); each carries its memory from one piece to the next, so that it does not matter
 how a stream is cut. A position waits until no command can come any more that it depends on: for the next command where
-that is overdue, since what was lost is put back on the straight line between both; and for up to three positions after
-a jump, which may have been a glitch.
+that is overdue, since what was lost is put back on the straight line between both.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import numpy as np
 from servofd.aircraft.series import settled_from_s
 from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, shown, thresholds_of
 from servofd.detection.faults import judge_stretch
-from servofd.detection.glitches import decide, new_glitch_memory
 from servofd.detection.named import (
     beside,
     in_a_row,
@@ -259,8 +257,6 @@ class _Waiting(Following):
         self._context = NO_CONTEXT
         self._begin_tests()
         self._before = np.zeros(len(STATISTICS))
-        self._pending: list[FloatArray] = []
-        self._glitch = new_glitch_memory()
 
     def again(self) -> None:
         """Begin the tests anew, because the alarm that stood is over."""
@@ -273,19 +269,11 @@ class _Waiting(Following):
         if final or self.latest_s - self._newest[0] > patience_s:
             known_s = np.inf
         count = sum(1 for time_s, _ in self._positions if time_s <= known_s)
-        if count:
-            ready, self._positions = self._positions[:count], self._positions[count:]
-            self._pending += self._simulated(np.array(ready, dtype=float).T.copy())
-        elif not final:
-            return None  # what waits behind a jump waits for a position
-        if not self._pending:
+        if not count:
             return None
-        rows = np.concatenate(self._pending, axis=1) if len(self._pending) > 1 else self._pending[0]
-        glitch = np.zeros(rows.shape[1], dtype=bool)
-        error_deg = self._error_deg(rows)
-        decided = decide(self._glitch, error_deg, rows[4].astype(np.int8), glitch, final)
-        self._pending = [rows[:, decided:]] if decided < rows.shape[1] else []
-        return self._judged(rows[:, :decided], error_deg[:decided], glitch[:decided]) if decided else None
+        ready, self._positions = self._positions[:count], self._positions[count:]
+        rows = self._simulated(np.array(ready, dtype=float).T.copy())
+        return None if rows is None else self._judged(rows)
 
     def _begin_tests(self) -> None:
         """Make ready what tests a residual."""
@@ -310,14 +298,14 @@ class _Waiting(Following):
         """Until when no command can come any more [s], and for how long one is waited for [s]."""
         raise NotImplementedError
 
-    def _simulated(self, ready: FloatArray) -> list[FloatArray]:
-        """Rows of what is ready (2, n): time, simulated, measured, whether to judge, where to start anew; then more."""
+    def _simulated(self, ready: FloatArray) -> FloatArray | None:
+        """Rows of what is ready (2, n): time, simulated, measured, whether to judge, where to start anew; then more.
+
+        None before any command.
+        """
         raise NotImplementedError
 
-    def _error_deg(self, rows: FloatArray) -> FloatArray:
-        raise NotImplementedError
-
-    def _judged(self, rows: FloatArray, error_deg: FloatArray, glitch: BoolArray) -> Piece:
+    def _judged(self, rows: FloatArray) -> Piece:
         """Residual, threshold and alarms of what was decided."""
         raise NotImplementedError
 
@@ -407,10 +395,7 @@ class Stream(_Waiting):
             known_s += _SURELY_NEXT * self._beat.period_s
         return known_s, self.longest_gap_s
 
-    def _error_deg(self, rows: FloatArray) -> FloatArray:
-        return np.ascontiguousarray(rows[2] - rows[1])
-
-    def _simulated(self, ready: FloatArray) -> list[FloatArray]:
+    def _simulated(self, ready: FloatArray) -> FloatArray:
         """What a healthy servo would have done, the slowest one tolerated, what lost commands may add; then slopes."""
         time_s, measured_deg = ready
         limits_s = self.longest_gap_s, self._beat.longest_s, self._generator.blanking_s
@@ -442,15 +427,14 @@ class Stream(_Waiting):
         _, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
         slopes = own_slopes(slopes, time_s, (healthy_deg, *others_deg), self.surface.tolerances, self._last)
         rows = time_s, healthy_deg, starts.measured_deg, starts.settled, starts.restart, others_deg[-1], added_deg
-        return [np.concatenate([np.stack(rows), slopes.T])]
+        return np.concatenate([np.stack(rows), slopes.T])
 
-    def _judged(self, rows: FloatArray, error_deg: FloatArray, glitch: BoolArray) -> Piece:
-        time_s, simulated_deg, measured_deg = rows[0].copy(), rows[1].copy(), np.where(glitch, np.nan, rows[2])
-        restart = rows[4].astype(np.int8)
-        residual_deg = np.where(glitch, np.nan, error_deg)
+    def _judged(self, rows: FloatArray) -> Piece:
+        time_s, simulated_deg, measured_deg = rows[0].copy(), rows[1].copy(), rows[2].copy()
+        restart, settled = rows[4].astype(np.int8), rows[3] != 0.0
+        residual_deg = measured_deg - simulated_deg
         others_deg = np.stack([-simulated_deg, rows[5] - simulated_deg])
         filter_in_place(self._filter, self._lags, time_s, residual_deg, restart, others_deg)
-        settled = (rows[3] != 0.0) & ~glitch
         residuals = Residuals(time_s, simulated_deg, measured_deg, residual_deg, settled, others_deg[0], restart)
         limited = self._generator.model.weaker(self.surface.tolerances.rate) is not self._generator.model
         rate_error_deg = others_deg[1] if limited else np.zeros(0)
@@ -569,14 +553,10 @@ class CalibratedStream(_Waiting):
     def _known(self) -> tuple[float, float]:
         return self._newest[0], _LATE * self.longest_gap_s
 
-    def _error_deg(self, rows: FloatArray) -> FloatArray:
-        error_deg, _ = residual(rows[2], rows[1], self._known_servo.reach_deg)
-        return np.where(rows[3] != 0.0, error_deg, np.nan)
-
-    def _simulated(self, ready: FloatArray) -> list[FloatArray]:
+    def _simulated(self, ready: FloatArray) -> FloatArray | None:
         """What the servo would have done; then its noise, sensitivities and patterns. Nothing before any command."""
         if self.logged.size == 0:
-            return []
+            return None
         known = self._known_servo
         start_deg, usable = self._starts(ready)
         time_s, measured_deg = ready
@@ -601,7 +581,7 @@ class CalibratedStream(_Waiting):
             lost = unknown_deg(asked, self.sent_period_s, known.theta, time_s, self._unknown)
             noise_deg = np.hypot(noise_deg, lost)
         rows = [time_s, reading_deg, measured_deg, usable, np.isfinite(start_deg), noise_deg]
-        return [np.concatenate([np.stack(rows), slopes.T])]
+        return np.concatenate([np.stack(rows), slopes.T])
 
     def _starts(self, ready: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Where to begin anew and what to judge, from the last seconds and what is ready."""
@@ -621,9 +601,9 @@ class CalibratedStream(_Waiting):
         self._seen = self._seen[:, kept:]
         return start_deg[-count:], usable[-count:]
 
-    def _judged(self, rows: FloatArray, error_deg: FloatArray, glitch: BoolArray) -> Piece:
-        time_s, reading_deg, measured_deg = rows[0].copy(), rows[1].copy(), rows[2].copy()
-        usable = (rows[3] != 0.0) & ~glitch
+    def _judged(self, rows: FloatArray) -> Piece:
+        time_s, reading_deg, measured_deg, usable = rows[0].copy(), rows[1].copy(), rows[2].copy(), rows[3] != 0.0
+        error_deg, _ = residual(measured_deg, reading_deg, self._known_servo.reach_deg)
         error_deg = np.where(usable, error_deg, np.nan)
         sigma_deg, triple, grid_s, table = follow(
             self._tests, self._memory, time_s, error_deg, rows[6:].T.copy(), rows[5].copy()

@@ -8,21 +8,18 @@ from typing import cast
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from servofd.aircraft.marks import Why
 from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
 from servofd.detection.event import Event, Look
-from servofd.detection.glitches import glitches, new_running_median, with_value
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.named import judge
 from servofd.detection.residual import ResidualGenerator, mark_starts, new_starts_memory, prepared, rhythm
 from servofd.detection.stream import CommandBuffer, History, Piece, Stream
 from servofd.detection.verdict import Fault
 from servofd.servo.servo_model import ServoModel
-from tests.detection.windows import troubled
+from tests.detection.windows import troubled, without_spikes
 
 SAME_DEG = 1e-9
 TIME_S = np.arange(0.0, 40.0, 0.02)
@@ -36,7 +33,7 @@ def surface(kind: str = "interval", servo: str = "s9254") -> tuple[Surface, Serv
 
 
 def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float = 1e9) -> Series:
-    """A noisy flight with lost samples, glitches, a hole, and maybe a jam."""
+    """A noisy flight with lost samples, spikes, which are marked, a hole, and maybe a jam."""
     rng = np.random.default_rng(seed)
     _, model = surface(servo=servo)
     measured_deg = model.simulate(TIME_S, COMMAND_DEG, TIME_S) + 0.05 * rng.standard_normal(TIME_S.size)
@@ -45,6 +42,7 @@ def flight(seed: int, *, servo: str = "s9254", lost: float = 0.0, stuck_s: float
         measured_deg[jammed:] = measured_deg[jammed]
     measured_deg[700] += 20.0
     measured_deg[900:902] -= 9.0
+    measured_deg = without_spikes(TIME_S, COMMAND_DEG, measured_deg)
     measured_deg[1200:1230] = np.nan
     asked, seen = rng.random(TIME_S.size) >= lost, rng.random(TIME_S.size) >= lost
     asked[1000:1040] = False
@@ -308,22 +306,6 @@ class TestPace:
         assert (monitor.is_watched, monitor.problem) == (True, "")
 
 
-class TestSteps:
-    @settings(max_examples=50)
-    @given(st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=60))
-    def test_the_running_median_is_the_lower_median_of_all_so_far(self, values: list[float]) -> None:
-        median = new_running_median()
-        found = [with_value(median, value) for value in values]
-        true = [sorted(values[: k + 1])[k // 2] for k in range(len(values))]
-        np.testing.assert_allclose(found, true, rtol=0.023)
-
-    def test_a_step_is_no_glitch_and_what_comes_back_is(self) -> None:
-        error_deg = 0.01 * np.random.default_rng(1).standard_normal(200)
-        error_deg[50:] += 5.0
-        error_deg[[120, 150, 151]] += 5.0
-        assert np.flatnonzero(glitches(error_deg)).tolist() == [120, 150, 151]
-
-
 @pytest.mark.slow
 def test_a_link_that_becomes_too_thin_is_told_once_and_raises_no_alarm() -> None:
     """From 20 s on one position in twelve arrives, at random."""
@@ -344,10 +326,11 @@ def test_memory_is_bounded() -> None:
     entry, model = surface()
     monitor = SurfaceMonitor("x", entry, model)
     sizes = []
+    time_s, command_deg = np.arange(40.0 * TIME_S.size) / 50.0, np.tile(COMMAND_DEG, 40)
+    position_deg = model.simulate(time_s, command_deg, time_s)
     for lap in range(40):
-        time_s = TIME_S + 40.0 * lap
-        position_deg = model.simulate(time_s, COMMAND_DEG, time_s)
-        monitor.feed((time_s, COMMAND_DEG), (time_s, position_deg + 1e-6 * lap))
+        here = slice(lap * TIME_S.size, (lap + 1) * TIME_S.size)
+        monitor.feed((time_s[here], command_deg[here]), (time_s[here], position_deg[here] + 1e-6 * lap))
         stream = monitor._stream
         assert stream is not None
         sizes.append((stream.history.size <= 30_000, stream.effective.size <= 30_000, stream.logged.size <= 4096))
@@ -399,35 +382,3 @@ class TestMemory:
         assert kept.slope_deg_s.tolist() == [0.0] * 7 + [4.0]
         buffer.bend(18.0, 0.5)
         assert (buffer.commands().slope_deg_s[-1], kept.slope_deg_s[-1], kept.command_deg[-1]) == (0.0, 4.0, 18.0)
-
-
-class TestGlitches:
-    @staticmethod
-    def marked(*places: int, size: int = 300, restart: int | None = None, jump_deg: float = 5.0) -> list[int]:
-        error_deg = 0.01 * np.random.default_rng(1).standard_normal(size)
-        error_deg[list(places)] += jump_deg
-        begins = np.zeros(size, dtype=np.int8)
-        if restart is not None:
-            begins[restart] = 1
-        return np.flatnonzero(glitches(error_deg, begins)).tolist()
-
-    def test_one_or_two_away_and_two_back(self) -> None:
-        assert self.marked(50) == [50]
-        assert self.marked(50, 51) == [50, 51]
-        assert self.marked(50, 51, 52) == []
-        assert self.marked(50, 52) == []
-        assert self.marked(298) == []  # only one of them comes back before the end
-        assert self.marked(297) == [297]
-
-    def test_none_is_told_before_eight_samples_or_across_a_start(self) -> None:
-        assert (self.marked(7), self.marked(8)) == ([], [8])
-        assert self.marked(50, restart=51) == []
-        assert self.marked(50, restart=50) == []
-
-    def test_a_jump_of_less_than_ten_sigma_is_noise(self) -> None:
-        """The noise is not taken to be smaller than 0.05 deg."""
-        assert (self.marked(50, jump_deg=0.45), self.marked(50, jump_deg=0.55)) == ([], [50])
-
-    def test_where_one_in_fifty_jumps_it_is_what_the_position_does(self) -> None:
-        assert self.marked(20, 30, 40, 50) == [20, 30]
-        assert self.marked(20, 30, 110, 200) == [20, 30, 110, 200]

@@ -48,13 +48,3 @@ def test_a_servo_that_holds_thin_commands_is_not_taken_for_one_with_lost_ones() 
     done = prepared(GENERATOR, replace(segment, measured_deg=held_deg))
     assert done.notes == ()
     assert done.segment.command_period_s is None
-
-
-def test_readings_that_leave_the_model_for_a_moment_are_counted() -> None:
-    segment = thinly(None, kept=1)
-    jumping_deg = segment.measured_deg.copy()
-    jumping_deg[[300, 600, 601]] += [25.0, -25.0, -25.0]
-    done = prepared(GENERATOR, replace(segment, measured_deg=jumping_deg))
-    assert done.notes == ("3 readings away from the model for a moment only, not judged",)
-    assert np.flatnonzero(np.isnan(done.segment.measured_deg)).tolist() == [300, 600, 601]
-    assert largest_deg(done.residuals) < 0.5

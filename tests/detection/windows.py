@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from servofd.aircraft.marks import Why
+from servofd.aircraft.marks import Rows, Why, marked
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
 from servofd.core.types import FloatArray
@@ -36,8 +36,15 @@ def flown(seed: int, fault: Fault | None, time_s: FloatArray) -> FloatArray:
     return deflection_deg + NOISE_DEG * np.random.default_rng([seed, 1]).standard_normal(time_s.size)
 
 
+def without_spikes(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> FloatArray:
+    """Positions [deg] without those that are marked as spikes, shape (n,)."""
+    none = np.zeros(time_s.size, dtype=np.int8)
+    why, _ = marked(Rows(time_s, measured_deg, command_deg, none - 1, none))
+    return np.where(why == Why.SPIKE, np.nan, measured_deg)
+
+
 def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
-    """Twelve seconds with lost samples, a hole, a glitch, and commands that rest."""
+    """Twelve seconds with lost samples, a hole, a spike, which is marked, and commands that rest."""
     rng = np.random.default_rng(7)
     time_s = np.arange(600) / 50.0
     command_deg = command(5, time_s)
@@ -46,6 +53,7 @@ def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
     measured_deg = model.simulate(time_s, command_deg, time_s) + NOISE_DEG * rng.standard_normal(time_s.size)
     measured_deg[150] += 20.0
     measured_deg[520:] += 3.0
+    measured_deg = without_spikes(time_s, command_deg, measured_deg)
     asked, seen = rng.random(time_s.size) > 0.1, rng.random(time_s.size) > 0.1
     seen[250:280] = asked[330:350] = False
     why = is_unsettled((time_s[asked], command_deg[asked]), time_s[seen], measured_deg[seen], time_s[seen]) * np.int8(

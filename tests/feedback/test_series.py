@@ -10,7 +10,7 @@ import pytest
 
 from logparsers import Channel
 from logparsers.records import Damage
-from servofd.aircraft.marks import LAST_WITH_VALUE, Why
+from servofd.aircraft.marks import LAST_WITH_VALUE, Rows, Why, marked
 from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
 from servofd.aircraft.series import Series, bus_of, cut
 from servofd.aircraft.watch import Bus, New, Watch
@@ -20,6 +20,8 @@ from servofd.core.types import BoolArray, FloatArray
 from servofd.feedback.flown import one_log, surfaces_of
 from servofd.jobs.bench import bench_tests
 from servofd.jobs.workflow import audit, flights_of
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.writers import write_flight
@@ -318,3 +320,16 @@ def test_a_spike_in_turbulence_is_marked_and_a_doublet_that_was_asked_for_is_not
     columns = {"time_s": time_s, "rudder_cmd_deg": asked_deg, "rudder_pos_deg": position_deg}
     series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
     np.testing.assert_array_equal(series.why == Why.SPIKE, thrown)
+
+
+def test_an_overshoot_is_no_spike_and_a_spike_against_a_step_is_one() -> None:
+    """The tip of an underdamped servo's overshoot goes out and back within 60 ms, but slows down first."""
+    model = ServoModel.of(servo_named("s3151"))
+    time_s = np.arange(0.0, 40.0, 0.02)
+    asked_deg = 8.0 * np.sin(1.3 * time_s) + 6.0 * np.sign(np.sin(0.7 * time_s))
+    position_deg = model.simulate(time_s, asked_deg, time_s) + 0.05 * np.random.default_rng(5).standard_normal(2000)
+    thrown = np.isin(np.arange(2000), (700, 900, 901))
+    position_deg[thrown] += np.array([20.0, -9.0, -9.0])
+    none = np.zeros(time_s.size, dtype=np.int8)
+    why, _ = marked(Rows(time_s, position_deg, asked_deg, none - 1, none))
+    np.testing.assert_array_equal(why == Why.SPIKE, thrown)
