@@ -6,7 +6,6 @@ Those of every servo come first, in a fixed order; then those of effects that sa
 
 from __future__ import annotations
 
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from servofd.servo.registry import everything
@@ -70,6 +69,4 @@ PRIORS: Final = (
 )
 """What a calibration fits, with how far servos may be from the usual one: `Prior` names the columns."""
 NAMES: Final = tuple(prior.name for prior in PRIORS)
-SIGMAS: Final = MappingProxyType({prior.name: prior.sigma for prior in PRIORS})
-"""How far any servo may differ from the usual one, by name."""
 FITTED: Final = len(PRIORS)

@@ -227,11 +227,6 @@ class Explanation:
         slow_rad_s = known * self.physics.slow_scale
         return bool(np.isclose(split(there / there[0])[0], slow_rad_s, rtol=_SAME_POLE))
 
-    @property
-    def better_model(self) -> ServoModel:
-        """The model with what was missing, for an audit."""
-        return self.model.with_physics(self.physics)
-
     def rms_deg(self, fit: Fit) -> dict[str, float]:
         """Error of a fit [deg] on what was searched: fitted to it, and each fold predicted from the other."""
         count = max(int(self.selection.fitter.record.counts.sum()), 1)

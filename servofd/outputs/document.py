@@ -162,7 +162,7 @@ class Document:
 
 def markdown(document: Document) -> str:
     """Words and tables, as the viewer of recordings shows them."""
-    return "\n\n".join([f"# {document.facts}", document.sentence, *_marked(document.parts)]) + "\n"
+    return "\n\n".join([f"# {document.sentence}", document.facts, *_marked(document.parts)]) + "\n"
 
 
 def _marked(parts: Sequence[Part]) -> list[str]:

@@ -137,10 +137,6 @@ def send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
 def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace) -> None:
     time_s, largest = ratio(trace.time_s, trace.residual_deg, trace.threshold_deg)
     recorder.scalars(f"{place}/ratio", time_s, largest)
-    flag = np.abs(trace.residual_deg) >= trace.threshold_deg
-    edges = np.union1d(np.flatnonzero(np.diff(flag, prepend=~flag[0])), [flag.size - 1])
-    recorder.lines(f"{place}/flag", ["over threshold"], ["fault"], interpolation_mode="StepAfter")
-    recorder.scalars(f"{place}/flag", trace.time_s[edges], flag[edges].astype(float))
     starts_s = np.array([fault.start_s for fault in surface.faults])
     if starts_s.size:
         heights = np.full(starts_s.size, MARKER_HEIGHT)

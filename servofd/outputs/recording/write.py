@@ -1,7 +1,7 @@
 """An audit as a Rerun recording.
 
 Entities below ``/surfaces/<name>``: ``deflection`` (command, simulated, measured [deg]), ``residual`` (residual and
-both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, ``flag`` (0 or 1), ``state``, ``onset``,
+both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, ``state``, ``onset``,
 ``events``, ``shade/*``, ``onboard`` (residual and thresholds of a script on board [deg]); ``/flight/**``
 (airspeed, supply); ``/report`` is the verdict in words. Time lines: ``time_boot``, and ``time_utc`` where the log
 knows it.
