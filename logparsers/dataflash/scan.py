@@ -5,37 +5,32 @@ evidence is the chain: behind a sound record the next one begins. Where the chai
 the beginning of another, sound one is itself damage (cut short, or a header that never was one).
 
 `stride` follows a sound chain by whole arrays, thirty times as fast as `walk` does record by record. Where it stops,
-`walk` goes on: plain Python over integers and buffers, which numba compiles once a log is so damaged that it pays.
+`walk` goes on.
 """
 
 from __future__ import annotations
 
+import re
 from array import array
 from dataclasses import dataclass, field
-from functools import cache
-from types import FunctionType
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     Ints = array[int] | NDArray[Any]
 
-COMPILE_FROM: Final = 300_000
-"""Records after which the walk is compiled: until then, the plain one beats the import of numba (0.3 s of processor
-time)."""
-LARGE: Final = 12 << 20
-"""Bytes of a log in which it is compiled as soon as the chain breaks: there may be megabytes of garbage."""
 A_FEW: Final = 64
 """Records that are walked one by one before the rest is tried as a whole again."""
 STRIDE: Final = (1 << 12, 1 << 19)
 """Bytes of a stride, at first and at most: each eight times as long as the one before, as long as nothing stops it."""
-FMT_TYPE: Final = 128
-"""Of a definition of messages."""
+FMT_TYPE, FMT_SIZE = 128, 89
+"""Of a definition of messages: its type, and its bytes."""
 
 # state
 AT, DONE_FMT, CLOCK, PENDING, SETTLED, WAITING_US, WAITING_AT = 0, 1, 2, 3, 4, 5, 9
@@ -60,7 +55,7 @@ AHEAD_US: Final = 86_400_000_000
 NO_TIME: Final = -1
 
 BATCH: Final = 1 << 18
-"""Records of a call of the compiled walk."""
+"""Records of a batch."""
 EVENTS: Final = 1 << 12
 """Damaged stretches, and jumps of the clock, that a call can hold."""
 
@@ -81,35 +76,30 @@ def is_chained(data: memoryview, at: int, size: int, length: Ints) -> bool:
 def hidden(data: memoryview, at: int, end: int, size: int, length: Ints) -> int:
     """Find a record inside ``(at, end)`` with a better claim to these bytes than that at `at`, or -1."""
     found = -1
-    inner, stop = at + 1, min(end, size - 2)
+    inner, stop = next_header(data, at, size, length), min(end, size - 2)
     while inner < stop:
         if is_chained(data, inner, size, length):
             found = inner
             stop = min(inner + length[data[inner + 2]], size - 2)  # which may itself hide a better one
-        inner += 1
+        inner = next_header(data, inner, size, length)
     return found if found < end else -1
-
-
-def same(data: memoryview, a: int, b: int, n: int) -> bool:
-    """Tell whether the `n` bytes at `a` and at `b` are equal."""
-    for i in range(n):  # noqa: SIM110 - numba compiles the loop
-        if data[a + i] != data[b + i]:
-            return False
-    return True
 
 
 def next_header(data: memoryview, at: int, size: int, length: Ints) -> int:
     """Find where a known message type begins behind `at`; the end of the log if nowhere."""
-    at += 1
-    while at + 3 <= size and not is_header(data, at, size, length):
-        at += 1
-    return at if at + 3 <= size else size
+    found = _header_of(bytes(kind for kind in range(256) if length[kind] > 0)).search(data, at + 1)
+    return found.start() if found else size
+
+
+@lru_cache(maxsize=512)
+def _header_of(known: bytes) -> re.Pattern[bytes]:
+    return re.compile(b"\xa3\x95[" + re.escape(known) + b"]")
 
 
 def is_new(data: memoryview, at: int, defined: Ints) -> bool:
     """Tell whether the definition at `at` differs from the one in force."""
     before = defined[data[at + 3]]
-    return before < 0 or not same(data, before, at, 89)
+    return before < 0 or data[before : before + FMT_SIZE] != data[at : at + FMT_SIZE]
 
 
 def read_time(data: memoryview, at: int, kind: int) -> int:
@@ -340,17 +330,6 @@ def clock_steps(
     return np.array(odd, np.int64), steps
 
 
-@cache
-def compiled_walk() -> Callable[..., tuple[int, int]]:
-    """`walk` and all it calls, compiled; kept on disk between runs where the disk allows it."""
-    from logparsers.compiled import compiled  # takes half a second, and small logs do without
-
-    scope: dict[str, Any] = dict(globals())
-    for part in (is_header, is_chained, hidden, same, next_header, is_new, read_time, put, settle, reject, watch, walk):
-        scope[part.__name__] = compiled(FunctionType(part.__code__, scope, part.__name__))
-    return scope["walk"]  # type: ignore[no-any-return]
-
-
 @dataclass
 class Walk:
     """One walk over one log: its tables, its buffers, and where it stands.
@@ -371,9 +350,7 @@ class Walk:
         self.offsets = np.zeros(min(BATCH, len(self.data) // 4 + 16), np.int64)
         self.types = np.zeros(self.offsets.size, np.uint8)
         self.bad, self.odd, self.steps = (array("q", bytes(8 * (4 * EVENTS + 1))) for _ in range(3))
-        self._raw = np.frombuffer(self.data, np.uint8)
-        self._raw.flags.writeable = False
-        self._stride, self._walked = STRIDE[0], 0
+        self._stride = STRIDE[0]
 
     def run(self) -> tuple[int, int]:
         """Walk on; return why it stopped (`FULL`, `NEW_FORMAT`, `END`) and how many records it found."""
@@ -391,13 +368,5 @@ class Walk:
 
     def _stepped(self) -> tuple[int, int]:
         few = A_FEW if self.strides else self.offsets.size
-        buffers = (self.length, self.clock, self.defined, self.state)
-        size, at = len(self.data), self.state[AT]
-        is_whole = at + 3 > size or self.data[at + 2] == FMT_TYPE or is_chained(self.data, at, size, self.length)
-        if self._walked < COMPILE_FROM and (is_whole or size < LARGE):
-            why, n = walk(self.data, *buffers, self.offsets[:few], self.types[:few], self.bad, self.odd, self.steps)
-        else:
-            ints = [np.frombuffer(one, np.int64) for one in (*buffers, self.bad, self.odd, self.steps)]
-            why, n = compiled_walk()(self._raw, *ints[:4], self.offsets, self.types, *ints[4:])
-        self._walked += n
-        return why, n
+        tables = (self.length, self.clock, self.defined, self.state)
+        return walk(self.data, *tables, self.offsets[:few], self.types[:few], self.bad, self.odd, self.steps)
