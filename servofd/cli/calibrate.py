@@ -38,7 +38,7 @@ def run(options: Options) -> int:
             options.logs,
             aircraft,
             surfaces=tuple(options.surface),
-            spans=_spans(options),
+            spans=tuple(options.between),
             runs=tuple(options.runs),
             force=options.force,
             progress=step,
@@ -50,11 +50,6 @@ def run(options: Options) -> int:
     if options.config is None and any(is_numbered(name) for name in aircraft.surfaces):
         say("no log says what the outputs turn (SERVOn_FUNCTION); -c FILE, or a log that does, names the surfaces")
     return _run_axes(options, text) if options.motion else 0
-
-
-def _spans(options: Options) -> tuple[tuple[float, float], ...]:
-    until = [] if options.until is None else [(float("-inf"), options.until)]
-    return (*options.between, *until)
 
 
 def _has_feedback(paths: list[str]) -> bool:
@@ -71,7 +66,7 @@ def _has_feedback(paths: list[str]) -> bool:
 def _run_axes(options: Options, text: str = "") -> int:
     """Calibrate what motion tells of axes, write it after what is known already, then print."""
     per_hour = _PER_HOUR if options.false_alarms_per_hour is None else options.false_alarms_per_hour
-    model = calibrate_axes(options.logs, false_alarms_per_hour=per_hour, spans=_spans(options))
+    model = calibrate_axes(options.logs, false_alarms_per_hour=per_hour, spans=tuple(options.between))
     head = text or f'name = "{Path(options.output).stem}"\n'
     write_whole(options.output, f"{head.rstrip()}\n\n{motion_to_toml(model)}".encode())
     print_document(motion_report(model))

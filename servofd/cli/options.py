@@ -230,7 +230,6 @@ def _calibrate(parser: Parser) -> None:
     )
     parser.add_argument("--false-alarms-per-hour", type=_PER_HOUR, metavar="X", help=rate)
     parser.surface("calibrate only this one")
-    parser.add_argument("--until", type=_SECONDS, metavar="S", help="use each log up to this time [s] only")
     between = "use this part [s] only; may be repeated"
     parser.add_argument("--between", type=_span, action="append", default=[], metavar="A:B", help=between)
     run = "of a table of several runs, use only this"

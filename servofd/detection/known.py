@@ -198,7 +198,7 @@ _STRANGE: Final = 6.0
 """A flight that differs from the others by so many standard deviations between flights is of another aircraft."""
 _REFUSED: Final = 1.5
 """A good flight over so many times its thresholds is none."""
-_ADVICE: Final = "leave that part out (--until, --between), or the surface (-s)"
+_ADVICE: Final = "leave that part out (--between), or the surface (-s)"
 _POOR, _DOUBTFUL = 0.6, 0.9
 """Share of the motion explained below which a fit is refused, and below which shorter beginnings are tried."""
 _BEGINNINGS: Final = (1.0 / 3.0, 1.0 / 6.0, 1.0 / 12.0)

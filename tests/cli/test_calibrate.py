@@ -164,7 +164,7 @@ def test_two_aircraft_are_not_one(tmp_path: Path, config: str, capsys: pytest.Ca
     assert not target.exists()
 
 
-@pytest.mark.parametrize("words", [["--between", "9:3"], ["--until", "x"], ["--false-alarms-per-hour", "0"]])
+@pytest.mark.parametrize("words", [["--between", "9:3"], ["--between", "x:9"], ["--false-alarms-per-hour", "0"]])
 def test_wrong_options_are_told(words: list[str], config: str) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["calibrate", "a.csv", "-c", config, "-o", "b.toml", *words])
