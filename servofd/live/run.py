@@ -103,12 +103,14 @@ def replay_telemetry(session: Session, path: Path, watcher: Watcher, pace: Pace,
                 break
             first_s = stepped_s = now_s
         events = session.take(now_s, frame)
-        if pace.is_due(abs(now_s - stepped_s), session):
+        is_due = pace.is_due(abs(now_s - stepped_s), session)
+        if is_due:
             pace.wait(now_s)
             stepped_s = now_s
             events += session.step(now_s)
-            watcher.tick(now_s)
         watcher.events(events)
+        if is_due:
+            watcher.tick(now_s)
     return now_s
 
 
