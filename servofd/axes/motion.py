@@ -315,7 +315,6 @@ def motion_of_autopilot(
     if silent:
         raise NoMeasurement(f"{log.label}: no commands of output {silent[0]} (RCOU or SERVO_OUTPUT_RAW)")
     rates, forces = _triple(log, _RATES, "body rates (IMU)"), _triple(log, _FORCES, "specific forces (IMU)")
-    first = next(series for number in needed if (series := pulses[number]) is not None)
     served = needed | {output.number for output in (*airframe.throttles, *airframe.lift_motors)}
 
     def asked(grid_s: FloatArray) -> Asked:
@@ -333,7 +332,7 @@ def motion_of_autopilot(
         log,
         rate_hz,
         asked,
-        first,
+        [series for number in sorted(needed) if (series := pulses[number]) is not None],
         rates,
         forces,
         _attitude(log),
@@ -347,7 +346,7 @@ def on_one_grid(
     log: FlightLog,
     rate_hz: float | None,
     asked: Callable[[FloatArray], Asked],
-    first: Series,
+    commands: Sequence[Series],
     rates: Sequence[Series],
     forces: Sequence[Series],
     attitude: tuple[Series, Series],
@@ -358,12 +357,12 @@ def on_one_grid(
 ) -> Motion:
     """Motion of an autopilot's log from its channels, where all of them are there.
 
-    `first`: the commands of one output. `rates` [deg/s], `forces` [m/s2], bank and pitch [deg], airspeed [m/s] and its
-    source.
+    `commands`: what was sent to each output or axis. `rates` [deg/s], `forces` [m/s2], bank and pitch [deg], airspeed
+    [m/s] and its source.
     """
-    native_hz = min(_FASTEST_HZ, *(one.rate_hz for one in (first, rates[0], forces[0])))
+    native_hz = min(_FASTEST_HZ, *(round(one.rate_hz, 3) for one in (*commands[:1], rates[0], forces[0])))
     rate_hz = grid_rate(log.label, native_hz, rate_hz)
-    every = [first, *rates, *forces, *attitude, airspeed[0]]
+    every = [*commands, *rates, *forces, *attitude, airspeed[0]]
     start_s, end_s = max(one.time_s[0] for one in every), min(one.time_s[-1] for one in every)
     if end_s - start_s < LARGEST_GAP_S:
         raise NoMeasurement(f"{log.label}: commands and motion share no time")
@@ -502,56 +501,34 @@ def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
     and an airspeed (``airspeed_m_s``, ``airspeed_est_m_s`` or ``airspeed_pitot_m_s``). What a servo received
     (``*_out_us``) is never read: a fault freezes it.
     """
-    commands = {axis: _first(log, names) for axis, names in _COMMANDS.items()}
-    given = {axis: channel for axis, channel in commands.items() if channel is not None}
-    throttle = _first(log, ("thr_us", "throttle_us", "throttle"))
+    commands = {axis: one for axis, names in _COMMANDS.items() if (one := _first(log, names)) is not None}
+    throttle, pulse = series_of(log, "throttle"), _first(log, ("thr_us", "throttle_us"))
+    if pulse is not None:
+        throttle = Series(pulse.time_s, (pulse.values - 1000.0) / 1000.0)
     rates = [_in_degrees(log, f"{name}_rad_s", f"{name}_deg_s") for name in ("p", "q", "r")]
     forces = [_needed(log, (f"{name}_m_s2",)) for name in ("ax", "ay", "az")]
-    roll, pitch = _in_degrees(log, "phi_rad", "roll_deg"), _in_degrees(log, "theta_rad", "pitch_deg")
-    airspeed, source = _airspeed_of_table(log)
-    first = next(iter(given.values()), forces[0])
-    time_s = first.time_s
-    native_hz = _rate(time_s)
-    rate_hz = grid_rate(log.label, native_hz, rate_hz)
-    grid_s = time_s[0] + np.arange(int((time_s[-1] - time_s[0]) * rate_hz) + 1) / rate_hz
+    native_hz = forces[0].rate_hz
 
-    def means(channel: Channel, *, held: bool = False) -> FloatArray:
-        return Series.of(channel).on(grid_s, held=held)
+    def asked(grid_s: FloatArray) -> Asked:
+        held = native_hz < (1.0 - _SAME_RATE) / float(grid_s[1] - grid_s[0])
+        pulled = np.zeros(grid_s.size) if throttle is None else throttle.on(grid_s)
+        lifted = np.zeros(grid_s.size, dtype=bool)
+        return {axis: one.on(grid_s, held=held) for axis, one in commands.items()}, pulled, lifted
 
-    asked = np.zeros(grid_s.size) if throttle is None else means(throttle)
-    if throttle is not None and throttle.name.endswith("_us"):
-        asked = (asked - 1000.0) / 1000.0
-    every = [*given.values(), *forces, airspeed, *(channel for channel, _ in (*rates, roll, pitch))]
-    return Motion(
-        name=log.source.name,
-        day=day_of(log),
-        time_s=grid_s,
-        commands_us={axis: means(channel, held=native_hz < rate_hz) for axis, channel in given.items()},
-        rates_deg_s=np.array([scale * means(channel) for channel, scale in rates]),
-        accelerations_m_s2=np.array([means(channel) for channel in forces]),
-        roll_deg=roll[1] * means(roll[0]),
-        pitch_deg=pitch[1] * means(pitch[0]),
-        airspeed_m_s=means(airspeed),
-        throttle=asked,
-        present=present_on(grid_s, [Series.of(channel) for channel in every]),
-        airspeed_source=source,
-        members=_MEMBERS,
-    )
+    attitude = (_in_degrees(log, "phi_rad", "roll_deg"), _in_degrees(log, "theta_rad", "pitch_deg"))
+    airspeed = _airspeed_of_table(log)
+    return on_one_grid(log, rate_hz, asked, [*commands.values()], rates, forces, attitude, airspeed, members=_MEMBERS)
 
 
-def _rate(time_s: FloatArray) -> float:
-    step_s = float(np.median(np.diff(time_s)))
-    return round(1.0 / step_s, 3)
+_SAME_RATE = 0.01
+"""Rates that differ by less are the same."""
 
 
-def _first(log: FlightLog, names: tuple[str, ...]) -> Channel | None:
-    for name in names:
-        if name in log.channels and np.count_nonzero(np.isfinite(log[name].values)) > 1:
-            return log[name]
-    return None
+def _first(log: FlightLog, names: tuple[str, ...]) -> Series | None:
+    return next((one for name in names if (one := series_of(log, name)) is not None), None)
 
 
-def _needed(log: FlightLog, names: tuple[str, ...]) -> Channel:
+def _needed(log: FlightLog, names: tuple[str, ...]) -> Series:
     found = _first(log, names)
     if found is None:
         raise NoMeasurement(
@@ -561,17 +538,17 @@ def _needed(log: FlightLog, names: tuple[str, ...]) -> Channel:
     return found
 
 
-def _in_degrees(log: FlightLog, radians: str, degrees: str) -> tuple[Channel, float]:
-    channel = _needed(log, (degrees, radians))
-    return channel, 1.0 if channel.name == degrees else float(np.degrees(1.0))
+def _in_degrees(log: FlightLog, radians: str, degrees: str) -> Series:
+    in_radians = series_of(log, radians, float(np.degrees(1.0)))
+    return in_radians if in_radians is not None and degrees not in log.channels else _needed(log, (degrees,))
 
 
-def _airspeed_of_table(log: FlightLog) -> tuple[Channel, str]:
+def _airspeed_of_table(log: FlightLog) -> tuple[Series, str]:
     """First airspeed that measures something: a pitot that reads 0 does not."""
     for name, source in _AIRSPEEDS:
-        channel = _first(log, (name,))
-        if channel is not None and float(np.nanmedian(channel.values)) > 1.0:
-            return channel, source
+        series = series_of(log, name)
+        if series is not None and float(np.median(series.values)) > _MEASURES_M_S:
+            return series, source
     raise NoMeasurement(
         f"{log.label}: no airspeed that measures anything (airspeed_m_s, airspeed_est_m_s or airspeed_pitot_m_s): the "
         "effect of a surface grows with its square; log a sensor, or GPS velocity and the autopilot's wind"

@@ -124,7 +124,7 @@ def motion_of_px4(log: FlightLog, rate_hz: float | None = None) -> Motion:
         log,
         rate_hz,
         asked,
-        controls[0].series,
+        [one.series for one in controls],
         _vector(log, ("vehicle_angular_velocity[0].xyz", "sensor_combined[0].gyro_rad"), float(np.degrees(1.0))),
         _vector(log, ("vehicle_acceleration[0].xyz", "sensor_combined[0].accelerometer_m_s2"), 1.0),
         _attitude(_vector(log, ("vehicle_attitude[0].q",), 1.0, 4)),
