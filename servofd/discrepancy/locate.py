@@ -34,7 +34,7 @@ class Bins(NamedTuple):
 
 
 def binned(quantity: Map, error_deg: FloatArray, counts: BoolArray) -> Bins:
-    """Quantiles of an error in bins of a quantity; bins of equal numbers of samples, of time equal lengths.
+    """Quantiles of an error in bins of a quantity; bins of equal numbers of samples.
 
     Examples
     --------
@@ -44,10 +44,7 @@ def binned(quantity: Map, error_deg: FloatArray, counts: BoolArray) -> Bins:
     True
     """
     values, error = quantity.values, error_deg[counts]
-    if quantity.quantity == "time":
-        edges = np.linspace(values.min(), values.max(), 4 * _BINS + 1)
-    else:
-        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
     rows = [
         (float(np.median(values[index == k])), *np.percentile(error[index == k], _BAND))
