@@ -294,25 +294,19 @@ def _limit(known: CalibratedCurrent, kind: str) -> float:
 
 def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
     """Nats by which each kind of fault beats the good servo in one of the windows that end at these instants, (g,)."""
-    time_s, known = seen.series.time_s, seen.known
-    idle, still = max(float(known.theta[0]), 0.0), known.noise.still_a
-    motion, drawn = seen.series.motion, seen.series.current_a
-    good = _nats(drawn - seen.healthy_a, seen.noise_a)
+    time_s, everything = seen.series.time_s, slice(None)
+    idle, motion = max(float(seen.known.theta[0]), 0.0), seen.series.motion
+    good = _nats(seen.series.current_a - seen.healthy_a, seen.noise_a)
     gains = {
-        "unpowered": [good - _nats(drawn - rest, np.full(drawn.size, still)) for rest in (0.0, idle)],
-        "binding": [
-            good - _nats(drawn - idle - times * (seen.healthy_a - idle), times * seen.noise_a) for times in _TIMES
-        ],
+        "unpowered": [good - _misfit(seen, everything, "unpowered", rest) for rest in (0.0, idle)],
+        "binding": [good - _misfit(seen, everything, "binding", times) for times in _TIMES],
         "blocked": [],
     }
     least = _least_stall(seen)
-    if np.count_nonzero(drawn - idle > _ALWAYS * least) > 1 and motion.known.any():
+    if np.count_nonzero(seen.series.current_a - idle > _ALWAYS * least) > 1 and motion.known.any():
         places = np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, _PLACES))
-        away = np.clip(np.abs(motion.asked_deg[:, None] - places) / _SLACK_DEG[1], 0.0, 1.0) ** 2
-        for share in motion.rows(time_s, known.lag_s, known.width_s, *away.T).T:
-            for stall in least * np.array(_STALLS):
-                sigma = np.hypot(still, _STALL_SPREAD * stall * np.maximum(share, 0.1))
-                gains["blocked"].append(good - _nats(drawn - idle - stall * share, sigma))
+        for share in _shares(seen, time_s, places, _SLACK_DEG[1]).T:
+            gains["blocked"] += [good - _misfit(seen, everything, "blocked", least * n, share) for n in _STALLS]
     last = np.searchsorted(time_s, at_s, side="right")
     largest = {}
     for kind, accounts in gains.items():
@@ -326,6 +320,29 @@ def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
             first = np.searchsorted(time_s, at_s - look_s)
             largest[kind] = np.maximum(largest[kind], (sums[last] - sums[first]).max(axis=1))
     return largest
+
+
+def _misfit(seen: Seen, rows: slice | IntArray, kind: str, size: float, share: FloatArray | float = 0.0) -> FloatArray:
+    """Nats of some readings by an account of a size, shape (k,).
+
+    The size is what is drawn at rest, how many times as much as a good servo, or a stall, of which `share` is drawn.
+    """
+    drawn, still, idle_a = seen.series.current_a[rows], seen.known.noise.still_a, max(float(seen.known.theta[0]), 0.0)
+    if kind == "unpowered":
+        return _nats(drawn - size, np.full(drawn.size, still))
+    if kind == "binding":
+        return _nats(drawn - idle_a - size * (seen.healthy_a[rows] - idle_a), size * seen.noise_a[rows])
+    return _nats(drawn - idle_a - size * share, np.hypot(still, _STALL_SPREAD * size * np.maximum(share, 0.1)))
+
+
+def _shares(seen: Seen, time_s: FloatArray, places_deg: FloatArray, slack_deg: float) -> FloatArray:
+    """Share of its stall that a servo draws at some times if it stands at each of some places, shape (k, p)."""
+    known, motion = seen.known, seen.series.motion
+    if not time_s.size:
+        return np.zeros((0, places_deg.size))
+    motion = motion.within(time_s[0] - known.lag_s - known.width_s - 1.0, time_s[-1])
+    away = np.clip(np.abs(motion.asked_deg[:, None] - places_deg) / slack_deg, 0.0, 1.0) ** 2
+    return motion.rows(time_s, known.lag_s, known.width_s, *away.T)
 
 
 def _least_stall(seen: Seen) -> float:
@@ -387,9 +404,8 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[_Account]:
     yield _Account("healthy", nats(left, noise), 0.5 * float(best @ precision @ best), {})
     still, idle = seen.known.noise.still_a, max(float(seen.known.theta[0]), 0.0)
     rest = min(max(float(np.median(drawn)), 0.0), idle)
-    yield _Account(
-        "unpowered", nats(drawn - rest, np.full(drawn.size, still)), 1.0, {"current_a": Estimate.of(rest, still)}
-    )
+    unpowered = each * _misfit(seen, use, "unpowered", rest)
+    yield _Account("unpowered", unpowered, 1.0, {"current_a": Estimate.of(rest, still)})
     yield from _blocked(seen, use, drawn - idle)
     wider = np.zeros((count + 1, count + 1))
     wider[:count, :count] = precision
@@ -414,8 +430,7 @@ def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[_Account
     asked = np.quantile(motion.asked_deg, np.linspace(0.0, 1.0, _PLACES))
     places = np.unique(np.append(asked, motion.deflection_deg[0]))
     for slack_deg in _SLACK_DEG:
-        away = np.clip(np.abs(motion.asked_deg[:, None] - places) / slack_deg, 0.0, 1.0) ** 2
-        shares = motion.rows(time_s, known.lag_s, known.width_s, *away.T)
+        shares = _shares(seen, time_s, places, slack_deg)
         for place, share in zip(places.tolist(), shares.T, strict=True):
             far = share > 0.5
             if np.count_nonzero(far) < 2:
@@ -426,10 +441,9 @@ def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[_Account
             needed_s = _SOON_S if stall > _STALL * known.most_a else _LASTS_S
             if stall < least or np.quantile(full, 0.1) < _ALWAYS * stall or lasts_s < needed_s:
                 continue
-            sigma = np.hypot(known.noise.still_a, _STALL_SPREAD * stall * np.maximum(share, 0.1))
             yield _Account(
                 "blocked",
-                each_of(seen.series) * _nats(pushed - stall * share, sigma),
+                each_of(seen.series) * _misfit(seen, use, "blocked", stall, share),
                 float(np.log(places.size * len(_SLACK_DEG))),
                 {
                     "current_a": Estimate.of(stall, _STALL_SPREAD * stall / float(np.sqrt(np.count_nonzero(far)))),
@@ -483,20 +497,10 @@ def _gains(seen: Seen, account: _Account, rows: slice) -> FloatArray:
 
     As if each said something of its own.
     """
-    drawn, healthy, noise = seen.series.current_a[rows], seen.healthy_a[rows], seen.noise_a[rows]
-    known = seen.known
-    still, idle = known.noise.still_a, max(float(known.theta[0]), 0.0)
-    values = {name: estimate.value for name, estimate in account.parameters.items()}
-    sigma = np.full(drawn.size, still)
-    if account.kind == "unpowered":
-        other = np.full(drawn.size, values["current_a"])
-    elif account.kind == "blocked":
-        motion = seen.series.motion
-        away = np.clip(np.abs(motion.asked_deg - values["position_deg"]) / account.slack_deg, 0.0, 1.0) ** 2
-        share = motion.rows(seen.series.time_s[rows], known.lag_s, known.width_s, away)[:, 0]
-        other = idle + values["current_a"] * share
-        sigma = np.hypot(still, _STALL_SPREAD * values["current_a"] * np.maximum(share, 0.1))
-    else:
-        times = values["times"]
-        other, sigma = idle + times * (healthy - idle), times * noise
-    return np.where(seen.usable[rows], _nats(drawn - healthy, noise) - _nats(drawn - other, sigma), 0.0)
+    size, *_ = (estimate.value for estimate in account.parameters.values())  # before the place of a blocked one
+    share: FloatArray | float = 0.0
+    if account.kind == "blocked":
+        place_deg = np.array([account.parameters["position_deg"].value])
+        share = _shares(seen, seen.series.time_s[rows], place_deg, account.slack_deg)[:, 0]
+    good = _nats(seen.series.current_a[rows] - seen.healthy_a[rows], seen.noise_a[rows])
+    return np.where(seen.usable[rows], good - _misfit(seen, rows, account.kind, size, share), 0.0)
