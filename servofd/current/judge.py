@@ -153,7 +153,7 @@ def pushed(
     given = np.isfinite(read_deg)
     stands_deg = np.interp(motion.time_s, time_s[given], read_deg[given])
     away = (np.abs(motion.asked_deg - stands_deg) > _SLACK_DEG[1]).astype(np.float64)
-    (share,) = motion.rows(series.time_s, known.lag_s, known.width_s + _HELD_S, away).T
+    (share,) = motion.rows(series.time_s, known.lag_s, known.width_s + _HELD_S, away[:, None]).T
     to_s = np.inf if still.end_s is None else still.end_s
     held = (share > _HELD_SHARE) & (series.time_s >= still.start_s) & (series.time_s <= to_s)
     drawn_a = series.current_a[held] - max(float(known.theta[0]), 0.0)
@@ -342,7 +342,7 @@ def _shares(seen: Seen, time_s: FloatArray, places_deg: FloatArray, slack_deg: f
         return np.zeros((0, places_deg.size))
     motion = motion.within(time_s[0] - known.lag_s - known.width_s - 1.0, time_s[-1])
     away = np.clip(np.abs(motion.asked_deg[:, None] - places_deg) / slack_deg, 0.0, 1.0) ** 2
-    return motion.rows(time_s, known.lag_s, known.width_s, *away.T)
+    return motion.rows(time_s, known.lag_s, known.width_s, away)
 
 
 def _least_stall(seen: Seen) -> float:

@@ -14,7 +14,8 @@ since the one before: both are found by which fits best.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -65,7 +66,7 @@ MOVES_DEG: Final = 2.0
 _ENDS_OF: Final = np.array([name.endswith(("_1", "_2")) for name in NAMES])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CurrentSeries:
     """What a log holds of the current of one servo.
 
@@ -90,7 +91,7 @@ class CurrentSeries:
     context: Context
     notes: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def period_s(self) -> float:
         """Usual time between two readings [s]."""
         return float(np.median(np.diff(self.time_s)))
@@ -132,18 +133,10 @@ class Motion:
             time_s - command_s[after - 1] <= _LONGEST_GAP_S,
         )
 
-    def rows(self, at_s: FloatArray, lag_s: float, width_s: float, *columns: FloatArray) -> FloatArray:
-        """Columns (n, ...) as readings at some times see them, (m, k): late, and averaged over a width."""
-        values = np.column_stack(columns)
-        late_s = at_s - lag_s
-        if width_s < _GRID_S:
-            place = np.clip(np.round((late_s - self.time_s[0]) / _GRID_S).astype(int), 0, self.time_s.size - 1)
-            return np.asarray(values[place], dtype=np.float64)
-        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-        last = np.clip(np.round((late_s - self.time_s[0]) / _GRID_S).astype(int) + 1, 1, self.time_s.size)
-        first = np.clip(last - round(width_s / _GRID_S), 0, last - 1)
-        mean: FloatArray = (sums[last] - sums[first]) / (last - first)[:, None]
-        return mean
+    def rows(self, at_s: FloatArray, lag_s: float, width_s: float, values: FloatArray) -> FloatArray:
+        """Values (n, k) as readings at some times see them, (m, k): late, and averaged over a width."""
+        place = np.clip(np.round((at_s - lag_s - self.time_s[0]) / _GRID_S).astype(int), 0, self.time_s.size - 1)
+        return np.asarray(averaged(values, width_s)[place])
 
     def within(self, from_s: float, to_s: float) -> Motion:
         """The same in a part of its time."""
@@ -160,8 +153,31 @@ class Motion:
         return known
 
 
-def terms(series: CurrentSeries, known: CalibratedCurrent | _Seeing) -> tuple[FloatArray, FloatArray]:
-    """Terms of a healthy current at its readings, shape (m, 13), and how much it moves, from 0 to 1, shape (m,)."""
+def averaged(values: FloatArray, width_s: float) -> FloatArray:
+    """Values on the grid of a motion, shape (n, k), as their means over the time before."""
+    if width_s < _GRID_S:
+        return values
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    last = np.arange(1, len(values) + 1)
+    first = np.maximum(last - round(width_s / _GRID_S), 0)
+    mean: FloatArray = (sums[last] - sums[first]) / (last - first)[:, None]
+    return mean
+
+
+def terms(
+    series: CurrentSeries, known: CalibratedCurrent | _Seeing, columns: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Terms of a healthy current at its readings, shape (m, 13), and how much it moves, from 0 to 1, shape (m,).
+
+    `columns` are those of its motion (`_columns`), for whoever sees them with several lags.
+    """
+    columns = _columns(series, known) if columns is None else columns
+    out = series.motion.rows(series.time_s, known.lag_s, known.width_s, columns)
+    return out[:, :-1], out[:, -1]
+
+
+def _columns(series: CurrentSeries, known: CalibratedCurrent | _Seeing) -> FloatArray:
+    """The same on the grid of the motion, shape (n, 14)."""
     motion = series.motion
     y, v = motion.deflection_deg, motion.speed_deg_s
     way = np.tanh(v / _DIRECTION_DEG_S)
@@ -175,12 +191,10 @@ def terms(series: CurrentSeries, known: CalibratedCurrent | _Seeing) -> tuple[Fl
     volts = np.zeros(y.size)
     if known.supply_v and series.context.voltage_s.size:
         volts = series.context.supply_v(motion.time_s) - known.supply_v
-    out = motion.rows(
-        series.time_s, known.lag_s, known.width_s, np.ones(y.size), np.abs(held), held, up, down, np.abs(v) / 100.0,
-        np.maximum(way * held, 0.0), way * motion.push_deg_s2 / 1000.0, up * place, up * bowl, down * place,
-        down * bowl, volts, way**2,
-    )  # fmt: skip
-    return out[:, :-1], out[:, -1]
+    return np.column_stack([
+        np.ones(y.size), np.abs(held), held, up, down, np.abs(v) / 100.0, np.maximum(way * held, 0.0),
+        way * motion.push_deg_s2 / 1000.0, up * place, up * bowl, down * place, down * bowl, volts, way**2,
+    ])  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -229,15 +243,20 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
         raise CalibrationError("its current never changes: not a measurement")
     best = np.inf
     chosen = draft
-    some = slice(None, None, 1 + drawn.size // _MOST_ROWS)
+    step = 1 + drawn.size // _MOST_ROWS
+    some = [
+        replace(p, time_s=p.time_s[use][::step], current_a=p.current_a[use][::step])
+        for p, use in zip(parts, rows, strict=True)
+    ]
+    columns, drawn_some = [_columns(part, draft) for part in parts], np.concatenate([part.current_a for part in some])
     for width_s in (0.0, period_s) if period_s > 2.0 * _GRID_S else (0.0,):
-        for lag_s in _LAGS_S:
-            draft.lag_s, draft.width_s = lag_s, width_s
-            table = np.concatenate([terms(part, draft)[0][each] for part, each in zip(parts, rows, strict=True)])[some]
-            left = drawn[some] - table @ _solved(table, drawn[some], np.ones(len(table)))[0]
+        means = [averaged(each, width_s) for each in columns]
+        for draft.lag_s in _LAGS_S:
+            table = np.concatenate([terms(part, draft, mean)[0] for part, mean in zip(some, means, strict=True)])
+            left = drawn_some - table @ _solved(table, drawn_some, np.ones(len(table)))[0]
             cost = float(np.mean(np.minimum(np.abs(left), HUBER * _spread(left)) ** 2))
             if cost < best:
-                best, chosen = cost, _Seeing(ends, lag_s, width_s, draft.supply_v, draft.airspeed_m_s)
+                best, chosen = cost, _Seeing(ends, draft.lag_s, width_s, draft.supply_v, draft.airspeed_m_s)
     tables = [terms(part, chosen)[0] for part in parts]
     table = np.concatenate([each[use] for each, use in zip(tables, rows, strict=True)])
     weight = np.ones(drawn.size)
@@ -397,7 +416,7 @@ def see(series: CurrentSeries, known: CalibratedCurrent) -> Seen:
     noise = known.noise
     noise_a = np.hypot(noise.still_a, noise.share * np.maximum(motion_a, 0.0))
     middle, half = 0.5 * sum(known.reach_deg), 0.5 * (known.reach_deg[1] - known.reach_deg[0])
-    (deflection_deg,) = series.motion.rows(series.time_s, known.lag_s, 0.0, series.motion.deflection_deg).T
+    (deflection_deg,) = series.motion.rows(series.time_s, known.lag_s, 0.0, series.motion.deflection_deg[:, None]).T
     usable = series.motion.is_known(series.time_s) & np.isfinite(series.current_a)
     usable &= np.abs(deflection_deg - middle) <= _BEYOND * half  # what holds it further out is not known
     if known.airspeeds_m_s is not None and series.context.airspeed_s.size:
