@@ -452,7 +452,7 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
         _identify: (
             "identify a servo from bench tests",
             "Identifies a servo from chirps, steps or other motion: poles, dc gain, delay, bandwidth, rate "
-            "limits and dead band, with 95%% intervals. Several logs: tests of one servo, or servos of one kind, which "
+            "limits and dead band, with 95% intervals. Several logs: tests of one servo, or servos of one kind, which "
             "gives their mean. Exit code 2: the test does not show what the servo is like.",
             "identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
         ),
