@@ -373,8 +373,9 @@ _SPIKE_S: Final = 0.06
 """A surface that is thrown so far and back for less was never there: servos of 60 deg in 0.1 s take as long to turn."""
 _LEAST_SPIKE_DEG: Final = 0.5
 """Smaller ones move no residual beyond a threshold that noise leaves free."""
-_SPIKE_OF_NOISE: Final = 8.0
-"""Times the median second difference of the readings before: 13 standard deviations of white noise."""
+_OF_NOISE, _OUT_OF_NOISE = 3.0, 8.0
+"""Times the median second difference of the readings before: no spike below 5 standard deviations of white noise, and
+above 13 surely one; between them it is one where the motion without it were much smoother."""
 _BACK, _BEYOND, _ASKED_FOR = 1.0 / 3.0, 2.0, 0.5
 """Share of a spike within which the reading is back, and beyond which motion to the other side has not taken it; share
 of it that a command asked for within as long, or by which it sets out and comes back faster than the motion around."""
@@ -405,7 +406,10 @@ def _spikes(rows: Rows, why: Marks) -> int:
             continue
         if near.size and not _is_thrown(rows, k, back, float(away_deg[0])):
             continue
-        if _is_noise(rows, k, float(away_deg[0])):  # or motion, without which it were much smoother
+        bend_deg = _bend_before_deg(rows, k)
+        if away_deg[0] <= _OF_NOISE * bend_deg:
+            continue
+        if away_deg[0] <= _OUT_OF_NOISE * bend_deg:
             is_open = is_open or back == time_s.size - 1  # the row after it tells
             around = _unsteadiness(rows, k - 2, k - 1, back, back + 1)
             if not is_open and _unsteadiness(rows, *range(k - 2, back + 2)) < _MUCH_ROUGHER * around:
@@ -430,10 +434,9 @@ def _is_thrown(rows: Rows, first: int, back: int, size_deg: float) -> bool:
     return bool(min(side * each for each in apart_deg) >= _ASKED_FOR * size_deg)
 
 
-def _is_noise(rows: Rows, first: int, size_deg: float) -> bool:
-    """Whether an excursion does not stand out of the noise before it."""
-    before = rows.position_deg[max(first - _BEFORE_ROWS, 0) : first]
-    return size_deg <= _SPIKE_OF_NOISE * float(np.median(np.abs(np.diff(before, 2))))
+def _bend_before_deg(rows: Rows, first: int) -> float:
+    """Median second difference of the readings before an excursion."""
+    return float(np.median(np.abs(np.diff(rows.position_deg[max(first - _BEFORE_ROWS, 0) : first], 2))))
 
 
 def _was_asked(rows: Rows, first: int, back: int, size_deg: float) -> bool:

@@ -333,3 +333,11 @@ def test_an_overshoot_is_no_spike_and_a_spike_against_a_step_is_one() -> None:
     none = np.zeros(time_s.size, dtype=np.int8)
     why, _ = marked(Rows(time_s, position_deg, asked_deg, none - 1, none))
     np.testing.assert_array_equal(why == Why.SPIKE, thrown)
+
+
+def test_noise_is_no_spike() -> None:
+    """Of a position that is noise of 1 deg, as of one that is read in another unit, hardly a row looks like one."""
+    time_s, none = np.arange(0.0, 30.0, 0.01), np.zeros(3000, dtype=np.int8)
+    noise_deg = np.random.default_rng(3).standard_normal(3000)
+    why, _ = marked(Rows(time_s, noise_deg, 0.5 * np.sin(time_s), none - 1, none))
+    assert np.count_nonzero(why == Why.SPIKE) <= 15
