@@ -135,6 +135,7 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
 
 
 _GROUPS_TO_COMPARE = 4
+"""Days among which one that differs shows: of three, two may be the other aircraft."""
 _OTHER_SHARE, _AGREE = 0.25, 0.25
 """Difference of a command's effect from what other days show, and by what share of it those differ among themselves.
 Days of one aeroplane (ALFA) fill the range between; a smaller wing stood 0.40 from three that agreed within 0.03."""

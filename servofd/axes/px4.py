@@ -36,6 +36,7 @@ _FORWARD = 4
 _FIRST_SERVO_FUNCTION = 201
 """PWM_MAIN_FUNCk or PWM_AUX_FUNCk of the first surface."""
 _PWM_OUTPUTS = [f"PWM_{bank}_{{}}{k}" for bank in ("MAIN", "AUX") for k in range(1, 17)]
+"""Parameters of the 16 outputs that a bank has at most; the braces hold FUNC, MIN, MAX or REV."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,8 +51,9 @@ _SLACK_DEG: Final = (1.5, 4.0, 9.0)
 _BEFORE_S: Final = 30.0
 """Time before an alarm in which its onset is looked for [s]."""
 _BRIEF_S: Final = 10.0
-"""What passes sooner is no fault where one part of a log is all that is known of its current, nor is it one that binds:
-a gust, a landing."""
+"""What passes sooner is no fault where one part of a log is all that is known of its current: a gust, a landing."""
+_BINDS_S: Final = LOOKS_S[-1]
+"""A servo that binds does so in one manoeuvre after the other; some seconds of hard work are the air's."""
 _MOST: Final = 6
 """Faults of one flight at most."""
 _FLAT: Final = 1e-6
@@ -248,11 +249,11 @@ def faults_of(seen: Seen) -> Iterator[Fault]:
         if best is None:
             continue
         so_far = _timed(seen, best, at_s, earliest_s, named_s=at_s)
-        if seen.known.fitted_between_s is None and so_far.kind == "binding" and at_s - so_far.start_s < _BRIEF_S:
+        if seen.known.fitted_between_s is None and so_far.kind == "binding" and at_s - so_far.start_s < _BINDS_S:
             continue
         named_s = min(at_s + _NAMED_S, float(seen.series.time_s[-1]))
         fault = _timed(seen, best, at_s, earliest_s, named_s=named_s)
-        if fault.kind == "binding" and named_s - fault.start_s < _BRIEF_S:
+        if fault.kind == "binding" and named_s - fault.start_s < _BINDS_S:
             fault = replace(so_far, end_s=fault.end_s)
         lasted_s = np.inf if fault.end_s is None else fault.end_s - fault.start_s
         if lasted_s > _BRIEF_S or seen.known.fitted_between_s is None:
@@ -460,12 +461,11 @@ def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float, *, 
     rows = slice(*np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, earliest_s), np.nextafter(alarm_s, np.inf))))
     since = np.cumsum(each * _gains(seen, account, rows)[::-1])[::-1]
     start_s = float(min(time_s[rows][int(np.argmax(since))], alarm_s)) if since.size else alarm_s
-    healthy, *others = _accounts(
-        seen, slice(*np.searchsorted(time_s, (start_s, np.nextafter(named_s, np.inf))).tolist())
-    )
+    span = slice(*np.searchsorted(time_s, (start_s, np.nextafter(named_s, np.inf))).tolist())
+    healthy, *others = _accounts(seen, span) if seen.usable[span].any() else (account,)
     others = sorted(others, key=lambda one: one.total)
     rivals: list[_Account] = []
-    if others[0].total < healthy.total:
+    if others and others[0].total < healthy.total:
         account, rivals = others[0], [one for one in others if one.kind != others[0].kind]
     odds = float(np.exp(min(account.total - rivals[0].total, 0.0))) if rivals else 0.0
     first = int(np.searchsorted(time_s, alarm_s, side="right"))
