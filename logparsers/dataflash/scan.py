@@ -281,7 +281,8 @@ def _times(raw: NDArray[np.uint8], at: NDArray[np.int64], kinds: NDArray[np.int6
         of_kind = kinds == kind
         anywhere = np.ndarray((max(raw.size - 3 - dtype.itemsize + 1, 0),), f"V{dtype.itemsize}", raw, 3, strides=(1,))
         ticks = anywhere[at[of_kind]].view(dtype)
-        times[of_kind] = ticks.astype(np.int64) * 1000 if kind == 2 else np.where(ticks >> 48, NO_TIME, ticks)
+        signed = ticks.astype(np.int64)
+        times[of_kind] = signed * 1000 if kind == 2 else np.where(ticks >> 48, NO_TIME, signed)
     return times
 
 

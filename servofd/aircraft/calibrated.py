@@ -102,7 +102,10 @@ class CalibratedServo(BaseModel):
     def _complete(self) -> Self:
         wrong = sorted(set(NAMES) ^ set(self.parameters))
         if wrong:
-            raise ValueError(f"parameters: {', '.join(NAMES)} are needed, all of them and no other; see {wrong[0]}")
+            raise ValueError(
+                f"parameters: {wrong[0]} is {'missing' if wrong[0] in NAMES else 'unknown'}: this file was calibrated "
+                "with other effects than this version knows; calibrate it again (servofd calibrate)"
+            )
         for prior in PRIORS:
             if not prior.low <= self.parameters[prior.name] <= prior.high:
                 raise ValueError(f"parameters.{prior.name}: must lie between {prior.low:g} and {prior.high:g}")

@@ -82,6 +82,18 @@ _MOSTLY_FRESH = 0.7
 """A telemetry that writes each answer twice or more leaves less of its rows; single late answers leave more."""
 
 
+_WORDS: Final = {
+    Why.HELD: "held values",
+    Why.ECHO: "the command itself",
+    Why.SPIKE: "spikes",
+    Why.BOOT: "of another boot",
+    Why.TORQUE_OFF: "without power",
+}
+"""Reasons that a verdict names; frozen telemetry and holes are told by the second, repeats by their rate."""
+_WORTH_TELLING: Final = 0.02
+"""Share of the readings from which on it does: late answers of a bus leave out 1 % of a sound flight."""
+
+
 class LeftOut(NamedTuple):
     """A stretch of measurements that do not count."""
 
@@ -173,6 +185,22 @@ class Series:
     def frozen_to_end(self) -> bool:
         """Whether it stood still and never came back."""
         return bool(self.why.size and self.why[-1] == Why.FROZEN)
+
+    @property
+    def no_measurements(self) -> str:
+        """How much of the readings is left out for which reason, in words; nothing of what is rare.
+
+        Examples
+        --------
+        >>> t, why = np.arange(5.0), np.array([0, 0, 8, 7, 7], dtype=np.int8)
+        >>> Series("rudder", t, t, t, t, why=why).no_measurements
+        'left out: the command itself (40% of its readings), spikes (20%)'
+        """
+        read = self.why != Why.MISSING
+        shares = {words: float(np.mean(self.why[read] == why)) if read.any() else 0.0 for why, words in _WORDS.items()}
+        told = sorted(((share, words) for words, share in shares.items() if share >= _WORTH_TELLING), reverse=True)
+        parts = [f"{words} ({share:.0%}{' of its readings' if not k else ''})" for k, (share, words) in enumerate(told)]
+        return f"left out: {', '.join(parts)}" if parts else ""
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:

@@ -126,6 +126,12 @@ def _estimate(fitted: Fit, first: Fit, place: int) -> Estimate:
     return Estimate.of(value, max(deviation, float(first.estimates[place, 1])))
 
 
+_LINEAR: Final = ("gain", "bias_deg", "delay_s", "ln_bandwidth", "ln_damping", "ln_rate")
+"""Parameters that every servo has, and that the first table shows."""
+_IN_WORDS: Final = (*_LINEAR, *_RESTING, "hinge", "hinge_deg", "bend2_deg", "bend3_deg")
+"""Parameters with a sentence of their own beside these; what else is calibrated is shown by its name."""
+
+
 def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Estimate]) -> tuple[str, ...]:
     """Effects that the flights show: those whose interval does not hold zero, the surest first."""
     flown = float(np.median(np.concatenate([record.load for record in records]))) > _FLYING
@@ -147,6 +153,8 @@ def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Est
     found[f"gives way {gives:.2g} deg at {reach:.0f} deg and {_FAST_M_S:g} m/s"] = sure("hinge", "hinge_deg")
     bend = max(abs(estimates[each].value) for each in ("bend2_deg", "bend3_deg"))
     found[f"reading bent by {bend:.2g} deg"] = sure("bend2_deg", "bend3_deg")
+    for key in set(estimates) - set(_IN_WORDS):
+        found[f"{key.replace('_', ' ')} {estimates[key].value:.2g}"] = sure(key)
     return tuple(text for text, ratio in sorted(found.items(), key=lambda each: -each[1]) if ratio > 1.0)
 
 

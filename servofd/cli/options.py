@@ -337,8 +337,8 @@ def _simulate(parser: Parser) -> None:
     noise = "noise of the position (default: 0.1)"
     parser.add_argument("--noise-deg", type=float, default=0.1, metavar="X", help=noise)
     fault = (
-        "stuck, bias, hardover, floating, oscillation, deadband, slow or loss_of_effectiveness, from START [s] on "
-        "(until end_s=... if it passes); may be given again, on one surface for a later time"
+        "stuck, bias, hardover, floating, oscillation, deadband, slow, loss_of_effectiveness or intermittent, from "
+        "START [s] on (until end_s=... if it passes); may be given again, on one surface for a later time"
     )
     parser.add_argument("--fault", action="append", default=[], metavar="SURFACE:KIND@START[:KEY=VALUE]", help=fault)
     effect = (

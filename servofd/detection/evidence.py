@@ -107,8 +107,8 @@ def coverage(segment: Series, residuals: Residuals) -> tuple[str, tuple[str, ...
     first_s = float(min(segment.command_s[0], segment.measured_s[0]))
     last_s = float(max(segment.command_s[-1], segment.measured_s[-1]))
     position_s = segment.measured_s[measured]
-    streams = segment.command_s, position_s, residuals.time_s[residuals.settled]
-    bins = [((time_s - first_s) / _BIN_S).astype(np.int64) for time_s in streams]
+    times_s = segment.command_s, position_s, residuals.time_s[residuals.settled]
+    bins = [((time_s - first_s) / _BIN_S).astype(np.int64) for time_s in times_s]
     seconds = np.unique(np.concatenate([each[np.diff(each, prepend=-1) > 0] for each in bins]))
     command, position, settled = (np.searchsorted(seconds, each) for each in bins)
     asked = _spans(command, segment.command_deg, seconds.size)
@@ -122,10 +122,11 @@ def coverage(segment: Series, residuals: Residuals) -> tuple[str, tuple[str, ...
     alone = f"the position moved for {alone_s:.0f} s without any command in the log"
     notes = (alone,) if alone_s >= _FEWEST_S else ()
     longest_s = max(_STOPS_S, _STOPS_SHARE * (last_s - first_s))
-    for what, time_s in (("command", segment.command_s), ("position", position_s)):
+    streams = ("command", segment.command_s, "positions"), ("position that counts", position_s, "commands")
+    for what, time_s, other in streams:
         left_s = last_s - time_s[-1]
         if left_s > longest_s:
-            return f"no {what} after {time_s[-1]:.1f} s although the other stream goes on for {left_s:.1f} s", notes
+            return f"no {what} after {time_s[-1]:.1f} s although {other} go on for {left_s:.1f} s", notes
     if share < _LEAST:
         return f"judged for only {share:.0%} of the time in which it moved or was asked to", notes
     return "", notes
@@ -305,6 +306,8 @@ def reported(
     reason = "; ".join((reason, *remarks))
     if judged_share < MOST_OF_THE_LOG:
         reason += f"; judged for {judged_share:.0%} of the log"
+    if segment.no_measurements:
+        reason += f"; {segment.no_measurements}"
     if segment.frozen_s > 0.0:
         reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
         if segment.frozen_to_end and status != "fault":

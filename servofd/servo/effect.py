@@ -42,8 +42,6 @@ _IN_LOOP = (Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED)
 class Now(NamedTuple):
     """What an effect may look at beside the value that passes: one step of the simulation."""
 
-    time_s: float
-    """At the end of the step."""
     step_s: float
     """Length of the step; 0 where it is asked only for what passes."""
     position_deg: float

@@ -1,6 +1,6 @@
 """Faults that the simulator can put into a servo, each at a chosen time: the failure modes of thesis 2.2.
 
-Adding one is adding a class here and a line in `FAULTS`. Sizes left out are those of a fault that a pilot would
+Adding one is adding a class here and its name in `_KINDS`. Sizes left out are those of a fault that a pilot would
 notice on the ground; no source prescribes them.
 """
 

@@ -121,13 +121,26 @@ def check(effect: type[Effect]) -> None:
     Raises
     ------
     ConfigError
-        If its source cannot be compiled, or it does not return finite numbers at its typical size.
+        If its source cannot be compiled, or it does not return finite numbers at its typical size; of one that acts on
+        the commands, if it does not take and return their times, values and slopes.
     """
+    sizes = {f: p.neutral + p.typical for p in effect.parameters for f in p.fields}
+    if effect.slot is Slot.EVENTS and effect.act is not None:
+        commands = np.array([0.0, 0.02, 0.04]), np.array([0.0, 1.0, 1.0]), np.zeros(3)
+        try:
+            time_s, command_deg, slope_deg_s = effect.act(commands, *(sizes[f] for f in effect.sees))
+            columns = np.stack([time_s, command_deg, slope_deg_s])
+        except Exception as error:
+            raise ConfigError(
+                f"effect {effect.name}: act takes the commands (times, values, slopes; arrays) and its parameters, and "
+                f"returns such commands: {type(error).__name__}: {error}"
+            ) from None
+        if not np.isfinite(columns).all():
+            raise ConfigError(f"effect {effect.name}: act must return finite commands, not {columns.tolist()!r}")
     for act in _acts_of([effect])[0]:
         source = _Source.of(act, 0)
         space: dict[str, Any] = {"math": math}
-        sizes = {f: p.neutral + p.typical for p in effect.parameters for f in p.fields}
-        now = Now(1.0, 1e-3, 1.0, 1.0, 0.05, 1.0, 0.0, 300.0, 5.0, 1.0, 0.1, 0.0)
+        now = Now(1e-3, 1.0, 1.0, 0.05, 1.0, 0.0, 300.0, 5.0, 1.0, 0.1, 0.0)
         try:
             exec(source.function, space)  # noqa: S102 - the user asked for this effect
             result = space["act_0"](1.0, now, *(sizes[f] for f in effect.sees), *([0.0] * effect.memory))

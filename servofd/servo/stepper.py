@@ -272,7 +272,7 @@ def run(
             else:  # what holds it can only have been an earlier command
                 u, s = (measured - (p[0, BIAS] if BIAS >= 0 else 0.0)) / (p[0, GAIN] if GAIN >= 0 else 1.0), 0.0
                 u /= facts[0, 0]
-            still = Now(at_s[k], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
+            still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
             for v in range(count):
                 rest(0.0, u, still, p, v, m)
                 shaft = command(u, still, p, v, m) * facts[v, 0]
@@ -297,7 +297,6 @@ def run(
                 q = int(h * per_s + 0.5)
                 over = h - q * grid_s
                 come = u + s * n * whole_s
-                at = now_s + n * whole_s + h
                 for v in range(count):
                     gain, error_s, per_error = facts[v, 0], facts[v, 1], facts[v, 2]
                     away, out, was, parted = 0.0, int(facts[v, 3]), 0.0, 0.0
@@ -310,7 +309,6 @@ def run(
                         y, fast, w = x[v, 0], x[v, 1], x[v, 2]
                         middle = y + 0.5 * h * fast
                         now = Now(
-                            at,
                             h,
                             middle * gain,
                             fast * gain,
@@ -360,7 +358,7 @@ def run(
                         if has_friction:
                             effort = abs(bent) if rate[5] != 1.0 else 0.5 * abs(w + w1) / per_error
                             slips = Now(
-                                at, h, middle * gain, fast * gain, error_s, effort * gain, away,
+                                h, middle * gain, fast * gain, error_s, effort * gain, away,
                                 pressure, supply, power, current, external,
                             )  # fmt: skip
                             limit = per_error * grip(0.0, slips, p, v, m) / gain
@@ -387,7 +385,7 @@ def run(
                         arriving = departs(x, v, a, b, out, come + s * h)
                         middle = 0.5 * (was + shaft) + 0.125 * h * (parted - arriving)  # of a cubic
                         then = Now(
-                            at, h, middle * gain, parted * gain, error_s, 0.0, away,
+                            h, middle * gain, parted * gain, error_s, 0.0, away,
                             pressure, supply, power, current, external,
                         )  # fmt: skip
                         m[v, 0] = output(shaft * gain, then, p, v, m)
@@ -406,10 +404,10 @@ def run(
             if hangs and bends:
                 seen = m[v, 0]
             elif hangs or reads:
-                still = Now(at_s[k], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
+                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
                 seen = output(seen, still, p, v, m)
             if reads:
-                still = Now(at_s[k], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
+                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
                 seen = reading(seen, still, p, v, m)
             read_deg[k, v] = seen
         if k < speed_deg_s.size:

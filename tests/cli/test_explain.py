@@ -262,6 +262,7 @@ def own(body: str = "return x + a_deg", parameters: str = "(A,)", name: str = "e
         (own("return x / 0.0"), "act: ZeroDivisionError"),
         (own("return np.sin(x)"), "act may use math, numbers and functions of its module, not np"),
         (own(more="memory = 1"), "act is called with (x, now, e_a_deg, memory)"),
+        (own().replace("Slot.OUTPUT", "Slot.EVENTS"), "act takes the commands (times, values, slopes; arrays)"),
         (own(name="backlash"), "the catalogue has one of this name"),
         (own(parameters="()"), "it needs a parameter"),
         (own(parameters="(Parameter('a', low=1.0, high=0.0, neutral=0.5, typical=0.1),)"), "its lower bound 1 must be"),

@@ -20,6 +20,7 @@ KINDS = {
     "bias",
     "hardover",
     "floating",
+    "intermittent",
     "oscillation",
     "deadband",
     "slow",

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import servofd
 from logparsers import Channel
 from logparsers.records import Damage
 from servofd.aircraft.marks import LAST_WITH_VALUE, Rows, Why, marked
@@ -341,3 +342,19 @@ def test_noise_is_no_spike() -> None:
     noise_deg = np.random.default_rng(3).standard_normal(3000)
     why, _ = marked(Rows(time_s, noise_deg, 0.5 * np.sin(time_s), none - 1, none))
     assert np.count_nonzero(why == Why.SPIKE) <= 15
+
+
+def test_a_verdict_says_what_it_leaves_out_and_does_not_miss_positions_that_are_there(tmp_path: Path) -> None:
+    """From 30 s on the position is the command, and 4 % of the readings before are spikes."""
+    rng, time_s = np.random.default_rng(7), np.arange(0.0, 60.0, 0.02)
+    asked_deg = 8.0 * np.sin(1.7 * time_s) + 4.0 * np.sin(4.1 * time_s)
+    model = ServoModel.of(servo_named("hs225bb-eq31"))
+    position_deg = model.simulate(time_s, asked_deg, time_s) + 0.05 * rng.standard_normal(time_s.size)
+    position_deg[100:1500:10] = 80.0
+    position_deg[time_s >= 30.0] = asked_deg[time_s >= 30.0]
+    columns = {"time_s": time_s, "rudder_cmd_deg": asked_deg, "rudder_pos_deg": position_deg}
+    (result,) = servofd.audit(table(tmp_path / "echo.csv", columns))
+    (rudder,) = result.surfaces
+    assert rudder.status == "unknown"
+    assert "no position that counts after 30.0 s although commands go on for 30.0 s" in rudder.reason
+    assert "left out: the command itself (50% of its readings), spikes (5%)" in rudder.reason
