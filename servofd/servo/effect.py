@@ -21,7 +21,15 @@ Surroundings = Literal["airspeed_m_s", "servo_voltage_v", "servo_current_a", "se
 
 
 class Slot(Enum):
-    """Where on the way from command to reading an effect acts, in the order of that way."""
+    """Where on the way from command to reading an effect acts, in the order of that way.
+
+    What passes is an angle [deg] of the surface, but in `EVENTS`, where ``act(commands, *parameters)`` takes and
+    returns times [s], values [deg] and slopes [deg/s], arrays, and sees no `Now`; in `LOAD`, the sum of the
+    deflections that loads take away [deg], which begins at 0; in `GRIP`, the sum of frictions as the position error
+    that overcomes them [deg], which begins at 0; and in `SPEED`, the speed of the shaft [deg/s], whose result is
+    where the loop goes on: it may be limited, and not scaled, for a factor would act in each step anew. Effects of
+    one slot act in the order of their modules' names.
+    """
 
     EVENTS = "the commands, when they reach the servo"
     COMMAND = "the set point of the position loop"
@@ -45,9 +53,9 @@ class Now(NamedTuple):
     step_s: float
     """Length of the step; 0 where it is asked only for what passes."""
     position_deg: float
-    """Of the shaft, in the middle of the step."""
+    """Of the shaft, in the middle of the step; 0 in `Slot.READING`, which sees nothing of the motion."""
     speed_deg_s: float
-    """Of the shaft, before the step."""
+    """Of the shaft, before the step; 0 there."""
     error_s: float
     """Position error that drives a steady speed: deg for each deg/s."""
     effort_deg: float

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import textwrap
+import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -355,6 +356,8 @@ def mark_kept(path: Path) -> None:
 
 
 _compiling: list[subprocess.Popen[bytes]] = []
+_ONE_AT_A_TIME = threading.Lock()
+"""Surfaces are judged in threads of their own, and more than one may be the first to need a stepper."""
 
 
 def is_compiling() -> bool:
@@ -372,14 +375,17 @@ def _module(text: str) -> Any:  # noqa: ANN401 - a module
     for process in _compiling:
         process.wait()
     name = _named(text)
-    path = _written(compiler.cache_folder(), name, text)
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        return _executed(text)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
+    with _ONE_AT_A_TIME:
+        if name in sys.modules:
+            return sys.modules[name]
+        path = _written(compiler.cache_folder(), name, text)
+        spec = importlib.util.spec_from_file_location(name, path)
+        if spec is None or spec.loader is None:
+            return _executed(text)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        sys.modules[name] = module
+        return module
 
 
 def _written(folder: Path, name: str, text: str) -> Path:

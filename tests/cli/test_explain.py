@@ -239,6 +239,16 @@ def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.Cap
     assert "worn_gear comes from a file of your own" in capsys.readouterr().err
 
 
+def test_a_reading_that_creeps_is_not_explained_by_an_offset(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By 0.8 deg in a minute, of which the catalogue has no effect; what is left is no correlated noise."""
+    flown = hide(FineServo(), duration_s=60.0)
+    path = replace(flown, position_deg=flown.position_deg + 0.8 / 60.0 * flown.time_s).write(tmp_path / "log.csv")
+    assert main(["explain", *KNOWN, str(path)]) == 1
+    assert "Not all is explained" in capsys.readouterr().out
+
+
 def own(body: str = "return x + a_deg", parameters: str = "(A,)", name: str = "e", more: str = "") -> str:
     """Source of an effect of one's own."""
     return (

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from logparsers.compiled import cache_folder
 from servofd.core.errors import DesignError
 from servofd.core.types import FloatArray
 from servofd.servo.catalogue import installed
@@ -548,3 +552,20 @@ def test_effects_in_the_loop_of_a_servo_that_has_no_shaft_are_refused() -> None:
         with pytest.raises(DesignError, match=f"{words} has no friction"):
             machine_of(transfer, [Physics(friction_deg=0.1)])
         assert machine_of(transfer, [Physics(backlash_deg=0.1)]).longest_s < 1.0
+
+
+def test_threads_that_need_a_stepper_at_once_make_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the home cannot be written, too: each wrote the same file, and the second found its part gone."""
+    blocked, temporary = tmp_path / "file", tmp_path / "temporary"
+    blocked.write_text("no folder")
+    temporary.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(blocked))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    cache_folder.cache_clear()
+    effects = [each for each in everything() if each.slot in STEPPED]
+    for last in range(2, 12):  # each time another stepper
+        few = tuple(effects[1:last:2])
+        with ThreadPoolExecutor(8) as pool:
+            made = list(pool.map(stepper_of, [few] * 8))
+        assert len({each.run for each in made}) == 1
+    cache_folder.cache_clear()
