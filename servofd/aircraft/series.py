@@ -187,13 +187,13 @@ class Series:
         return bool(self.why.size and self.why[-1] == Why.FROZEN)
 
     @property
-    def no_measurements(self) -> str:
+    def left_out_in_words(self) -> str:
         """How much of the readings is left out for which reason, in words; nothing of what is rare.
 
         Examples
         --------
         >>> t, why = np.arange(5.0), np.array([0, 0, 8, 7, 7], dtype=np.int8)
-        >>> Series("rudder", t, t, t, t, why=why).no_measurements
+        >>> Series("rudder", t, t, t, t, why=why).left_out_in_words
         'left out: the command itself (40% of its readings), spikes (20%)'
         """
         read = self.why != Why.MISSING
@@ -505,8 +505,12 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
         raise NoMeasurement("the aircraft file names no measured channel for this surface")
     measured = channel_of(log, surface.measured.channel, "position")
     if measured.is_constant:
-        value = measured.values[np.isfinite(measured.values)][0]
-        raise NoMeasurement(f"position channel {measured.name!r} never changes (always {value:g}): not a measurement")
+        values = measured.values[np.isfinite(measured.values)]
+        if values.size == 1:
+            raise NoMeasurement(f"position channel {measured.name!r} holds a single value: not a measurement")
+        raise NoMeasurement(
+            f"position channel {measured.name!r} never changes (always {values[0]:g}): not a measurement"
+        )
     command_s, command_deg = asked(surface, command)
     measured_deg = surface.measured.to_deg(measured.values)
     for channel, values_deg in ((command, command_deg), (measured, measured_deg)):

@@ -306,8 +306,8 @@ def reported(
     reason = "; ".join((reason, *remarks))
     if judged_share < MOST_OF_THE_LOG:
         reason += f"; judged for {judged_share:.0%} of the log"
-    if segment.no_measurements:
-        reason += f"; {segment.no_measurements}"
+    if segment.left_out_in_words:
+        reason += f"; {segment.left_out_in_words}"
     if segment.frozen_s > 0.0:
         reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
         if segment.frozen_to_end and status != "fault":

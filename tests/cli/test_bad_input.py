@@ -95,7 +95,7 @@ LOGS: dict[str, tuple[str, Callable[[Path], object], str]] = {
         "5 Hz",
     ),
     "commands only": ("raptrs.h5", commands_only, "no measured deflection"),
-    "one sample": ("one.csv", lambda path: path.write_text(table(1)), "never changes"),
+    "one sample": ("one.csv", lambda path: path.write_text(table(1)), "holds a single value: not a measurement"),
 }
 
 
