@@ -16,8 +16,8 @@ from fleet import KINDS, flight
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.detection.faults import named
-from servofd.detection.named import judge
 from servofd.detection.residual import ResidualGenerator
+from servofd.detection.seen import healthy_of
 from servofd.simulation.commands import COMMANDS
 from trial import judged
 
@@ -65,7 +65,7 @@ def measure(duration_s: float = _DURATION_S) -> Cost:
     generator = ResidualGenerator.fitting(model, segments[0])
 
     def alarms() -> int:
-        found = [judge(generator, segment, generator.run(segment), surface) for segment in segments]
+        found = [healthy_of(surface, model).beside(segment).found for segment in segments]
         return sum(len(one.faults) + len(one.suspicions) for one in found)
 
     count = alarms()  # compiles
@@ -77,9 +77,9 @@ def measure(duration_s: float = _DURATION_S) -> Cost:
 def _naming_ms(kind: str) -> float:
     """Time of one decision between all hypotheses."""
     log = judged(flight(0, "gusty", kind, "large"))
-    alarm_s = log.judgement.faults[0].alarm_s
+    alarm_s = log.seen.found.faults[0].alarm_s
     return 1e3 * min(
-        _timed(lambda: named(log.judgement.flight, alarm_s, 2.0, earliest_s=0.0, names={})) for _ in range(_REPEATS)
+        _timed(lambda: named(log.seen.flight, alarm_s, 2.0, earliest_s=0.0, names={})) for _ in range(_REPEATS)
     )
 
 

@@ -12,8 +12,8 @@ from fleet import FleetFlight, flight
 from servofd.aircraft.priors import FITTED
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
-from servofd.detection.named import Judgement, judge
-from servofd.detection.residual import ResidualGenerator, Residuals
+from servofd.detection.residual import ResidualGenerator
+from servofd.detection.seen import Seen, healthy_of
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
@@ -126,35 +126,33 @@ class Judged(NamedTuple):
     flight: FleetFlight
     segment: Series
     generator: ResidualGenerator
-    residuals: Residuals
-    judgement: Judgement
+    seen: Seen
 
 
 def judged(one: FleetFlight) -> Judged:
     """Judge one flight against the interval threshold."""
     segment = Series("x", one.time_s, one.command_deg, one.time_s, one.measured_deg)
     generator = ResidualGenerator.fitting(_AIRCRAFT.model("x"), segment)
-    residuals = generator.run(segment)
-    return Judged(one, segment, generator, residuals, judge(generator, segment, residuals, _SURFACE))
+    return Judged(one, segment, generator, healthy_of(_SURFACE, _AIRCRAFT.model("x")).beside(segment))
 
 
 def trial(case: Case) -> Trial:
     """Fly and judge one case, and its healthy twin."""
     log = judged(flight(case.seed, case.style, case.kind, case.size or "medium"))
-    residuals, faults = log.residuals, log.judgement.faults
+    residuals, (faults, suspicions, _) = log.seen.residuals, log.seen.found
     settled = residuals.settled
     time_s, size_deg = residuals.time_s[settled], np.abs(residuals.residual_deg[settled])
-    level_deg = log.judgement.threshold.level_deg[settled]
+    level_deg = log.seen.threshold.level_deg[settled]
     truth = log.flight.truth
     if truth is None:
         found = _found(faults[0]) if faults else None
         return Trial(
-            case, np.inf, 0.0, False, len(faults), len(log.judgement.suspicions), found, "",
+            case, np.inf, 0.0, False, len(faults), len(suspicions), found, "",
             np.inf, np.inf, np.inf, float(np.max(size_deg)) / CONSTANT_DEG, float(np.max(size_deg / level_deg)),
             np.empty(0), np.empty(0), 0.0, np.inf,
         )  # fmt: skip
     since = [fault for fault in faults if fault.alarm_s >= truth.start_s]
-    doubts = [doubt for doubt in log.judgement.suspicions if doubt.alarm_s >= truth.start_s]
+    doubts = [doubt for doubt in suspicions if doubt.alarm_s >= truth.start_s]
     twin = flight(case.seed, case.style)
     moving_s = _moving_s(twin, truth.start_s)
     wait_s = (float(moving_s[0]) if moving_s.size else np.inf) if case.kind in _SEEN_ONLY_IN_MOTION else 0.0
@@ -168,7 +166,7 @@ def trial(case: Case) -> Trial:
         motion_wait_s=wait_s,
         enough_motion=_enough(twin, truth.start_s, moving_s),
         alarms=len(faults) - len(since),
-        suspicions=len(log.judgement.suspicions),
+        suspicions=len(suspicions),
         found=_found(since[0]) if since else None,
         suspected=doubts[0].kind if doubts else "",
         constant_delay_s=_first(time_s, after & (size_deg >= CONSTANT_DEG)) - truth.start_s,
@@ -179,7 +177,7 @@ def trial(case: Case) -> Trial:
         evidence=evidence,
         evidence_s=evidence_s,
         healthy_evidence=healthy,
-        step_sigmas=step_deg / float(np.median(log.judgement.threshold.sigma_deg)),
+        step_sigmas=step_deg / float(np.median(log.seen.threshold.sigma_deg)),
     )
 
 
@@ -188,8 +186,8 @@ def _found(fault: Fault) -> Found:
 
 
 def _over(log: Judged) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    residual_deg = log.residuals.residual_deg
-    side = np.sign(residual_deg) * (np.abs(residual_deg) >= log.judgement.threshold.level_deg)
+    residual_deg = log.seen.residuals.residual_deg
+    side = np.sign(residual_deg) * (np.abs(residual_deg) >= log.seen.threshold.level_deg)
     together = np.convolve(side, np.ones(_SURFACE.persistence))[: side.size]
     return np.abs(together) >= _SURFACE.persistence - 0.5
 
@@ -214,11 +212,11 @@ def _enough(twin: FleetFlight, start_s: float, moving_s: FloatArray) -> bool:
 
 def _evidence(log: Judged, twin: FleetFlight) -> tuple[FloatArray, FloatArray, float]:
     """Time since the onset, evidence for the true fault, and the most that the healthy twin gives."""
-    truth, residuals = log.flight.truth, log.residuals
+    truth, residuals = log.flight.truth, log.seen.residuals
     assert truth is not None  # noqa: S101 - the caller has looked
     start_s = truth.start_s
     noise_deg = float(np.hypot(log.flight.servo.noise_deg, log.flight.servo.step_deg / np.sqrt(12.0)))
-    watched = log.judgement.flight
+    watched = log.seen.flight
     used = np.isfinite(residuals.measured_deg) & (residuals.time_s >= residuals.time_s[np.argmax(residuals.settled)])
     spread = np.sqrt(np.diag(watched.known.covariance))
     health = Health(noise_deg, spread, watched.slopes[used][:, :FITTED])

@@ -10,6 +10,7 @@ import numpy as np
 
 from detection import FLIGHT_S, NAMES, limits, quantile
 from fleet import KINDS, flight
+from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.outputs.palette import COLOURS
 from trial import CONSTANT_DEG, Trial, judged
 
@@ -111,13 +112,13 @@ def draw_delays(figure: Figure, faulty: Sequence[Trial], _: Sequence[Trial]) -> 
 def draw_example(figure: Figure, _: Sequence[Trial], __: Sequence[Trial]) -> None:
     """One flight with its interval threshold."""
     log = judged(flight(*EXAMPLE))
-    truth, (fault, *_rest), levels = log.flight.truth, log.judgement.faults, log.judgement.threshold
+    truth, (fault, *_rest), levels = log.flight.truth, log.seen.found.faults, log.seen.threshold
     assert truth is not None  # noqa: S101 - the example has a fault
-    shown = np.abs(log.residuals.time_s - truth.start_s) <= 10.0
-    time_s = log.residuals.time_s[shown]
+    shown = np.abs(log.seen.residuals.time_s - truth.start_s) <= 10.0
+    time_s = log.seen.residuals.time_s[shown]
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 3])
-    upper.plot(time_s, log.residuals.simulated_deg[shown], color=COLOURS["simulated"], lw=1.0, label="simulated")
-    upper.plot(time_s, log.residuals.measured_deg[shown], color=COLOURS["measured"], lw=1.0, label="measured")
+    upper.plot(time_s, log.seen.residuals.simulated_deg[shown], color=COLOURS["simulated"], lw=1.0, label="simulated")
+    upper.plot(time_s, log.seen.residuals.measured_deg[shown], color=COLOURS["measured"], lw=1.0, label="measured")
     upper.set_ylabel("deflection [deg]")
     upper.set_title(
         f"{_words(truth.kind)} (gain {truth.parameters['gain']:g}) from {truth.start_s:.2f} s; named "
@@ -125,13 +126,13 @@ def draw_example(figure: Figure, _: Sequence[Trial], __: Sequence[Trial]) -> Non
         loc="left",
         fontsize=10,
     )
-    level_deg, tolerance_deg = levels.level_deg[shown], levels.tolerance_deg[shown]
-    lower.fill_between(time_s, 0.0, tolerance_deg, color="0.85", lw=0, label="tolerance T")
-    lower.fill_between(time_s, tolerance_deg, level_deg, color="0.93", lw=0, label="noise, 6 sigma")
+    level_deg, noise_deg = levels.level_deg[shown], DEFAULT_SIGMAS * levels.sigma_deg[shown]
+    lower.fill_between(time_s, 0.0, noise_deg, color="0.85", lw=0, label="noise, 6 sigma")
+    lower.fill_between(time_s, noise_deg, level_deg, color="0.93", lw=0, label="and tolerances")
     lower.plot(time_s, level_deg, color="0.4", lw=1.0, label="interval threshold")
     lower.axhline(CONSTANT_DEG, color="0.4", lw=1.0, ls="--", label="constant threshold")
     lower.plot(
-        time_s, np.abs(log.residuals.residual_deg[shown]), color=COLOURS["simulated"], lw=0.9, label="|residual|"
+        time_s, np.abs(log.seen.residuals.residual_deg[shown]), color=COLOURS["simulated"], lw=0.9, label="|residual|"
     )
     lower.set_ylabel("|residual| [deg]")
     lower.set_xlabel("time [s]")

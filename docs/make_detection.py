@@ -19,7 +19,7 @@ from detection_pictures import draw
 from servofd.aircraft.priors import FITTED, PRIORS
 from servofd.aircraft.schema import DEFAULT_SIGMAS
 from servofd.core.tolerance import Tolerance
-from servofd.detection import changes, faults, hypotheses, named, residual, threshold
+from servofd.detection import changes, faults, hypotheses, named
 from trial import CONSTANT_DEG, Trial
 
 HERE = Path(__file__).parent
@@ -68,8 +68,7 @@ says so.
 
     |r(t)| >= tau,    tau = {CONSTANT_DEG:g} deg by default.                                                     (D1)
 
-While a servo runs at its rate limit, what an error of that limit would leave (r_sat below) is added. A threshold that is named in
-the call (`--threshold-deg`) dismisses nothing: what reaches it is a fault, whatever explains it.
+A threshold that is named in the call (`--threshold-deg`) dismisses nothing: what reaches it is a fault, whatever explains it.
 
 What it must tolerate is what healthy servos of one type differ by, and that grows with the command. To first order, a servo
 whose gain, delay and bandwidth are off by dk, dt, dw leaves
@@ -79,24 +78,22 @@ whose gain, delay and bandwidth are off by dk, dt, dw leaves
 where r0 = Qy ŷ is the healthy deflection as the residual filter sees it, and -a_i are the poles of the servo. (A test
 compares D2 with servos that are simulated with these errors.)
 
-**Interval.** `threshold = "interval"` bounds each term of D2 by its tolerance times the recent peak of its signal:
+**Interval.** `threshold = "interval"` is so many standard deviations of what a good servo may leave. The filter passes the
+sensitivities s of the position to the servo's parameters (the terms of D2, play, friction and all others) as it passes the error:
 
-    tau(t) = T(t) + {DEFAULT_SIGMAS:g} sigma_r(t)
-    T(t)   = b + |dk| [r0] + |dt| [dr0/dt] + |dw| [sum_i ...] + [r_sat] + lost                        (D3)
+    tau(t) = {DEFAULT_SIGMAS:g} sqrt(sigma_r² + s_r' Sigma s_r),    s_r = Qy s                                       (D3)
 
 | in D3 | | default |
 |---|---|---|
-| b | bias of a healthy servo | {tolerance.bias_deg:g} deg |
-| dk | gain | {tolerance.gain:.0%} |
-| dt | delay | {1e3 * tolerance.delay_s:g} ms |
-| dw | bandwidth | {tolerance.bandwidth:.0%} |
-| r_sat | residual of a servo whose rate limit is lower by its tolerance, while the model runs at it | {tolerance.rate:.0%} |
-| lost | commands that never reached the log: half their recent curvature, times what the filter lets pass of one sample, {residual.PEAK_OF_LAGS:g} \\|p\\| T | |
-| [x] | peak hold: max(\\|x\\|, the last peak / (1 + T/{threshold._PEAK_HOLD_S:g} s)) | |
+| Sigma | a third of the square of each tolerance: of the bias | {tolerance.bias_deg:g} deg |
+| | gain | {tolerance.gain:.0%} |
+| | delay | {1e3 * tolerance.delay_s:g} ms |
+| | bandwidth | {tolerance.bandwidth:.0%} |
+| | largest speed | {tolerance.rate:.0%} |
 | sigma_r | noise gain of the filter times the noise of the position, measured as the flight goes on (starts at {tolerance.noise_deg:g} deg) | |
 
 It uses no later sample. At rest it is lower than {CONSTANT_DEG:g} deg and sees small faults; in a fast manoeuvre it is higher
-and stays silent. The noise is measured from second differences of the simulation error, in which nothing that a fault
+and stays silent. {named._IN_A_ROW} samples in a row make an alarm: a command or a reading may be as old as the interval since the one before it. The noise is measured from second differences of the simulation error, in which nothing that a fault
 does at the speed of a servo counts.
 
 ![One flight](detection/example.png)
@@ -132,7 +129,7 @@ A = sum s s' and b = sum s e over a window, whitened by the noise,
 
     z_h = (b_h - A_hn M b_n) / sqrt(I + (delta / rms d)² I² + 1),    M = (A_nn + Sigma^-1)^-1         (D6)
 
-I being the information A_hh - A_hn M A_nh that is left of it, and delta ({named.MISSED_DEG:g} deg for a named servo) what the model misses of
+I being the information A_hh - A_hn M A_nh that is left of it, and delta ({changes.MISSED_DEG:g} deg for a named servo) what the model misses of
 how a sound servo moves. Windows of {lengths} s end every {changes.GRID_S:g} s. Beside these, the mean of (e / sigma_tot)², what no parameter
 explains of e, and a narrow band from 1 Hz on, over the noise and what a servo that is late would leave there.
 

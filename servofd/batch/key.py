@@ -16,7 +16,7 @@ from servofd.version import __version__
 
 if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
-    from servofd.detection.threshold import ThresholdKind
+    from servofd.detection.residual import ThresholdKind
 
 _DIGEST_BYTES = 16
 """Length of the digest that stands for a log."""

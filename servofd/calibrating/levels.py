@@ -1,4 +1,4 @@
-"""Thresholds under which good runs of a servo that was identified or explained are healthy."""
+"""Tolerances under which good runs of a servo that was identified or explained are healthy."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import cut
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
-from servofd.detection.residual import ResidualGenerator, noise_deg, prepared
-from servofd.detection.threshold import interval_threshold
+from servofd.detection.changes import STATISTICS, exceeded, thresholds_of
+from servofd.detection.named import NamedServo, with_hold
+from servofd.detection.residual import ResidualGenerator, Threshold, noise_deg
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
+    from servofd.detection.changes import Watched
     from servofd.servo.servo_model import ServoModel
 
 PERSISTENCE = 3
@@ -28,17 +31,20 @@ may a command, and for as many samples a step of the command contradicts no serv
 _ALIKE_S = 2.0
 """Samples within so long tell one thing."""
 _MARGIN, _UNSURE = 1.25, 2.0
-"""A threshold is so many times the largest residual, and more where few blocks were seen."""
-_NOISE_SIGMAS = 3.0
-"""Standard deviations of its noise that a residual may reach by chance."""
+"""A threshold is so many times the largest statistic, and more where few blocks were seen."""
+_LEAST_NOISE_DEG = 0.02
+"""Smallest noise that is stated of a position [deg]."""
+_STEP, _MOST_STEPS = 1.25, 24
+"""Tolerances grow by this factor until a run is healthy under them, up to 200 times the usual ones."""
 
 
 class Drafted(NamedTuple):
-    """Tolerances under which the runs that they come from raise no alarm."""
+    """Tolerances under which the run that they come from raises no alarm."""
 
     tolerance: Tolerance
     level_deg: float
     """Median of the threshold that follows from it [deg]."""
+    flight: Watched
 
 
 def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dict[str, Any]:
@@ -52,26 +58,21 @@ def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dic
 
 def levels_of(model: ServoModel, segments: Iterable[Series]) -> dict[str, Any]:
     """Entries of a surface that this servo turns, under which good runs are healthy; empty if none can be judged."""
-    drafts, error_deg, moved_deg = [], [], []
+    drafts = []
     for segment in segments:
-        try:
-            drafted = draft_tolerance(model, segment)
-            generator = ResidualGenerator.fitting(model, segment)
-        except DesignError:
-            continue
-        _, residuals, _ = prepared(generator, segment)
-        if drafted is not None:
-            drafts.append(drafted)
-            error_deg.append(residuals.error_deg[residuals.settled])
-            moved_deg.append(residuals.measured_deg[residuals.settled])
-    if not drafts:
+        with suppress(DesignError):
+            drafts.append(draft_tolerance(model, segment))
+    known = [drafted for drafted in drafts if drafted is not None]
+    if not known:
         return {}
-    each = [drafted.tolerance.model_dump() for drafted in drafts]
-    power = float(np.mean(np.concatenate(error_deg) ** 2))
-    explained = 1.0 - power / max(float(np.var(np.concatenate(moved_deg))), LEAST_DIVISOR)
+    each = [drafted.tolerance.model_dump() for drafted in known]
+    error_deg = np.concatenate([drafted.flight.error_deg[drafted.flight.judged] for drafted in known])
+    moved_deg = np.concatenate([drafted.flight.record.measured_deg[drafted.flight.judged] for drafted in known])
+    power = float(np.mean(error_deg**2))
+    explained = 1.0 - power / max(float(np.var(moved_deg)), LEAST_DIVISOR)
     return {
         "threshold": "interval",
-        "threshold_deg": max(drafted.level_deg for drafted in drafts),
+        "threshold_deg": max(drafted.level_deg for drafted in known),
         "tolerance": {key: max(one[key] for one in each) for key in each[0]},
         "persistence": PERSISTENCE,
         "suspicions": False,
@@ -79,33 +80,51 @@ def levels_of(model: ServoModel, segments: Iterable[Series]) -> dict[str, Any]:
             "origin": "fitted",
             "held_out_rms_deg": round(float(np.sqrt(power)), 4),
             "explained_share": round(min(explained, 1.0), 4),
-            "good_runs": len(drafts),
+            "good_runs": len(known),
         },
     }
 
 
 def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
-    """Tolerances drafted from a good run; None if nothing of it can be judged.
+    """Tolerances drafted from a good run: the smallest under which no statistic of it comes near its threshold.
 
-    No threshold that follows from them lies below the largest residual of the run; the fewer blocks there are, the
-    wider they become.
+    None if nothing of it can be judged. The fewer blocks there are, the wider they become.
+
+    Raises
+    ------
+    DesignError
+        If no residual filter suits the servo at this pace.
     """
-    try:
-        generator = ResidualGenerator.fitting(model, segment)
-    except DesignError:
-        return None
-    segment, residuals, _ = prepared(generator, segment)
+    segment, _ = with_hold(model, segment)
+    residuals = ResidualGenerator.fitting(model, segment).run(segment)
     usual = residuals.settled & np.isfinite(residuals.residual_deg)
     if not usual.any():
         return None
-    base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), 0.02))
-    level = interval_threshold(generator, segment, residuals, base)
-    no_noise_deg = np.maximum(np.abs(residuals.residual_deg) - _NOISE_SIGMAS * level.sigma_deg, 0.0)
-    beyond = no_noise_deg / np.maximum(level.tolerance_deg, 1e-9)
+    base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), _LEAST_NOISE_DEG))
     blocks = np.count_nonzero(np.diff(np.floor(residuals.time_s[usual] / _ALIKE_S), prepend=-np.inf))
     unsure = _MARGIN + _UNSURE / float(np.sqrt(blocks))
-    tolerance = _scaled(base, max(unsure * float(beyond[usual].max()), 1.0))
-    return Drafted(tolerance, round(interval_threshold(generator, segment, residuals, tolerance).typical_deg, 3))
+    for step in range(_MOST_STEPS):
+        tolerance = _scaled(base, _STEP**step)
+        flight, threshold = _under(model, tolerance, segment)
+        if unsure * _nearest(flight) < 1.0:
+            break
+    return Drafted(tolerance, round(threshold.typical_deg, 3), flight)
+
+
+def _under(model: ServoModel, tolerance: Tolerance, segment: Series) -> tuple[Watched, Threshold]:
+    """A run beside a servo that may differ by so much from its model, and the threshold of its residual."""
+    plain = plain_aircraft(["surface"]).surfaces["surface"]
+    surface = plain.model_copy(update={"tolerance": tolerance, "threshold": "interval", "persistence": PERSISTENCE})
+    flight, _, threshold = NamedServo.of(surface, model, segment.period_s).beside(segment)
+    return flight, threshold
+
+
+def _nearest(flight: Watched) -> float:
+    """The largest statistic of a run over its threshold."""
+    limits = thresholds_of(flight.known)
+    by_windows = exceeded(limits, np.zeros(limits.size), flight.tested.statistics[:, : len(STATISTICS)])
+    by_residual = 0.0 if flight.passed is None else float(flight.passed.max(initial=0.0))
+    return max(float(by_windows.max(initial=0.0)), by_residual)
 
 
 def _scaled(base: Tolerance, scale: float) -> Tolerance:

@@ -12,7 +12,7 @@ from servofd.core.errors import DesignError
 from servofd.current.judge import GRID_S, LOOKS_S, faults_of, is_witness, no_witness, worth_a_look
 from servofd.current.model import CurrentSeries, Motion, see
 from servofd.detection.faults import Found
-from servofd.detection.residual import Residuals
+from servofd.detection.residual import Residuals, Threshold
 from servofd.detection.stream import (
     BY_WINDOWS,
     FASTEST_COMMANDS_S,
@@ -23,7 +23,6 @@ from servofd.detection.stream import (
     Piece,
     Remembered,
 )
-from servofd.detection.threshold import Threshold
 from servofd.detection.verdict import WITHIN_SIGMAS
 from servofd.servo.context import NO_CONTEXT
 from servofd.servo.library import ORDINARY
@@ -160,12 +159,12 @@ class CurrentStream(Following):
     def _judged(self, seen: Seen, fresh: BoolArray, worth_s: FloatArray) -> Piece:
         """What is shown of the fresh readings, and the first instant that is worth a look."""
         sigma_a = seen.sigma_a[fresh]
-        time_s, nothing = seen.series.time_s[fresh], np.zeros(sigma_a.size)
+        time_s = seen.series.time_s[fresh]
         residuals = Residuals(
             time_s, seen.healthy_a[fresh], seen.series.current_a[fresh], seen.error_a[fresh], seen.usable[fresh],
-            nothing, nothing.astype(np.int8), self._context,
+            np.zeros(sigma_a.size, dtype=np.int8), self._context,
         )  # fmt: skip
-        threshold = Threshold("interval", WITHIN_SIGMAS * sigma_a, nothing, nothing, sigma_a)
+        threshold = Threshold("interval", WITHIN_SIGMAS * sigma_a, sigma_a)
         raised = np.zeros(time_s.size, dtype=np.int8)
         if worth_s.size and not self.latched:
             raised[min(int(np.searchsorted(time_s, worth_s[0])), time_s.size - 1)] = self.latched = BY_WINDOWS

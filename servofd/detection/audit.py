@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.detection.residual import ThresholdKind
     from servofd.detection.seen import Healthy
-    from servofd.detection.threshold import ThresholdKind
     from servofd.detection.verdict import Fault
 
 _FASTEST_RATE_HZ = 50_000.0

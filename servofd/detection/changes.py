@@ -28,8 +28,7 @@ import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.evidence import Detectable
-from servofd.detection.residual import Residuals
-from servofd.detection.threshold import Threshold
+from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
 from servofd.estimate.record import load_at
@@ -381,7 +380,30 @@ _PLAY_DEG: Final = 2.4
 (66 flights of even seed: 85 % found without it, 92 % with it)."""
 
 
+MISSED_DEG: Final = 0.02
+"""What a model of the library misses of a servo within its tolerances: jitter of the stamps and commands that were lost
+move a drawn servo so much otherwise (rms of chirps to 10 Hz, even seeds of `benchmarks/fleet.py`)."""
+
+
 class OwnMotion(Protocol):
+    """A named servo, which moves as its own model does and not as one of the family."""
+
+    def moved(
+        self,
+        commands: tuple[FloatArray, FloatArray, FloatArray],
+        time_s: FloatArray,
+        start_deg: FloatArray,
+        slopes: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Position at some instants (m,) [deg], and the sensitivities of the family (m, 15) with its own in place."""
+        ...
+
+    def noise_deg(self, error_deg: FloatArray, measured_deg: FloatArray, start_deg: FloatArray) -> FloatArray:
+        """Standard deviation of the position's noise as the flight has shown it until each instant, (m,) [deg]."""
+        ...
+
+
+class OtherMotion(Protocol):
     """Motion of a named servo, with parameters changed."""
 
     def __call__(
@@ -414,7 +436,7 @@ class Watched:
     """Of the reading, and of the commands that were lost."""
     tests: Tests
     tested: Tested
-    own: OwnMotion | None = None
+    own: OtherMotion | None = None
     """Of a named servo, by its own model; None for one of the family."""
     passed: FloatArray | None = None
     """Residual over the threshold that is shown, for a named servo; for others three in a row of the tests do."""
@@ -424,7 +446,7 @@ class Watched:
     @property
     def ends_deg(self) -> tuple[float, float]:
         """Ends of the travel: those of the flights that it was fitted to, or as far as this one asked it to go."""
-        if self.passed is None or not self.reading_deg.size:
+        if self.own is None or not self.reading_deg.size:
             return self.known.reach_deg
         return float(np.min(self.reading_deg)), float(np.max(self.reading_deg))
 
@@ -456,21 +478,38 @@ def exceeded(limits: FloatArray, before: FloatArray, statistics: FloatArray) -> 
     return worst
 
 
-def watched(known: CalibratedServo, record: Record) -> Watched:
-    """Simulate the calibrated servo beside a record, and see what can be judged."""
+def watched(
+    known: CalibratedServo, record: Record, own: OwnMotion | None = None, noise_deg: FloatArray | None = None
+) -> Watched:
+    """Simulate the healthy servo beside a record, and see what can be judged.
+
+    `own` is the motion of a named servo; `noise_deg` (m,) the noise of the positions and of lost commands, if known.
+    """
     theta = known.theta
     table = variants(theta)
     position_deg, speed_deg_s = simulated(
         table, new_state(table.shape[0]), record.commands, record.time_s, record.load, record.power, record.start_deg
     )
     reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, known.reach_deg)
+    if own is not None and record.time_s.size:
+        reading_deg, slopes = own.moved(record.commands, record.time_s, record.start_deg, slopes)
     error_deg, _ = residual(record.measured_deg, reading_deg, known.reach_deg)
     usable = record.usable & (record.load <= load_at(known.last_judged_m_s))
     noise = known.noise.noise.at(record.period_s)
-    noise_deg = np.hypot(noise.sigma_deg(peaks(speed_deg_s, record.time_s)), record.unknown_deg(theta))
-    tests = Tests.of(known.noise.noise, known.covariance, record.period_s, is_lossy=record.sent is not None)
+    if noise_deg is None:
+        still_deg = noise.sigma_deg(peaks(speed_deg_s, record.time_s))
+        if own is not None:
+            still_deg = own.noise_deg(error_deg, record.measured_deg, record.start_deg)
+        noise_deg = np.hypot(still_deg, record.unknown_deg(theta))
+    tests = tests_of(known, record.period_s, is_named=own is not None, is_lossy=record.is_lossy)
     tested = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, noise_deg)
     return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, tests, tested)
+
+
+def tests_of(known: CalibratedServo, period_s: float, *, is_named: bool, is_lossy: bool) -> Tests:
+    """What the windows need to know of a healthy servo, at the pace of a flight; lossy: most commands are lost."""
+    missed_deg = MISSED_DEG if is_named else 0.0
+    return Tests.of(known.noise.noise, known.covariance, period_s, is_lossy=is_lossy, missed_deg=missed_deg)
 
 
 def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
@@ -532,6 +571,5 @@ def shown(
     `signals` are time [s], reading of the healthy servo, position and residual [deg], NaN where it is not judged.
     """
     time_s, reading_deg, measured_deg, error_deg = signals
-    rest = np.zeros(time_s.size)
-    residuals = Residuals(time_s, reading_deg, measured_deg, error_deg, judged, -reading_deg, begins.astype(np.int8))
-    return residuals, Threshold("interval", limit * sigma_deg, rest, rest, sigma_deg)
+    residuals = Residuals(time_s, reading_deg, measured_deg, error_deg, judged, begins.astype(np.int8))
+    return residuals, Threshold("interval", limit * sigma_deg, sigma_deg)

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray
     from servofd.detection.faults import Found, Named
-    from servofd.detection.residual import Residuals
+    from servofd.detection.residual import Residuals, Threshold
     from servofd.detection.stream import Piece
-    from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import Fault
     from servofd.servo.context import Context
 

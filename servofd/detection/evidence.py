@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.residual import ResidualGenerator, Residuals
-    from servofd.detection.threshold import Threshold
+    from servofd.detection.residual import ResidualGenerator, Residuals, Threshold
     from servofd.detection.verdict import Fault, Status, SurfaceAudit
 
 MOST_OF_THE_LOG, SHORTEST_JUDGED_S = 0.9, 0.25
@@ -167,7 +166,7 @@ def passing(
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
     signals = {
         "bias_deg": [generator.filtered(residuals.time_s, ones, residuals.restart)],
-        "loss_share": [residuals.immobile_deg],
+        "loss_share": [generator.filtered(residuals.time_s, -residuals.simulated_deg, residuals.restart)],
         "oscillation_deg": [
             generator.filtered(
                 residuals.time_s, ones * wave(2.0 * np.pi * _OSCILLATES_HZ * residuals.time_s), residuals.restart

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.series import Series
 from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
     STATISTICS,
@@ -36,7 +35,6 @@ from servofd.detection.hypotheses import (
     unexplained_deg,
 )
 from servofd.detection.outages import LONGEST_S
-from servofd.detection.residual import Residuals
 from servofd.detection.verdict import Fault
 from servofd.estimate.record import Record
 
@@ -44,9 +42,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servofd.aircraft.calibrated import CalibratedServo
+    from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
-    from servofd.detection.changes import Watched
-    from servofd.detection.residual import Commands
+    from servofd.detection.changes import OwnMotion, Watched
 
 _SETTLING_S: Final = 0.5
 """Time after an alarm before which a window that explains it does not begin [s]."""
@@ -376,21 +374,10 @@ def as_raised(flight: Watched, found: Found, look: Callable[[float, float], Foun
     return found._replace(faults=tuple(raised))
 
 
-def judge_stretch(
-    known: CalibratedServo,
-    residuals: Residuals,
-    commands: Commands,
-    sent_period_s: float | None,
-    names: dict[float, Named],
-) -> Found:
-    """Judge what a stream remembers of a surface."""
-    segment = Series("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
-    segment = replace(segment, sent_period_s=sent_period_s, context=residuals.context)
-    return judged(watched_calibrated(known, segment), names)
-
-
-def watched_calibrated(known: CalibratedServo, segment: Series) -> Watched:
-    """What the detector needs of a flight of a servo that was fitted to good flights."""
+def watched_segment(
+    known: CalibratedServo, segment: Series, own: OwnMotion | None = None, noise_deg: FloatArray | None = None
+) -> Watched:
+    """What the detector needs of a flight; `own` is the motion of a named servo, see `servofd.detection.changes`."""
     has_airspeed = segment.context.airspeed_s.size > 0
     record = Record.of(segment, known.supply_v, known.airspeed_m_s)
-    return watched(known if has_airspeed else known.without_airspeed(), record)
+    return watched(known if has_airspeed else known.without_airspeed(), record, own, noise_deg)

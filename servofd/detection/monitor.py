@@ -27,7 +27,6 @@ from servofd.core.errors import DesignError
 from servofd.core.series import latest
 from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
 from servofd.detection.faults import AGAIN_S, LOOKS_BACK_S, LOOKS_S
-from servofd.detection.residual import rhythm, thinned_rhythm
 from servofd.detection.seen import Pace, healthy_of, least_rate_hz, too_few
 from servofd.detection.stream import BY_WINDOWS, Remembered
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
@@ -573,15 +572,12 @@ class SurfaceMonitor:
         self._paces_s = float(np.median(came_s)), float(np.mean(came_s))
         logged_s = np.array([time_s for time_s, _ in commands[: WARM_UP_STEPS + 1]])
         sent_s = link_period_s(logged_s) if self.is_periodic else None
-        beat = rhythm(logged_s)
-        if self.is_periodic and not np.isfinite(beat.period_s):
-            beat = thinned_rhythm(logged_s)
         self._least_hz = least_rate_hz(self._healthy, logged_s, is_link=sent_s is not None)
         few = too_few(self._healthy, self._period_s, logged_s, valued_s, is_link=sent_s is not None)
         problem, stream = few or self._thin, None
         if not problem:
             try:
-                stream = self._healthy.stream(Pace(self._period_s, logged_s, sent_s, beat))
+                stream = self._healthy.stream(Pace(self._period_s, logged_s, sent_s))
             except DesignError as error:
                 problem = str(error)
         if stream is None:
@@ -589,9 +585,9 @@ class SurfaceMonitor:
             self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
             return [] if was_known else [Event(positions[-1][0], self.name, "no_data", text=problem)]
         self.problem, self._stream = "", stream
-        self._command_period_s = beat.period_s
+        self._command_period_s = sent_s or float(np.median(pace_steps(logged_s)))
         if self.quantity == "position":
-            self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, beat.period_s)
+            self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, self._command_period_s)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
         self._stream.surroundings(self._context)
         self._waiting = ([], [])
@@ -678,7 +674,7 @@ class SurfaceMonitor:
             return None
         if alarm is not None:
             from_s = max(from_s, alarm.raised_s - LOOKS_BACK_S)
-        residuals, threshold = stream.history.snapshot(self.surface.threshold, stream.noise_gain, from_s, until_s)
+        residuals, threshold = stream.history.snapshot(self.surface.threshold, from_s, until_s)
         residuals, commands = replace(residuals, context=self._context), stream.effective.copied(from_s)
         names = alarm.names if alarm is not None else {}
         find = partial(stream.found, Remembered(residuals, threshold, commands), names)

@@ -1,43 +1,41 @@
-"""A surface whose servo is named: the library's servo, with its tolerances as the covariance of good ones.
+"""A surface whose servo is named: it moves as its own model does, with its tolerances as the covariance of good ones.
 
-It moves as its own model does, with all effects that this has, and the sensitivities to its gain, delay, bandwidth and
-rate limit are those of that model; what a change of another parameter adds is that of the family
-(`servofd.estimate.family`) about the servo that is most like it. The residual of the nullspace filter over its
-threshold is the fast test (thesis Eq. 4.12); the windows of `servofd.detection.changes` see what is smaller and lasts.
+The sensitivities to gain, delay, bandwidth and rate limit are those of its own model; what a change of another
+parameter adds is that of the family (`servofd.estimate.family`) about the servo that is most like it. The residual that
+is shown is that of the nullspace filter, ``r = Qy (y - ŷ)`` (thesis Eq. 4.12), over its own total sigma: the filter
+passes noise and sensitivities as it passes the error. A level that the user or the file names is the only test then.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
-from servofd.aircraft.priors import NAMES, PRIORS
-from servofd.aircraft.series import Series
-from servofd.detection.changes import Memory, Tests, Watched, follow
-from servofd.detection.faults import SAME_S, Found, judged
+from servofd.aircraft.priors import FITTED, NAMES, PRIORS
+from servofd.aircraft.series import Series, pace_steps
+from servofd.detection.faults import SAME_S, Found, judged, watched_segment
 from servofd.detection.outages import Outage, held
-from servofd.detection.residual import RESTART_ALL, Commands, commands_at_servo, followed
-from servofd.detection.threshold import constant_threshold, interval_threshold
-from servofd.estimate.family import new_state, sensitivities, simulated, variants
+from servofd.detection.pulse import design_pulse_filter
+from servofd.detection.residual import FilterMemory, ResidualGenerator, Residuals, Threshold, filter_in_place
 from servofd.estimate.fit import fit
-from servofd.estimate.record import Record, loads
-from servofd.servo.loops import play
+from servofd.estimate.record import Record
+from servofd.servo.context import NO_CONTEXT
+from servofd.servo.loops import compiled, play
+from servofd.servo.motion import Motion, started_anew
 from servofd.servo.physics import rate_fields
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from servofd.aircraft.schema import Surface
     from servofd.core.tolerance import Tolerance
-    from servofd.core.types import FloatArray
+    from servofd.core.types import BoolArray, FloatArray
+    from servofd.detection.changes import Watched
     from servofd.detection.faults import Named
-    from servofd.detection.residual import ResidualGenerator, Residuals
-    from servofd.detection.threshold import Threshold
     from servofd.detection.verdict import Fault
+    from servofd.servo.context import Context
     from servofd.servo.motion import AnyServo
     from servofd.servo.servo_model import ServoModel
 
@@ -47,15 +45,28 @@ _LEAD_S = 2.0
 """Commands so long before a stretch of a flight are in force when it begins."""
 _ANYWHERE_DEG: Final = 1e4
 """Reach of a servo whose travel no flight has shown."""
+_IN_A_ROW: Final = 3
+"""Residuals on one side that make an alarm: a reading may be as old as the interval since the one before it, and so may
+a command, and for as many samples a step of the command contradicts no servo."""
+_TOLERATED: Final = 3.0
+"""Standard deviations of what tolerances leave that a good servo may reach; one tolerance alone reaches the root of 3."""
 _UNIFORM: Final = float(np.sqrt(3.0))
 """A uniform spread within a tolerance has its width over this as standard deviation."""
 _LEAST: Final = 1e-3
 """Of the usual spread between flights: a covariance has an inverse."""
 _CHANGE: Final = 0.02
 """Share by which the bandwidth and the rate limit are changed for their sensitivities."""
-MISSED_DEG: Final = 0.02
-"""What a model of the library misses of a servo within its tolerances: jitter of the stamps and commands that were put
-back move a drawn servo so much otherwise (rms of chirps to 10 Hz, even seeds of `benchmarks/fleet.py`)."""
+_NOISE_SAMPLES = 200
+"""Until so many positions have been seen, noise is not taken to be smaller than its tolerance."""
+_FASTEST_SAMPLES, _NOISE_MEMORY = 10.0, 1000.0
+"""Samples that it takes to change the noise: a few at first, then as many as fill ten seconds."""
+_GLITCH = 5.0
+"""Second differences count as no more than this many standard deviations."""
+_SMALLEST_NOISE_DEG = 1e-3
+"""Smallest noise of a position [deg]."""
+_CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
+"""Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
+_RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
 _GAIN, _DELAY, _BANDWIDTH, _RATE = (NAMES.index(name) for name in ("gain", "delay_s", "ln_bandwidth", "ln_rate"))
 
 
@@ -103,99 +114,266 @@ def named_servo(model: ServoModel, tolerance: Tolerance, period_s: float) -> Cal
     )
 
 
-def beside(servo: AnyServo, tolerance: Tolerance) -> tuple[AnyServo, ...]:
-    """Servos whose motion beside a named one gives its sensitivities: quicker, slower, and the weakest tolerated."""
-    return servo.slower(1.0 + _CHANGE), servo.slower(1.0 - _CHANGE), servo.weaker(tolerance.rate)
+_THIN_PERIOD_S = 0.039
+"""Logs at up to 25 Hz may hold fewer commands than the servo received; autopilots command at 50 Hz and more."""
+_REAL_PERIOD_S = 0.02
+"""Period at which commands are given that are logged more rarely [s]."""
+_CLEARLY_SMALLER = 0.7
+"""Ratio of two residuals below which the smaller one decides."""
 
 
-def own_slopes(
-    slopes: FloatArray, time_s: FloatArray, moved_deg: Sequence[FloatArray], tolerance: Tolerance, last: FloatArray
-) -> FloatArray:
-    """Sensitivities (m, 15) with those of the named servo's own model: it and those of `beside` move so, (m,) each.
+def with_hold(model: ServoModel, segment: Series) -> tuple[Series, tuple[str, ...]]:
+    """The segment with the hold that suits its commands, and what was done to it, in words.
 
-    `last` is when the sample before was [s], and where the servo was then [deg]; NaN before any, and carried on.
+    Commands that were given more often than the 10 to 25 Hz of the log look like steps that were not commanded: if
+    straight lines between them leave a clearly smaller residual, that is what they were.
     """
-    healthy_deg, quick_deg, slow_deg, weak_deg = moved_deg
-    steps_s, steps_deg = np.diff(np.append(last[0], time_s)), np.diff(np.append(last[1], healthy_deg))
-    own = slopes.copy()
-    own[:, _GAIN] = healthy_deg
-    own[:, _DELAY] = -np.nan_to_num(steps_deg / steps_s)
-    own[:, _BANDWIDTH] = (quick_deg - slow_deg) / (2.0 * _CHANGE)
-    own[:, _RATE] = (healthy_deg - weak_deg) / tolerance.rate if tolerance.rate > 0.0 else 0.0
-    if time_s.size:
-        last[:] = time_s[-1], healthy_deg[-1]
-    return own
+    steps_s = pace_steps(segment.command_s)
+    period_s = max(segment.period_s, float(np.median(steps_s)) if steps_s.size else 0.0)  # of the rarer stream
+    if segment.command_period_s is not None or not period_s >= _THIN_PERIOD_S:
+        return segment, ()
+    straight = replace(segment, command_period_s=_REAL_PERIOD_S)
+    held_deg, straight_deg = (_rms_deg(model, each) for each in (segment, straight))
+    if not straight_deg < _CLEARLY_SMALLER * held_deg:
+        return segment, ()
+    return straight, ("commands are logged more thinly than they were given, and taken as straight lines between",)
 
 
-def tests_of_named(known: CalibratedServo, period_s: float) -> Tests:
-    """What the windows need to know of a named servo."""
-    return Tests.of(known.noise.noise, known.covariance, period_s, missed_deg=MISSED_DEG)
+def _rms_deg(model: ServoModel, segment: Series) -> float:
+    """What a servo leaves of the positions that are judged."""
+    residuals = ResidualGenerator.fitting(model, segment).run(segment)
+    judged = residuals.residual_deg[residuals.settled]
+    return float(np.sqrt(np.mean(judged**2))) if judged.size else float("inf")
 
 
-def noise_of_named(threshold: Threshold) -> FloatArray:
-    """Standard deviation of the position's noise as the flight shows it, and of lost commands, shape (n,) [deg]."""
-    return np.hypot(threshold.sigma_deg, threshold.saturated_deg / _UNIFORM) / threshold.noise_gain
+class NamedMotion:
+    """A named servo on its way, piece by piece, and those beside it whose motion gives its sensitivities.
+
+    These are quicker, slower, and the weakest one that is tolerated.
+    """
+
+    def __init__(self, model: ServoModel, tolerance: Tolerance, context: Context = NO_CONTEXT) -> None:
+        servo = model.servo(context)
+        beside = servo, servo.slower(1.0 + _CHANGE), servo.slower(1.0 - _CHANGE), servo.weaker(tolerance.rate)
+        self._delay_s, self._rate = model.delay_s, tolerance.rate
+        self._motions = [Motion(each) for each in beside]
+        self._received = 0
+        """Commands, of those that are held, that have reached the servos."""
+        self._last = np.array([np.nan, np.nan])
+        """Time of the sample before [s], and where the servo was then [deg]."""
+        self._noise = np.array([np.nan, np.nan, max(tolerance.noise_deg, _SMALLEST_NOISE_DEG), 0.0, np.nan, np.inf])
+        self._tolerated_deg = tolerance.noise_deg
+
+    def surroundings(self, context: Context) -> None:
+        """Airspeed and supply, as far as they are known by now."""
+        for motion in self._motions:
+            motion.context = context
+
+    def forget(self, commands: int) -> None:
+        """The oldest commands are no longer held."""
+        self._received = max(self._received - commands, 0)
+
+    def moved(
+        self,
+        commands: tuple[FloatArray, FloatArray, FloatArray],
+        time_s: FloatArray,
+        start_deg: FloatArray,
+        slopes: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Position at the next instants (m,) [deg], and the sensitivities of the family (m, 15) with its own in place.
+
+        Commands (n,) are times, values and slopes of those that are held; the servo begins anew where `start_deg` (m,)
+        is a number.
+        """
+        effective_s, command_deg, slope_deg_s = commands[0] + self._delay_s, *commands[1:]
+        begins = np.union1d(np.flatnonzero(np.isfinite(start_deg)), [0])
+        pieces = []
+        for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), time_s.size], strict=True):
+            until = max(int(np.searchsorted(effective_s, time_s[end - 1], side="right")), self._received)
+            span = slice(self._received, until)
+            for motion in self._motions:
+                motion.receive(effective_s[span], command_deg[span], slope_deg_s[span])
+                if np.isfinite(start_deg[begin]):
+                    motion.rest(float(time_s[begin]), float(start_deg[begin]))
+            self._received = until
+            pieces.append(np.stack([motion.at(time_s[begin:end]) for motion in self._motions]))
+        healthy_deg, quick_deg, slow_deg, weak_deg = np.concatenate(pieces, axis=1)
+        steps_s, steps_deg = np.diff(np.append(self._last[0], time_s)), np.diff(np.append(self._last[1], healthy_deg))
+        self._last[:] = time_s[-1], healthy_deg[-1]
+        own = slopes.copy()
+        own[:, _GAIN] = healthy_deg
+        own[:, _DELAY] = -np.nan_to_num(steps_deg / steps_s)
+        own[:, _BANDWIDTH] = (quick_deg - slow_deg) / (2.0 * _CHANGE)
+        own[:, _RATE] = (healthy_deg - weak_deg) / self._rate if self._rate > 0.0 else 0.0
+        return healthy_deg, own
+
+    def noise_deg(self, error_deg: FloatArray, measured_deg: FloatArray, start_deg: FloatArray) -> FloatArray:
+        """Standard deviation of the position's noise as the flight has shown it until each next instant (m,) [deg]."""
+        out = np.empty(error_deg.size)
+        _follow_noise(error_deg, measured_deg, np.isfinite(start_deg), self._tolerated_deg, self._noise, out)
+        return out
 
 
-def watched_named(
-    generator: ResidualGenerator,
-    surface: Surface,
-    residuals: Residuals,
-    threshold: Threshold,
-    commands: Commands,
-    period_s: float,
-) -> Watched:
-    """What the detector needs of a flight of a named servo; `commands` are those that reach the servo."""
-    model = generator.model
-    known = named_servo(model, surface.tolerances, period_s)
-    time_s, restart = residuals.time_s, residuals.restart
-    context = residuals.context
-    measured_deg = residuals.measured_deg
-    start_deg = np.where(restart == RESTART_ALL, measured_deg, np.nan)
-    record = Record(
-        commands.effective_s - model.delay_s,
-        commands.command_deg,
-        time_s,
-        measured_deg,
-        loads(context, time_s),
-        np.ones(time_s.size),
-        start_deg,
-        residuals.settled & np.isfinite(residuals.residual_deg),
-        period_s,
-        slope_deg_s=commands.slope_deg_s,
-    )
-    table = variants(known.theta)
-    position_deg, speed_deg_s = simulated(
-        table, new_state(table.shape[0]), record.commands, time_s, record.load, record.power, start_deg
-    )
-    _, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
-    others = beside(model.servo(context), surface.tolerances)
-    moved = [followed(servo, commands, time_s, measured_deg, restart) for servo in others]
-    healthy_deg = residuals.simulated_deg
-    slopes = own_slopes(slopes, time_s, (healthy_deg, *moved), surface.tolerances, np.full(2, np.nan))
-    noise_deg, tests = noise_of_named(threshold), tests_of_named(known, period_s)
-    error_deg = np.where(record.usable, residuals.error_deg, np.nan)
-    tested = follow(tests, Memory(tests), time_s, error_deg, slopes, noise_deg)
-    return Watched(
-        known, known.noise.noise, record, healthy_deg, slopes, record.usable, noise_deg, tests, tested,
-        own=_Own(model.servo(context), commands, time_s, start_deg, known.theta, model.delay_s),
-        passed=over(residuals, threshold, surface.persistence),
-        alone=surface.threshold == "constant",
-    )  # fmt: skip
+@compiled
+def _follow_noise(
+    error_deg: FloatArray, measured_deg: FloatArray, anew: BoolArray, tolerated_deg: float, kept: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Noise by the second differences of the simulation error, whatever moves slowly in it.
+
+    The smallest believable noise is that of the position's resolution, which is the smallest change of it so far.
+    """
+    before, before_that, noise, seen, last_deg, resolution = kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]
+    for k in range(error_deg.size):
+        if anew[k]:
+            before = before_that = np.nan
+        change = abs(measured_deg[k] - last_deg)
+        if 0.0 < change < resolution:
+            resolution = change
+        last_deg = measured_deg[k]
+        curvature = error_deg[k] - 2.0 * before + before_that
+        if not np.isnan(curvature):
+            seen += 1.0
+            shown = min(abs(curvature) * _CURVATURE_TO_SIGMA, _GLITCH * noise)
+            noise += max(1.0 / (1.0 + seen / _FASTEST_SAMPLES), 1.0 / _NOISE_MEMORY) * (shown - noise)
+            noise = max(noise, _SMALLEST_NOISE_DEG)
+        before_that, before = before, error_deg[k]
+        usual = noise if seen >= _NOISE_SAMPLES else max(noise, tolerated_deg)
+        out[k] = max(usual, _RESOLUTION_TO_SIGMA * resolution) if resolution < np.inf else usual
+    kept[0], kept[1], kept[2], kept[3], kept[4], kept[5] = before, before_that, noise, seen, last_deg, resolution
 
 
-class _Own(NamedTuple):
+class Shown:
+    """The residual of the nullspace filter and its threshold, piece by piece."""
+
+    def __init__(self, servo: NamedServo) -> None:
+        self._servo = servo
+        self._filter = servo.generator.filter_parameters()
+        self._memory = FilterMemory.of(self._filter, 1 + FITTED)
+        self._root = np.asarray(np.linalg.cholesky(servo.known.covariance), dtype=np.float64)
+        self._before = np.zeros(0)
+        """Residual over threshold of the judged samples before, as many as make an alarm together with one more."""
+
+    def take(
+        self,
+        signals: tuple[FloatArray, FloatArray, FloatArray],
+        usable: BoolArray,
+        start_deg: FloatArray,
+        slopes: FloatArray,
+        noise_deg: FloatArray,
+    ) -> tuple[Residuals, Threshold, FloatArray]:
+        """Residual and threshold of the next instants, and by how much the first passes the other so often in a row.
+
+        `signals` are time [s], position of the healthy servo and measured one [deg], (m,) each; `slopes` (m, 15) are
+        sensitivities, `noise_deg` the noise of the positions.
+        """
+        time_s, reading_deg, measured_deg = signals
+        anew = np.isfinite(start_deg).astype(np.int8)
+        residual_deg, passed = measured_deg - reading_deg, np.zeros(time_s.size)
+        others_deg = np.ascontiguousarray(slopes[:, :FITTED].T)
+        filter_in_place(self._filter, self._memory, time_s, residual_deg, anew, others_deg)
+        servo, surface = self._servo, self._servo.surface
+        sigma_deg = servo.noise_gain * noise_deg
+        if servo.is_by_level:
+            threshold = Threshold("constant", np.full(time_s.size, surface.threshold_deg), sigma_deg)
+        else:
+            tolerated_deg = np.sqrt(((self._root.T @ others_deg) ** 2).sum(axis=0))
+            level_deg = surface.threshold_sigmas * sigma_deg + _TOLERATED * tolerated_deg
+            threshold = Threshold("interval", level_deg, sigma_deg)
+        many = surface.persistence if servo.is_by_level else max(surface.persistence, _IN_A_ROW)
+        ratios = np.append(self._before, residual_deg[usable] / threshold.level_deg[usable])
+        passed[usable] = in_a_row(ratios, many)[self._before.size :]
+        self._before = ratios[ratios.size - min(many - 1, ratios.size) :]
+        residuals = Residuals(time_s, reading_deg, measured_deg, residual_deg, usable, anew)
+        return residuals, threshold, passed
+
+
+@dataclass(frozen=True, slots=True)
+class NamedServo:
+    """A named servo, what a good one may differ by, and the filter whose residual is shown of it."""
+
+    model: ServoModel
+    surface: Surface
+    generator: ResidualGenerator
+    known: CalibratedServo
+    noise_gain: float
+    """Of the residual's noise over the position's."""
+
+    @classmethod
+    def of(cls, surface: Surface, model: ServoModel, period_s: float) -> NamedServo:
+        """For positions of a given period [s].
+
+        Raises
+        ------
+        DesignError
+            If no residual filter suits the servo at this pace.
+        """
+        generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
+        design = design_pulse_filter(model.transfer, 0.0, period_s, generator.pole_rad_s)
+        return cls(model, surface, generator, named_servo(model, surface.tolerances, period_s), design.noise_gain)
+
+    @property
+    def is_by_level(self) -> bool:
+        """Whether a level that the user or the file names is the only test of a fault."""
+        return self.surface.threshold == "constant"
+
+    def beside(self, segment: Series, noise_deg: FloatArray | None = None) -> tuple[Watched, Residuals, Threshold]:
+        """What the detector needs of a flight, and what is shown of it.
+
+        `noise_deg` (m,) is the noise of its positions, where a stream has seen more of them than these.
+        """
+        own = NamedMotion(self.model, self.surface.tolerances, segment.context)
+        flight = watched_segment(self.known, segment, own, noise_deg)
+        record = flight.record
+        signals = record.time_s, flight.reading_deg, record.measured_deg
+        shown = Shown(self).take(signals, flight.judged, record.start_deg, flight.slopes, flight.noise_deg)
+        residuals, threshold, passed = shown
+        moves = _Moves(self.model, self.model.servo(segment.context), record, self.known.theta)
+        flight = replace(flight, own=moves, passed=passed, alone=self.is_by_level)
+        return flight, replace(residuals, context=segment.context), threshold
+
+    def found(self, flight: Watched, *, asked: bool = False, names: dict[float, Named] | None = None) -> Found:
+        """Faults and suspicions of a flight; `asked`: the user named the level, which alone counts then.
+
+        Where a level is the only test of a fault, what the windows see beside it is suspect, if the model is known
+        exactly enough to tell, and the user has not asked for that level alone.
+
+        Examples
+        --------
+        >>> from servofd.aircraft.schema import plain_aircraft
+        >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
+        >>> model, time_s = aircraft.model("rudder"), np.arange(0.0, 20.0, 0.02)
+        >>> command_deg = 10.0 * np.sin(2.0 * time_s)
+        >>> jammed_deg = np.where(time_s < 12.0, model.simulate(time_s, command_deg, time_s), 5.0)
+        >>> servo = NamedServo.of(aircraft.surfaces["rudder"], model, 0.02)
+        >>> flight, _, _ = servo.beside(Series("rudder", time_s, command_deg, time_s, jammed_deg))
+        >>> [(fault.kind, round(fault.start_s, 1)) for fault in servo.found(flight).faults]
+        [('stuck', 12.0)]
+        """
+        found = judged(flight, names)
+        if not flight.alone:
+            return found
+        if asked:
+            held = tuple(replace(each, kind="unknown", probability=1.0 - each.probability) for each in found.suspicions)
+            faults = sorted((*found.faults, *held), key=lambda fault: fault.alarm_s)
+            return found._replace(faults=tuple(faults), suspicions=())
+        if not self.surface.tells_small_faults:
+            return found
+        below = judged(replace(flight, alone=False, passed=np.zeros(flight.reading_deg.size)))
+        known = (*found.faults, *found.suspicions)
+        small = (each for each in (*below.faults, *below.suspicions) if not any(_meet(each, other) for other in known))
+        suspicions = (*found.suspicions, *(replace(each, level="suspect") for each in small))
+        return found._replace(suspicions=tuple(sorted(suspicions, key=lambda fault: fault.alarm_s)))
+
+
+class _Moves(NamedTuple):
     """The named servo in a flight, to be simulated with other parameters."""
 
+    model: ServoModel
     servo: AnyServo
-    commands: Commands
-    time_s: FloatArray
-    start_deg: FloatArray
-    """Where it begins anew [deg], as after a gap; NaN where it goes on."""
+    record: Record
     theta: FloatArray
     """Parameters of the family that is most like it."""
-    delay_s: float
-    """By how much the commands are late."""
 
     def __call__(
         self,
@@ -220,100 +398,21 @@ class _Own(NamedTuple):
         if apart["friction_deg"]:
             physics = physics._replace(friction_deg=physics.friction_deg + apart["friction_deg"])
         servo = replace(self.servo, physics=physics).slower(float(np.exp(apart["ln_bandwidth"])))
-        time_s = self.time_s[rows]
-        span = slice(*np.searchsorted(self.commands.effective_s, (time_s[0] - _LEAD_S, time_s[-1] + _STEP_S)).tolist())
-        each = self.commands.effective_s[span], self.commands.command_deg[span], self.commands.slope_deg_s[span]
-        late = tuple(Outage(from_s + self.delay_s, to_s + self.delay_s) for from_s, to_s in outages)
-        effective_s, command_deg, slope_deg_s = held(each, late)
+        time_s, given = self.record.time_s[rows], self.record.commands
+        span = slice(*np.searchsorted(given[0], (time_s[0] - _LEAD_S, time_s[-1] + _STEP_S)).tolist())
+        command_s, command_deg, slope_deg_s = held((given[0][span], given[1][span], given[2][span]), outages)
         if apart["deadband_deg"] > 0.0 and command_deg.size:  # before the servo, whatever its order is
             rest_deg = (start_deg - physics.bias_deg) / (physics.gain * physics.command_gain)
             command_deg, slope_deg_s = play(command_deg, apart["deadband_deg"], rest_deg), 0.0 * slope_deg_s
-        near = Commands(effective_s + apart["delay_s"], command_deg, slope_deg_s)
-        starts_deg = np.append(start_deg, self.start_deg[rows][1:])
-        anew = np.where(np.isfinite(starts_deg), RESTART_ALL, 0).astype(np.int8)
-        return followed(servo, near, time_s, np.nan_to_num(starts_deg), anew)
-
-
-class Judgement(NamedTuple):
-    """What was found of a named servo, and against which threshold."""
-
-    threshold: Threshold
-    flight: Watched
-    found: Found
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """What was found."""
-        return self.found.faults
-
-    @property
-    def suspicions(self) -> tuple[Fault, ...]:
-        """What is suspect."""
-        return self.found.suspicions
-
-
-def judge(
-    generator: ResidualGenerator, segment: Series, residuals: Residuals, surface: Surface, *, asked: bool = False
-) -> Judgement:
-    """Judge a segment whose residuals are known; `asked`: the user named the constant level, which alone counts then.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.detection.residual import ResidualGenerator
-    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
-    >>> model, time_s = aircraft.model("rudder"), np.arange(0.0, 20.0, 0.02)
-    >>> command_deg = 10.0 * np.sin(2.0 * time_s)
-    >>> jammed_deg = np.where(time_s < 12.0, model.simulate(time_s, command_deg, time_s), 5.0)
-    >>> segment = Series("rudder", time_s, command_deg, time_s, jammed_deg)
-    >>> generator = ResidualGenerator.fitting(model, segment)
-    >>> judgement = judge(generator, segment, generator.run(segment), aircraft.surfaces["rudder"])
-    >>> [(fault.kind, round(fault.start_s, 1)) for fault in judgement.faults]
-    [('stuck', 12.0)]
-    """
-    threshold = interval_threshold(generator, segment, residuals, surface.tolerances, surface.threshold_sigmas)
-    if surface.threshold == "constant":
-        threshold = constant_threshold(threshold, surface.threshold_deg)
-    commands = commands_at_servo(segment, generator.model.delay_s, generator.longest_gap_s(segment))
-    flight = watched_named(generator, surface, residuals, threshold, commands, segment.period_s)
-    found = judged_named(flight, tells=surface.tells_small_faults, asked=asked)
-    return Judgement(threshold, flight, found)
-
-
-def judged_named(flight: Watched, *, tells: bool, asked: bool, names: dict[float, Named] | None = None) -> Found:
-    """Faults and suspicions of a named servo.
-
-    Where a constant level is the only test of a fault, what the windows see beside it is suspect, if the model is known
-    exactly enough to tell, and the user has not asked for that level alone.
-    """
-    found = judged(flight, names)
-    if not flight.alone:
-        return found
-    if asked:
-        held = tuple(replace(each, kind="unknown", probability=1.0 - each.probability) for each in found.suspicions)
-        faults = sorted((*found.faults, *held), key=lambda fault: fault.alarm_s)
-        return found._replace(faults=tuple(faults), suspicions=())
-    if not tells:
-        return found
-    below = judged(replace(flight, alone=False, passed=np.zeros(flight.reading_deg.size)))
-    known = (*found.faults, *found.suspicions)
-    small = (each for each in (*below.faults, *below.suspicions) if not any(_meet(each, other) for other in known))
-    suspicions = (*found.suspicions, *(replace(each, level="suspect") for each in small))
-    return found._replace(suspicions=tuple(sorted(suspicions, key=lambda fault: fault.alarm_s)))
+        late = command_s + self.model.delay_s + apart["delay_s"], command_deg, slope_deg_s
+        starts_deg = np.append(start_deg, self.record.start_deg[rows][1:])
+        return started_anew(servo, late, time_s, np.nan_to_num(starts_deg), np.isfinite(starts_deg))
 
 
 def _meet(one: Fault, other: Fault) -> bool:
     """Whether two faults overlap in time, or nearly."""
     ends_s = [np.inf if fault.end_s is None else fault.end_s + SAME_S for fault in (one, other)]
     return one.start_s <= ends_s[1] and other.start_s <= ends_s[0]
-
-
-def over(residuals: Residuals, threshold: Threshold, persistence: int) -> FloatArray:
-    """The residual over its threshold, the least of so many in a row on one side, (n,); 0 where none is judged."""
-    judged = residuals.settled
-    out = np.zeros(judged.size)
-    out[judged] = in_a_row(residuals.residual_deg[judged] / threshold.level_deg[judged], persistence)
-    return out
 
 
 def in_a_row(values: FloatArray, many: int) -> FloatArray:

@@ -16,11 +16,10 @@ from servofd.aircraft.series import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_L
 from servofd.core.errors import ServofdError
 from servofd.detection.changes import detectable, shown, thresholds_of
 from servofd.detection.evidence import passing, too_short
-from servofd.detection.faults import as_raised, judged, watched_calibrated
-from servofd.detection.named import judge
+from servofd.detection.faults import as_raised, judged, watched_segment
+from servofd.detection.named import NamedServo, with_hold
 from servofd.detection.probability import Noise
-from servofd.detection.residual import ResidualGenerator, prepared
-from servofd.detection.stream import CalibratedStream, Following, Stream
+from servofd.detection.stream import Following, Stream
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import load_at
 
@@ -32,8 +31,7 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.detection.changes import Watched
     from servofd.detection.faults import Found
-    from servofd.detection.residual import Residuals, Rhythm
-    from servofd.detection.threshold import Threshold
+    from servofd.detection.residual import ResidualGenerator, Residuals, Threshold
     from servofd.servo.servo_model import ServoModel
 
 _LITTLE_KNOWN: Final = 5.0
@@ -91,7 +89,7 @@ class Seen:
 
     def false_alarms_per_hour(self) -> float | None:
         """How often a healthy residual alarms; None if the flight is too short to tell."""
-        if self.flight.passed is None:
+        if self.flight.own is None:
             return FALSE_ALARMS_PER_HOUR
         first_s = min((fault.start_s for fault in (*self.found.faults, *self.found.suspicions)), default=np.inf)
         return odds(self.residuals, first_s, self.segment.period_s, self.threshold.typical_deg)
@@ -106,8 +104,6 @@ class Pace(NamedTuple):
     """When the first commands came, shape (n,) [s]."""
     sent_s: float | None
     """Between two commands as they were sent on a link, of which some are lost; None where that is not known."""
-    beat: Rhythm
-    """Of the commands that came."""
 
 
 class HealthyStream(Protocol):
@@ -200,16 +196,15 @@ class OfFlights:
         acting = {"airspeed_m_s": self.known.airspeed_m_s != 0.0, "servo_voltage_v": self.known.supply_v > 0.0}
         return self.model.needs | {need for need, acts in acting.items() if acts}
 
-    def stream(self, pace: Pace) -> CalibratedStream:
-        """See a stream beside it; what gets lost of its commands is unknown, and not put back."""
-        return CalibratedStream(self.known, self.surface, pace.period_s, pace.command_s, pace.sent_s)
+    def stream(self, pace: Pace) -> Stream:
+        """See a stream beside it."""
+        return Stream(self.known, self.surface, pace.period_s, pace.command_s, pace.sent_s)
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
         known, surface = self.known, self.surface
-        flight = watched_calibrated(known, segment)
-        record, rows = flight.record, flight.judged
-        judged_s = float(np.nansum(np.minimum(np.diff(record.time_s, append=np.nan), 3.0 * segment.period_s)[rows]))
+        flight = watched_segment(known, segment)
+        record, rows, judged_s = flight.record, flight.judged, _judged_s(flight)
         beyond = _beyond(flight)
         if too_short(judged_s):
             raise TooShortError(beyond or too_short(judged_s))
@@ -236,7 +231,7 @@ class OfFlights:
         time_s = segment.measured_s
 
         def look(from_s: float, to_s: float) -> Found:
-            return judged(watched_calibrated(known, segment.at((time_s >= from_s) & (time_s <= to_s))))
+            return judged(watched_segment(known, segment.at((time_s >= from_s) & (time_s <= to_s))))
 
         found = as_raised(flight, judged(flight), look)
         return Seen(
@@ -275,27 +270,26 @@ class OfModel:
         DesignError
             If no residual filter suits the servo at this pace.
         """
-        generator = ResidualGenerator.fitting_pace(self.model, pace.period_s, self.surface.filter_pole_rad_s)
-        return Stream(generator, self.surface, pace.period_s, pace.beat)
+        named = NamedServo.of(self.surface, self.model, pace.period_s)
+        return Stream(named.known, self.surface, pace.period_s, pace.command_s, pace.sent_s, named)
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
         surface, model = self.surface, self.model
-        generator = ResidualGenerator.fitting(model, segment, surface.filter_pole_rad_s)
-        segment, residuals, notes = prepared(generator, segment)
-        judged_s = _judged_s(residuals, generator.longest_gap_s(segment))
+        segment, notes = with_hold(model, segment)
+        servo = NamedServo.of(surface, model, segment.period_s)
+        flight, residuals, threshold = servo.beside(segment)
+        rows, judged_s = flight.judged, _judged_s(flight)
         if too_short(judged_s):
             raise TooShortError(too_short(judged_s))
-        rows = residuals.settled
         if not np.isfinite(residuals.residual_deg[rows]).all():
             raise TooShortError("the residual is not a number: check model and units")
-        threshold, flight, found = judge(generator, segment, residuals, surface, asked=self.asked)
 
         def look(from_s: float, to_s: float) -> Found:
             near = segment.at((segment.measured_s >= from_s) & (segment.measured_s <= to_s))
-            return judge(generator, near, generator.run(near), surface, asked=self.asked).found
+            return servo.found(servo.beside(near)[0], asked=self.asked)
 
-        found = as_raised(flight, found, look)
+        found = as_raised(flight, servo.found(flight, asked=self.asked), look)
         notes = (*notes, *_reservations(model, segment, surface))
         level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
         if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
@@ -308,7 +302,7 @@ class OfModel:
         )
         against = wiring_problem(residuals) if found.faults or found.suspicions else ""
         by_level = flight.alone and not surface.tells_small_faults
-        level = (generator, surface.persistence) if by_level else None
+        level = (servo.generator, surface.persistence) if by_level else None
         return Seen(segment, residuals, threshold, flight, found, judged_s, like, notes, against=against, level=level)
 
 
@@ -328,10 +322,10 @@ def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[
     return notes
 
 
-def _judged_s(residuals: Residuals, longest_gap_s: float) -> float:
-    """Time covered by judged samples, intervals that the filter bridges included [s]."""
-    step_s = np.diff(residuals.time_s[residuals.settled])
-    return float(step_s[step_s <= longest_gap_s].sum())
+def _judged_s(flight: Watched) -> float:
+    """Time covered by judged samples, short pauses between them included [s]."""
+    steps_s = np.diff(flight.record.time_s, append=np.nan)
+    return float(np.nansum(np.minimum(steps_s, 3.0 * flight.record.period_s)[flight.judged]))
 
 
 def odds(residuals: Residuals, first_s: float, period_s: float, threshold_deg: float) -> float | None:

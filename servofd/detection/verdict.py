@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
     from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
-    from servofd.detection.residual import Residuals
-    from servofd.detection.threshold import Level, Threshold, ThresholdKind
+    from servofd.detection.residual import Residuals, Threshold, ThresholdKind
+
+Level = Literal["suspect", "fault"]
 
 
 @dataclass(frozen=True, slots=True)

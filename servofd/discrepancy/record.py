@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.detection.residual import Commands, commands_at_servo, rhythm
 from servofd.discrepancy.known import A_TYPE, Known
+from servofd.estimate.record import Commands, commands_at_servo, rhythm
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
 from servofd.servo.motion import machine_of, received
@@ -211,7 +211,7 @@ def record_of(
     if segment.command_period_s is None:
         counts &= ~after_lost_commands(segment.command_s, segment.command_deg, hole_s, time_s)
     # Fewer commands than the servo received: they run straight between, later by the mean lag of the hold.
-    commands = commands_at_servo(segment, 0.0, hole_s)
+    commands = commands_at_servo(segment, hole_s)
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
     fold = np.where(block % _CYCLE == _ASIDE, 2, block % 2)
     context = segment.context

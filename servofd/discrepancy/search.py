@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servofd.detection.residual import Commands
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import liveliest, only, simulate
+from servofd.estimate.record import Commands
 from servofd.servo.catalogue import installed
 from servofd.servo.effect import Slot
 from servofd.servo.effects.commands import CommandSteps, Delay, PwmFrame

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from servofd.detection.residual import Commands
 from servofd.discrepancy.record import simulate
 from servofd.discrepancy.search import LIMITS, STEPS_OF_TWO_SIZES
+from servofd.estimate.record import Commands
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,9 +10,9 @@ import numpy as np
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import stretches
 from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
-from servofd.detection.residual import Commands
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
+from servofd.estimate.record import Commands
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -42,8 +42,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
-    from servofd.detection.residual import Residuals
-    from servofd.detection.threshold import Threshold, ThresholdKind
+    from servofd.detection.residual import Residuals, Threshold, ThresholdKind
     from servofd.feedback.flown import Log
     from servofd.outputs.chart import Chart
     from servofd.outputs.document import Document

@@ -144,15 +144,6 @@ class TestVerdicts:
         assert main(["audit", str(path), "--json", "-"]) == 2
         assert json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]["elevator"]["status"] == "no_data"
 
-    def test_positions_inside_a_hole_of_the_commands_are_not_judged(self) -> None:
-        from servofd.detection.residual import mark_starts, new_starts_memory
-
-        time_s = np.arange(200) / 100.0
-        kept = (time_s <= 1.0) | (time_s >= 1.04)
-        starts = mark_starts(new_starts_memory(), time_s[kept], time_s, np.zeros(200), (0.1, 0.0175, 0.16))
-        assert not starts.settled[102:104].any()
-        assert starts.settled[[101, 104]].all()
-
     @pytest.mark.parametrize(("rate_hz", "expected"), [(1e9, "check the unit"), (1e6, "check the unit")])
     def test_a_wrong_time_unit_is_told(
         self, rate_hz: float, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -8,8 +8,7 @@ import pytest
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
-from servofd.detection.named import judge
-from servofd.detection.residual import ResidualGenerator
+from servofd.detection.seen import healthy_of
 from servofd.detection.verdict import Fault as Found
 from servofd.servo.faults import DeadBand, Fault, Stuck
 from servofd.servo.library import servo_named
@@ -23,9 +22,8 @@ MANOEUVRE_S = 8.0
 
 def faults(command_deg: FloatArray, measured_deg: FloatArray) -> tuple[Found, ...]:
     segment = Series("x", TIME_S, command_deg, TIME_S[: measured_deg.size], measured_deg)
-    generator = ResidualGenerator(MODEL, 50.0)
-    surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"]
-    return judge(generator, segment, generator.run(segment), surface).faults
+    surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update={"threshold": "constant"})
+    return healthy_of(surface, MODEL).beside(segment).found.faults
 
 
 def delay_to_alarm(command_deg: FloatArray, fault: Fault) -> float:

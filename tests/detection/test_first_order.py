@@ -31,7 +31,8 @@ def residual(gain: float = 0.0, delay_s: float = 0.0, bandwidth: float = 0.0) ->
 
 
 def r0() -> FloatArray:
-    return -GENERATOR.run(Series("x", TIME_S, COMMAND_DEG, TIME_S, np.zeros(TIME_S.size))).immobile_deg
+    healthy = GENERATOR.run(Series("x", TIME_S, COMMAND_DEG, TIME_S, np.zeros(TIME_S.size)))
+    return GENERATOR.filtered(TIME_S, healthy.simulated_deg, healthy.restart)
 
 
 def quick(values_deg: FloatArray) -> FloatArray:

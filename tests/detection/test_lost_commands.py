@@ -13,9 +13,9 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series, link_period_s, sent_period_s
 from servofd.detection.changes import watched
 from servofd.detection.faults import judged
-from servofd.detection.stream import CalibratedStream
+from servofd.detection.stream import Stream
 from servofd.estimate.family import new_state, simulated, variants
-from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg
+from servofd.estimate.record import LONGEST_S, Record, Rhythm, new_memory, put_back, unknown_deg
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,8 +92,8 @@ def test_what_is_not_known_covers_what_the_servo_did(
     arrived = sent_s[came], asked_deg[came]
     time_s = arrived[0][10:-10]
     time_s = time_s[np.searchsorted(arrived[0], time_s) > 0]
-    error_deg = moved(*put_back(*arrived, PERIOD_S), time_s) - moved(sent_s, asked_deg, time_s)
-    unknown = unknown_deg(arrived, PERIOD_S, KNOWN.theta, time_s, new_memory())
+    error_deg = moved(*put_back(*arrived, Rhythm.of_link(PERIOD_S)), time_s) - moved(sent_s, asked_deg, time_s)
+    unknown = unknown_deg(arrived, Rhythm.of_link(PERIOD_S), KNOWN.theta, time_s, new_memory())
     gaps_s = np.diff(arrived[0])[np.searchsorted(arrived[0], time_s) - 1]
     short = np.convolve(gaps_s > LONGEST_S, np.ones(15), "same") == 0.0
     most = short & (unknown > np.quantile(unknown[short], 0.9))
@@ -105,8 +105,8 @@ def test_what_is_not_known_covers_what_the_servo_did(
 def test_nothing_is_unknown_where_every_command_arrived() -> None:
     sent_s = np.arange(0.0, 20.0, PERIOD_S)
     asked = sent_s, steps(sent_s, np.random.default_rng(1))
-    assert not unknown_deg(asked, PERIOD_S, KNOWN.theta, sent_s, new_memory()).any()
-    assert np.array_equal(put_back(*asked, PERIOD_S)[1], asked[1])
+    assert not unknown_deg(asked, Rhythm.of_link(PERIOD_S), KNOWN.theta, sent_s, new_memory()).any()
+    assert np.array_equal(put_back(*asked, Rhythm.of_link(PERIOD_S))[1], asked[1])
     assert sent_period_s(sent_s[:101]) is None
 
 
@@ -128,7 +128,7 @@ def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     segment = flown(3, duration_s=40.0)
     whole = watched(KNOWN, Record.of(segment))
     surface = plain_aircraft(["x"], "s9254").surfaces["x"]
-    stream = CalibratedStream(KNOWN, surface, segment.period_s, segment.command_s[:101], segment.sent_period_s)
+    stream = Stream(KNOWN, surface, segment.period_s, segment.command_s[:101], segment.sent_period_s)
     pieces = []
     events = [(t, 0, v) for t, v in zip(segment.command_s, segment.command_deg, strict=True)]
     events += [(t, 1, v) for t, v in zip(segment.measured_s, segment.measured_deg, strict=True)]

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.series import Series
-from servofd.detection.residual import ResidualGenerator, Residuals, prepared
+from servofd.detection.named import with_hold
+from servofd.detection.residual import ResidualGenerator, Residuals
 from tests.detection.tolerated import MODEL
 
 TIME_S = np.arange(1000) / 50.0
@@ -29,22 +30,21 @@ def largest_deg(residuals: Residuals) -> float:
 
 
 def test_commands_that_are_logged_thinly_are_joined_by_lines_and_it_is_said() -> None:
-    done = prepared(GENERATOR, thinly(None))
-    (note,) = done.notes
+    segment, (note,) = with_hold(MODEL, thinly(None))
     assert "logged more thinly" in note
-    assert largest_deg(done.residuals) < 0.4 * largest_deg(GENERATOR.run(thinly(None)))
+    assert largest_deg(GENERATOR.run(segment)) < 0.4 * largest_deg(GENERATOR.run(thinly(None)))
 
 
 @pytest.mark.parametrize("segment", [thinly(0.02), thinly(None, kept=1)], ids=["known", "all there"])
 def test_commands_whose_pace_is_known_or_fast_are_left_as_they_are(segment: Series) -> None:
-    done = prepared(GENERATOR, segment)
-    assert done.notes == ()
-    assert done.segment.command_period_s == segment.command_period_s
+    done, notes = with_hold(MODEL, segment)
+    assert notes == ()
+    assert done.command_period_s == segment.command_period_s
 
 
 def test_a_servo_that_holds_thin_commands_is_not_taken_for_one_with_lost_ones() -> None:
     segment = thinly(None)
     held_deg = MODEL.simulate(segment.command_s, segment.command_deg, TIME_S)
-    done = prepared(GENERATOR, replace(segment, measured_deg=held_deg))
-    assert done.notes == ()
-    assert done.segment.command_period_s is None
+    done, notes = with_hold(MODEL, replace(segment, measured_deg=held_deg))
+    assert notes == ()
+    assert done.command_period_s is None

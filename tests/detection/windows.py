@@ -8,9 +8,9 @@ from servofd.aircraft.marks import Rows, Why, marked
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
 from servofd.core.types import FloatArray
-from servofd.detection.named import Judgement, judge
-from servofd.detection.residual import ResidualGenerator, Residuals
-from servofd.detection.threshold import ThresholdKind
+from servofd.detection.faults import Found
+from servofd.detection.residual import ResidualGenerator, Residuals, ThresholdKind
+from servofd.detection.seen import healthy_of
 from servofd.servo.faults import Fault
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -43,7 +43,7 @@ def without_spikes(time_s: FloatArray, command_deg: FloatArray, measured_deg: Fl
     return np.where(why == Why.SPIKE, np.nan, measured_deg)
 
 
-def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
+def troubled(servo: str) -> Series:
     """Twelve seconds with lost samples, a hole, a spike, which is marked, and commands that rest."""
     rng = np.random.default_rng(7)
     time_s = np.arange(600) / 50.0
@@ -59,8 +59,7 @@ def troubled(servo: str) -> tuple[ResidualGenerator, Series]:
     why = is_unsettled((time_s[asked], command_deg[asked]), time_s[seen], measured_deg[seen], time_s[seen]) * np.int8(
         Why.UNSETTLED
     )
-    segment = Series("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen], why=why)
-    return ResidualGenerator.fitting(model, segment), segment
+    return Series("x", time_s[asked], command_deg[asked], time_s[seen], measured_deg[seen], why=why)
 
 
 def residuals_of(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Residuals:
@@ -74,10 +73,9 @@ def judged(
     measured_deg: FloatArray,
     threshold: ThresholdKind = "constant",
     persistence: int = 1,
-) -> Judgement:
+) -> Found:
     """Faults of a surface; a constant threshold is at 1.5 deg."""
     segment = Series("x", time_s, command_deg, time_s, measured_deg)
-    generator = ResidualGenerator.fitting(MODEL, segment, None)
     changes = {"threshold": threshold, "persistence": persistence}
     surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update=changes)
-    return judge(generator, segment, generator.run(segment), surface)
+    return healthy_of(surface, MODEL).beside(segment).found

@@ -11,23 +11,16 @@ from scipy.linalg import expm
 from scipy.signal import tf2ss
 
 from servofd.core.types import FloatArray
-from servofd.detection.residual import (
-    RESTART_ALL,
-    RESTART_FILTER,
-    RESTART_NONE,
-    Commands,
-    FilterMemory,
-    FilterParameters,
-    filter_in_place,
-    followed,
-    lag_weights,
-)
+from servofd.detection.residual import FilterMemory, FilterParameters, filter_in_place, lag_weights
 from servofd.servo.effects.linkage import PositionLimit
 from servofd.servo.library import servo_named
+from servofd.servo.motion import started_anew
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 
 EQ31 = servo_named("hs225bb-eq31").transfer
+RESTART_NONE, RESTART_FILTER, RESTART_ALL = 0, 1, 2
+"""What begins anew at a sample: nothing, the filter, or servo and filter."""
 GAINS = {
     1.0: EQ31,
     0.7: TransferFunction((0.7 * EQ31.denominator[-1],), EQ31.denominator),
@@ -48,7 +41,8 @@ def observed(
     """Simulated position and residual."""
     servo = ServoModel(transfer).servo()
     restarts = np.array(restart + [RESTART_NONE] * (at_s.size - len(restart)), dtype=np.int8)
-    simulated_deg = followed(servo, Commands(*commands), at_s, measured_deg, restarts)
+    asked = commands[0], commands[1], commands[2]
+    simulated_deg = started_anew(servo, asked, at_s, measured_deg, restarts == RESTART_ALL)
     return simulated_deg, filtered(filter_of(transfer), at_s, measured_deg - simulated_deg, restarts)
 
 

@@ -16,10 +16,7 @@ from servofd.aircraft.series import Series
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
-from servofd.detection.named import judge
-from servofd.detection.residual import ResidualGenerator, rhythm
-from servofd.detection.stream import Stream
-from servofd.detection.threshold import interval_threshold
+from servofd.detection.seen import Pace, healthy_of
 from servofd.detection.verdict import SurfaceAudit
 from servofd.discrepancy.record import record_of, simulate
 from servofd.servo.catalogue import effects_installed, installed, table_of
@@ -298,10 +295,9 @@ def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Fault, kind: 
     aircraft = Aircraft.model_validate({"surfaces": {"elevator": entry}})
     flown = simulate_flight(aircraft, command="gusty", duration_s=24.0, seed=4, faults={"elevator": fault})
     segment = Series("elevator", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
-    generator = ResidualGenerator.fitting(aircraft.model("elevator"), segment)
-    judged = judge(generator, segment, generator.run(segment), aircraft.surfaces["elevator"])
-    assert [found.kind for found in judged.faults][:1] == [kind]
-    assert judged.faults[0].start_s == pytest.approx(8.0, abs=1.5)
+    found = healthy_of(aircraft.surfaces["elevator"], aircraft.model("elevator")).beside(segment).found
+    assert [each.kind for each in found.faults][:1] == [kind]
+    assert found.faults[0].start_s == pytest.approx(8.0, abs=1.5)
 
 
 @pytest.mark.parametrize("kind", ["bias", "stuck", "loss_of_effectiveness"])
@@ -376,8 +372,8 @@ def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[st
     known = {"servo": "hs225bb-eq31", "command": {"channel": "c", "unit": "deg"}, "threshold": "interval"}
     surface = Aircraft.model_validate({"surfaces": {"x": {**known, "effects": effects}}})
     segment = Series("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
-    generator = ResidualGenerator.fitting(surface.model("x"), segment)
-    stream = Stream(generator, surface.surfaces["x"], segment.period_s, rhythm(log.time_s))
+    healthy = healthy_of(surface.surfaces["x"], surface.model("x"))
+    stream = healthy.stream(Pace(segment.period_s, log.time_s[:101], None))
     pieces = []
     for time_s, command_deg, position_deg in zip(log.time_s, log.command_deg, log.position_deg, strict=True):
         stream.command(float(time_s), float(command_deg))
@@ -385,11 +381,9 @@ def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[st
         pieces.append(stream.evaluate())
     pieces.append(stream.evaluate(final=True))
     seen = [piece for piece in pieces if piece is not None]
-    expected = generator.run(segment)
+    expected = healthy.beside(segment)
     residual_deg = np.concatenate([piece.residuals.residual_deg for piece in seen])
     level_deg = np.concatenate([piece.threshold.level_deg for piece in seen])
-    entry = surface.surfaces["x"]
-    threshold = interval_threshold(generator, segment, expected, entry.tolerances, entry.threshold_sigmas)
     assert residual_deg.size == log.time_s.size
-    np.testing.assert_allclose(residual_deg, expected.residual_deg, atol=1e-9)
-    np.testing.assert_allclose(level_deg, threshold.level_deg, rtol=0.05)
+    np.testing.assert_allclose(residual_deg, expected.residuals.residual_deg, atol=1e-9)
+    np.testing.assert_allclose(level_deg, expected.threshold.level_deg, rtol=1e-9)

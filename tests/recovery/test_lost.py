@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from servofd.core.types import FloatArray
-from servofd.detection.residual import rhythm
 from servofd.discrepancy.record import after_lost_commands
+from servofd.estimate.record import rhythm
 
 PERIOD_S, HOLE_S = 0.01, 0.1
 
