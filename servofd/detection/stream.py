@@ -307,7 +307,7 @@ class Stream(Following):
             return
         if self._filled is not self.logged:
             self._fill(time_s, command_deg)
-        elif self.surface.command_period_s is not None and time_s - before_s < 1.0:
+        elif self.surface.command_period_s is not None and time_s - before_s <= self.longest_gap_s:
             pieces = max(round((time_s - before_s) / FINE_S), 1)
             for place in range(1, pieces):
                 share = place / pieces

@@ -272,7 +272,7 @@ class Record:
         beat = rhythm(segment.command_s) if sent_s is None else Rhythm.of_link(sent_s)
         longest_s = gap_s(segment.command_s) if sent_s is None else LONGEST_S
         if segment.command_period_s is not None and sent_s is None:
-            commands = straightened(*commands, segment.command_period_s)
+            commands = straightened(*commands, longest_s)
         elif segment.command_s.size:
             arrived, commands = commands, put_back(*commands, beat, longest_s)
         known = np.isfinite(segment.measured_deg)
@@ -330,14 +330,10 @@ def joined(records: Sequence[Record]) -> Record:
     return replace(records[0], **whole, slope_deg_s=np.concatenate([each.commands[2] for each in moved]))
 
 
-def straightened(
-    command_s: FloatArray, command_deg: FloatArray, period_s: float | None
-) -> tuple[FloatArray, FloatArray]:
-    """Commands as they are; those that were thinned out of a faster stream, on straight lines between."""
-    if period_s is None or command_s.size < 2:
-        return command_s, command_deg
+def straightened(command_s: FloatArray, command_deg: FloatArray, longest_gap_s: float) -> tuple[FloatArray, FloatArray]:
+    """Commands that were thinned out of a faster stream, on straight lines between, but for holes."""
     step_s = np.diff(command_s)
-    pieces = np.where(step_s < 1.0, np.maximum(np.round(step_s / FINE_S), 1.0), 1.0).astype(int)
+    pieces = np.where(step_s <= longest_gap_s, np.maximum(np.round(step_s / FINE_S), 1.0), 1.0).astype(int)
     return subdivided(command_s, command_deg, pieces)
 
 
