@@ -49,7 +49,7 @@ _IN_A_ROW: Final = 3
 """Residuals on one side that make an alarm: a reading may be as old as the interval since the one before it, and so may
 a command, and for as many samples a step of the command contradicts no servo."""
 _TOLERATED: Final = 3.0
-"""Standard deviations of what tolerances leave that a good servo may reach; one tolerance alone reaches the root of 3."""
+"""Standard deviations of what tolerances leave that a good servo may reach; one of them alone reaches the root of 3."""
 _UNIFORM: Final = float(np.sqrt(3.0))
 """A uniform spread within a tolerance has its width over this as standard deviation."""
 _LEAST: Final = 1e-3

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 _LARGEST_GAIN_ERROR = 1e-6
 """Relative error of the filter's dc gain above which too many digits are lost."""
+_FORGOTTEN = 30.0
+"""Time constants after which nothing is left of what the filter held (1e-13 of it): longer steps have no weights."""
 _SAME_STEP_S = 1e-7
 """Steps this close share their weights: a filter changes by less than 1e-5 of its input."""
 
@@ -205,7 +207,10 @@ class FilterMemory(NamedTuple):
         """Memory before the first sample."""
         lags = residual_filter.decay_rad_s.size + 1
         return cls(
-            np.zeros((signals, lags)), np.zeros(lags), np.array([-1.0, 0.0, 0.0]), np.zeros(lags, dtype=np.complex128)
+            np.zeros((signals, lags)),
+            np.zeros(lags),
+            np.array([-1.0, 0.0, -np.inf]),
+            np.zeros(lags, dtype=np.complex128),
         )
 
 
@@ -274,15 +279,16 @@ def _filter(
                 others_deg[r - 1, k] = math.nan
             continue
         step_s, last_s = time_s[k] - last_s, time_s[k]
-        if restart[k] == 0 and abs(step_s - memory.step[0]) > _SAME_STEP_S:
+        begins = restart[k] != 0 or not residual_filter.pole_rad_s * step_s < _FORGOTTEN
+        if not begins and abs(step_s - memory.step[0]) > _SAME_STEP_S:
             _weigh_lags(residual_filter, memory, step_s)
         lag = memory.step[1]
         for r in range(lags.shape[0]):
             value, residual = error_deg[k] if r == 0 else others_deg[r - 1, k], 0.0
-            if restart[k] != 0:
+            if begins:
                 residual = value / residual_filter.dc_gain
             for j in range(lags.shape[1]):
-                if restart[k] == 0:
+                if not begins:
                     value = lag * lags[r, j] + (1.0 - lag) * value
                     residual += memory.weights[j] * value
                 lags[r, j] = value
