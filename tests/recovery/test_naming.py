@@ -25,7 +25,8 @@ def test_a_large_fault_gets_its_name(kind: str) -> None:
     assert abs(one.onset_error_s) < 0.5
     # Nobody is faster than one who knows the fault, the onset and the noise.
     assert one.bound_delay_s(KNOWN_ONSET) <= one.bound_delay_s(UNKNOWN_ONSET) <= one.interval_delay_s
-    assert one.interval_delay_s == one.bank_delay_s <= one.constant_delay_s
+    # Three samples at 100 Hz, some of them lost, make an alarm of the interval threshold; one, of the constant one.
+    assert one.interval_delay_s == one.bank_delay_s <= one.constant_delay_s + 0.05
 
 
 def test_a_healthy_flight_has_no_fault_and_no_delay() -> None:
