@@ -143,8 +143,7 @@ def trial(case: Case) -> Trial:
     settled = residuals.settled
     time_s, size_deg = residuals.time_s[settled], np.abs(residuals.residual_deg[settled])
     level_deg = log.seen.threshold.level_deg[settled]
-    truth, passed = log.flight.truth, log.seen.flight.passed
-    assert passed is not None  # noqa: S101 - of a named servo
+    truth, passed = log.flight.truth, log.seen.flight.shown.passed
     if truth is None:
         found = _found(faults[0]) if faults else None
         return Trial(
@@ -171,8 +170,7 @@ def trial(case: Case) -> Trial:
         found=_found(since[0]) if since else None,
         suspected=doubts[0].kind if doubts else "",
         constant_delay_s=_first(time_s, after & (size_deg >= CONSTANT_DEG)) - truth.start_s,
-        interval_delay_s=_first(time_s, after & (passed[settled] >= 1.0))
-        - truth.start_s,
+        interval_delay_s=_first(time_s, after & (passed[settled] >= 1.0)) - truth.start_s,
         bank_delay_s=since[0].alarm_s - truth.start_s if since else np.inf,
         constant_peak=float(np.max(size_deg[soon], initial=0.0)) / CONSTANT_DEG,
         interval_peak=float(np.max((size_deg / level_deg)[soon], initial=0.0)),

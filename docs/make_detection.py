@@ -129,7 +129,7 @@ A = sum s s' and b = sum s e over a window, whitened by the noise,
 
     z_h = (b_h - A_hn M b_n) / sqrt(I + (delta / rms d)² I² + 1),    M = (A_nn + Sigma^-1)^-1         (D6)
 
-I being the information A_hh - A_hn M A_nh that is left of it, and delta ({changes.MISSED_DEG:g} deg for a named servo) what the model misses of
+I being the information A_hh - A_hn M A_nh that is left of it, and delta ({named.NamedMoving.missed_deg:g} deg for a named servo) what the model misses of
 how a sound servo moves. Windows of {lengths} s end every {changes.GRID_S:g} s. Beside these, the mean of (e / sigma_tot)², what no parameter
 explains of e, and a narrow band from 1 Hz on, over the noise and what a servo that is late would leave there.
 

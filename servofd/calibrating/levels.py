@@ -13,8 +13,9 @@ from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
 from servofd.detection.changes import STATISTICS, exceeded, thresholds_of
-from servofd.detection.named import NamedServo, with_hold
-from servofd.detection.residual import ResidualGenerator, Threshold, noise_deg
+from servofd.detection.faults import watched_segment
+from servofd.detection.named import NamedMoving, with_hold
+from servofd.detection.residual import ResidualGenerator, noise_deg
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -105,26 +106,25 @@ def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     unsure = _MARGIN + _UNSURE / float(np.sqrt(blocks))
     for step in range(_MOST_STEPS):
         tolerance = _scaled(base, _STEP**step)
-        flight, threshold = _under(model, tolerance, segment)
+        flight = _under(model, tolerance, segment)
         if unsure * _nearest(flight) < 1.0:
             break
-    return Drafted(tolerance, round(threshold.typical_deg, 3), flight)
+    return Drafted(tolerance, round(flight.shown.threshold.typical_deg, 3), flight)
 
 
-def _under(model: ServoModel, tolerance: Tolerance, segment: Series) -> tuple[Watched, Threshold]:
-    """A run beside a servo that may differ by so much from its model, and the threshold of its residual."""
+def _under(model: ServoModel, tolerance: Tolerance, segment: Series) -> Watched:
+    """A run beside a servo that may differ by so much from its model."""
     plain = plain_aircraft(["surface"]).surfaces["surface"]
     surface = plain.model_copy(update={"tolerance": tolerance, "threshold": "interval", "persistence": PERSISTENCE})
-    flight, _, threshold = NamedServo.of(surface, model, segment.period_s).beside(segment)
-    return flight, threshold
+    moving = NamedMoving(surface, model, segment.period_s)
+    return watched_segment(moving.known, segment, moving)
 
 
 def _nearest(flight: Watched) -> float:
     """The largest statistic of a run over its threshold."""
     limits = thresholds_of(flight.known)
     by_windows = exceeded(limits, np.zeros(limits.size), flight.tested.statistics[:, : len(STATISTICS)])
-    by_residual = 0.0 if flight.passed is None else float(flight.passed.max(initial=0.0))
-    return max(float(by_windows.max(initial=0.0)), by_residual)
+    return max(float(by_windows.max(initial=0.0)), float(flight.shown.passed.max(initial=0.0)))
 
 
 def _scaled(base: Tolerance, scale: float) -> Tolerance:

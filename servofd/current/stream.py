@@ -164,7 +164,7 @@ class CurrentStream(Following):
             time_s, seen.healthy_a[fresh], seen.series.current_a[fresh], seen.error_a[fresh], seen.usable[fresh],
             np.zeros(sigma_a.size, dtype=np.int8), self._context,
         )  # fmt: skip
-        threshold = Threshold("interval", WITHIN_SIGMAS * sigma_a, sigma_a)
+        threshold = Threshold("interval", WITHIN_SIGMAS * sigma_a, sigma_a, sigma_a)
         raised = np.zeros(time_s.size, dtype=np.int8)
         if worth_s.size and not self.latched:
             raised[min(int(np.searchsorted(time_s, worth_s[0])), time_s.size - 1)] = self.latched = BY_WINDOWS

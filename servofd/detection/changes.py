@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.outages import Outage
     from servofd.estimate.record import Record
+    from servofd.servo.context import Context
 
 GRID_S: Final = 0.25
 """Time between two evaluations of the windows [s]."""
@@ -104,12 +105,10 @@ class Tests(NamedTuple):
     """What the model is known to miss of how a sound servo moves."""
 
     @classmethod
-    def of(
-        cls, noise: Noise, between: FloatArray, period_s: float, *, is_lossy: bool = False, missed_deg: float = 0.0
-    ) -> Tests:
-        """From a calibration: its noise and its covariance between flights (13, 13); lossy: most commands are lost."""
-        noise = noise.at(period_s)
-        scaled = between / np.outer(_UNITS[:FITTED], _UNITS[:FITTED])
+    def of(cls, known: CalibratedServo, period_s: float, *, is_lossy: bool = False, missed_deg: float = 0.0) -> Tests:
+        """From the noise of a healthy servo and its covariance between flights; lossy: most commands are lost."""
+        noise = known.noise.noise.at(period_s)
+        scaled = known.covariance / np.outer(_UNITS[:FITTED], _UNITS[:FITTED])
         first, second = noise.colour
         hz = np.arange(_FIRST_HZ, min(_LAST_HZ, 1.0 / period_s / 3.0) + 1e-9, _SPACING_HZ)
         turn = np.exp(-2j * np.pi * hz * period_s)
@@ -380,34 +379,12 @@ _PLAY_DEG: Final = 2.4
 (66 flights of even seed: 85 % found without it, 92 % with it)."""
 
 
-MISSED_DEG: Final = 0.02
-"""What a model of the library misses of a servo within its tolerances: jitter of the stamps and commands that were lost
-move a drawn servo so much otherwise (rms of chirps to 10 Hz, even seeds of `benchmarks/fleet.py`)."""
-
-
-class OwnMotion(Protocol):
-    """A named servo, which moves as its own model does and not as one of the family."""
-
-    def moved(
-        self,
-        commands: tuple[FloatArray, FloatArray, FloatArray],
-        time_s: FloatArray,
-        start_deg: FloatArray,
-        slopes: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Position at some instants (m,) [deg], and the sensitivities of the family (m, 15) with its own in place."""
-        ...
-
-    def noise_deg(self, error_deg: FloatArray, measured_deg: FloatArray, start_deg: FloatArray) -> FloatArray:
-        """Standard deviation of the position's noise as the flight has shown it until each instant, (m,) [deg]."""
-        ...
-
-
 class OtherMotion(Protocol):
     """Motion of a named servo, with parameters changed."""
 
     def __call__(
         self,
+        record: Record,
         theta: FloatArray,
         rows: slice,
         start_deg: float,
@@ -419,9 +396,89 @@ class OtherMotion(Protocol):
         ...
 
 
+class Moved(NamedTuple):
+    """How a healthy servo moves in a piece of a flight; arrays of shape (m,) unless said."""
+
+    time_s: FloatArray
+    reading_deg: FloatArray
+    slopes: FloatArray
+    """Sensitivities and patterns, shape (m, 15)."""
+    speed_deg_s: FloatArray
+    """Of the servo, and the one that its drive aims at, shape (m, 2)."""
+    start_deg: FloatArray
+    """Where it begins anew; NaN where it goes on."""
+
+
+class Shown(NamedTuple):
+    """What is shown of a piece of a flight."""
+
+    residuals: Residuals
+    threshold: Threshold
+    passed: FloatArray
+    """By how much the residual passes its threshold so often in a row that it is an alarm, from 1 on, shape (m,)."""
+
+
+class Moving:
+    """A healthy servo on its way beside a flight, piece by piece: one of the family."""
+
+    missed_deg = 0.0
+    """What its model is known to miss of how a sound servo moves."""
+    alone = False
+    """Whether the threshold that is shown is the user's, and the only test."""
+    own: OtherMotion | None = None
+    """Its motion with other parameters, where that is not the family's."""
+
+    def __init__(self, known: CalibratedServo, period_s: float) -> None:
+        self.known, self._limit = known, thresholds_of(known)[0]
+        self._table = variants(known.theta)
+        self._state = new_state(self._table.shape[0])
+        self._noise, self._peak = known.noise.noise.at(period_s), np.array([0.0, np.nan])
+
+    def surroundings(self, context: Context) -> None:
+        """Airspeed and supply as far as they are known by now; its own come with each piece."""
+
+    def forget(self, commands: int) -> None:
+        """The oldest commands are no longer held."""
+        self._state.forget(commands)
+
+    def moved(
+        self,
+        commands: tuple[FloatArray, FloatArray, FloatArray],
+        time_s: FloatArray,
+        load: FloatArray,
+        power: FloatArray,
+        start_deg: FloatArray,
+    ) -> Moved:
+        """How it moves at the next instants, shape (m,): see `servofd.estimate.family.simulated`."""
+        position_deg, speed_deg_s = simulated(self._table, self._state, commands, time_s, load, power, start_deg)
+        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, self.known.theta, self.known.reach_deg)
+        return Moved(time_s, reading_deg, slopes, speed_deg_s, start_deg)
+
+    def noise_deg(self, moved: Moved, measured_deg: FloatArray) -> FloatArray:  # noqa: ARG002 - known from good flights
+        """Standard deviation of the noise of the positions (m,), as known at each instant [deg]."""
+        sigma_deg: FloatArray = self._noise.sigma_deg(peaks(moved.speed_deg_s, moved.time_s, self._peak))
+        return sigma_deg
+
+    def shown(
+        self,
+        moved: Moved,
+        measured_deg: FloatArray,
+        judged: BoolArray,
+        tested: Tested,
+        noise_deg: FloatArray,
+    ) -> Shown:
+        """The error of the prediction, and the level that three in a row would have to pass; shape (m,) each."""
+        error_deg, _ = residual(measured_deg, moved.reading_deg, self.known.reach_deg)
+        error_deg = np.where(judged, error_deg, np.nan)
+        anew = np.isfinite(moved.start_deg).astype(np.int8)
+        residuals = Residuals(moved.time_s, moved.reading_deg, measured_deg, error_deg, judged, anew)
+        threshold = Threshold("interval", self._limit * tested.sigma_deg, tested.sigma_deg, noise_deg)
+        return Shown(residuals, threshold, tested.triple / self._limit)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Watched:
-    """A stretch of flight of a calibrated surface; arrays of shape (m,) unless said."""
+    """A stretch of flight of a surface beside its healthy servo; arrays of shape (m,) unless said."""
 
     known: CalibratedServo
     noise: Noise
@@ -436,12 +493,11 @@ class Watched:
     """Of the reading, and of the commands that were lost."""
     tests: Tests
     tested: Tested
-    own: OtherMotion | None = None
-    """Of a named servo, by its own model; None for one of the family."""
-    passed: FloatArray | None = None
-    """Residual over the threshold that is shown, for a named servo; for others three in a row of the tests do."""
-    alone: bool = False
-    """Whether that threshold is the user's, and the only test."""
+    shown: Shown
+    alone: bool
+    """Whether the threshold that is shown is the user's, and the only test."""
+    own: OtherMotion | None
+    """Motion of a named servo with other parameters; None for one of the family."""
 
     @property
     def ends_deg(self) -> tuple[float, float]:
@@ -479,37 +535,28 @@ def exceeded(limits: FloatArray, before: FloatArray, statistics: FloatArray) -> 
 
 
 def watched(
-    known: CalibratedServo, record: Record, own: OwnMotion | None = None, noise_deg: FloatArray | None = None
+    known: CalibratedServo, record: Record, moving: Moving | None = None, noise_deg: FloatArray | None = None
 ) -> Watched:
     """Simulate the healthy servo beside a record, and see what can be judged.
 
-    `own` is the motion of a named servo; `noise_deg` (m,) the noise of the positions and of lost commands, if known.
+    `moving` moves it, as one of the family if left out; `noise_deg` (m,) is the noise of the positions, where a stream
+    has seen more of them than these.
     """
-    theta = known.theta
-    table = variants(theta)
-    position_deg, speed_deg_s = simulated(
-        table, new_state(table.shape[0]), record.commands, record.time_s, record.load, record.power, record.start_deg
-    )
-    reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, known.reach_deg)
-    if own is not None and record.time_s.size:
-        reading_deg, slopes = own.moved(record.commands, record.time_s, record.start_deg, slopes)
-    error_deg, _ = residual(record.measured_deg, reading_deg, known.reach_deg)
+    moving = moving or Moving(known, record.period_s)
+    moved = moving.moved(record.commands, record.time_s, record.load, record.power, record.start_deg)
+    error_deg, _ = residual(record.measured_deg, moved.reading_deg, known.reach_deg)
     usable = record.usable & (record.load <= load_at(known.last_judged_m_s))
-    noise = known.noise.noise.at(record.period_s)
     if noise_deg is None:
-        still_deg = noise.sigma_deg(peaks(speed_deg_s, record.time_s))
-        if own is not None:
-            still_deg = own.noise_deg(error_deg, record.measured_deg, record.start_deg)
-        noise_deg = np.hypot(still_deg, record.unknown_deg(theta))
-    tests = tests_of(known, record.period_s, is_named=own is not None, is_lossy=record.is_lossy)
-    tested = follow(tests, Memory(tests), record.time_s, np.where(usable, error_deg, np.nan), slopes, noise_deg)
-    return Watched(known, noise, record, reading_deg, slopes, usable, noise_deg, tests, tested)
-
-
-def tests_of(known: CalibratedServo, period_s: float, *, is_named: bool, is_lossy: bool) -> Tests:
-    """What the windows need to know of a healthy servo, at the pace of a flight; lossy: most commands are lost."""
-    missed_deg = MISSED_DEG if is_named else 0.0
-    return Tests.of(known.noise.noise, known.covariance, period_s, is_lossy=is_lossy, missed_deg=missed_deg)
+        noise_deg = np.hypot(moving.noise_deg(moved, record.measured_deg), record.unknown_deg(known.theta))
+    tests = Tests.of(known, record.period_s, is_lossy=record.is_lossy, missed_deg=moving.missed_deg)
+    judged_deg = np.where(usable, error_deg, np.nan)
+    tested = follow(tests, Memory(tests), record.time_s, judged_deg, moved.slopes, noise_deg)
+    shown = moving.shown(moved, record.measured_deg, usable, tested, noise_deg)
+    noise = known.noise.noise.at(record.period_s)
+    return Watched(
+        known, noise, record, moved.reading_deg, moved.slopes, usable, noise_deg, tests, tested, shown, moving.alone,
+        moving.own,
+    )  # fmt: skip
 
 
 def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
@@ -557,19 +604,3 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
         "oscillation_deg": (sizes["band"], 8.0),
     }
     return Detectable(**{name: float(f"{size:.2g}") if size <= most else None for name, (size, most) in found.items()})
-
-
-def shown(
-    signals: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    judged: BoolArray,
-    begins: BoolArray,
-    limit: float,
-    sigma_deg: FloatArray,
-) -> tuple[Residuals, Threshold]:
-    """Residual, and the level that three samples in a row would have to pass, for plots and streams; shape (m,) each.
-
-    `signals` are time [s], reading of the healthy servo, position and residual [deg], NaN where it is not judged.
-    """
-    time_s, reading_deg, measured_deg, error_deg = signals
-    residuals = Residuals(time_s, reading_deg, measured_deg, error_deg, judged, begins.astype(np.int8))
-    return residuals, Threshold("interval", limit * sigma_deg, sigma_deg)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
-    from servofd.detection.changes import OwnMotion, Watched
+    from servofd.detection.changes import Moving, Watched
 
 _SETTLING_S: Final = 0.5
 """Time after an alarm before which a window that explains it does not begin [s]."""
@@ -226,8 +226,8 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
     for _ in range(_MOST_FAULTS):
         rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
         tested = follow(flight.tests, Memory(flight.tests), *rows) if begin else flight.tested
-        _, triple, grid_s, statistics = tested
-        passed = triple / limits[0] if flight.passed is None else flight.passed[begin:]
+        _, _, grid_s, statistics = tested
+        passed = flight.shown.passed[begin:]
         if flight.alone:
             grid_s, statistics = grid_s[:0], statistics[:0]
         raised_s, ratio, is_far = _alarm(limits, rows[0], passed, grid_s, statistics[:, : len(STATISTICS)])
@@ -358,8 +358,7 @@ def as_raised(flight: Watched, found: Found, look: Callable[[float, float], Foun
     A residual over its threshold raises one at once, windows with the first look that finds a fault; `look` tells what
     one between two times [s] finds.
     """
-    time_s, raised, over_s = flight.record.time_s, [], -np.inf
-    passed = flight.tested.triple / thresholds_of(flight.known)[0] if flight.passed is None else flight.passed
+    time_s, passed, raised, over_s = flight.record.time_s, flight.shown.passed, [], -np.inf
     for fault in found.faults:
         crossed_s = time_s[(passed >= 1.0) & (time_s >= fault.alarm_s)]
         alarm_s = float(crossed_s[0]) if crossed_s.size else np.inf
@@ -375,9 +374,9 @@ def as_raised(flight: Watched, found: Found, look: Callable[[float, float], Foun
 
 
 def watched_segment(
-    known: CalibratedServo, segment: Series, own: OwnMotion | None = None, noise_deg: FloatArray | None = None
+    known: CalibratedServo, segment: Series, moving: Moving | None = None, noise_deg: FloatArray | None = None
 ) -> Watched:
-    """What the detector needs of a flight; `own` is the motion of a named servo, see `servofd.detection.changes`."""
+    """What the detector needs of a flight; see `servofd.detection.changes.watched`."""
     has_airspeed = segment.context.airspeed_s.size > 0
     record = Record.of(segment, known.supply_v, known.airspeed_m_s)
-    return watched(known if has_airspeed else known.without_airspeed(), record, own, noise_deg)
+    return watched(known if has_airspeed else known.without_airspeed(), record, moving, noise_deg)

@@ -148,7 +148,7 @@ class Window:
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
         if self.own is not None and self.time_s.size:
             start_deg = float(np.nan_to_num(self.start_deg[0]))
-            reading_deg = self.own(theta, self.rows, start_deg, behind=behind, outages=outages)
+            reading_deg = self.own(record, theta, self.rows, start_deg, behind=behind, outages=outages)
         return reading_deg, slopes
 
     def slope(
@@ -160,7 +160,7 @@ class Window:
         other, step = theta.copy(), PRIORS[place].step
         other[place] += step
         start_deg = float(np.nan_to_num(self.start_deg[0]))
-        return ((self.own(other, self.rows, start_deg, behind=behind) - reading_deg) / step)[:, None]
+        return ((self.own(self.record, other, self.rows, start_deg, behind=behind) - reading_deg) / step)[:, None]
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""

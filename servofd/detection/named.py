@@ -8,7 +8,7 @@ passes noise and sensitivities as it passes the error. A level that the user or 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -17,7 +17,8 @@ import numpy as np
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.aircraft.series import Series, pace_steps
-from servofd.detection.faults import SAME_S, Found, judged, watched_segment
+from servofd.detection.changes import Moved, Moving, Shown
+from servofd.detection.faults import SAME_S, Found, judged
 from servofd.detection.outages import Outage, held
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import FilterMemory, ResidualGenerator, Residuals, Threshold, filter_in_place
@@ -32,11 +33,10 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.changes import Watched
+    from servofd.detection.changes import Tested, Watched
     from servofd.detection.faults import Named
     from servofd.detection.verdict import Fault
     from servofd.servo.context import Context
-    from servofd.servo.motion import AnyServo
     from servofd.servo.servo_model import ServoModel
 
 _CHIRP_S, _STEP_S, _CHIRP_DEG, _LAST_HZ = 10.0, 0.01, 10.0, 5.0
@@ -146,45 +146,66 @@ def _rms_deg(model: ServoModel, segment: Series) -> float:
     return float(np.sqrt(np.mean(judged**2))) if judged.size else float("inf")
 
 
-class NamedMotion:
-    """A named servo on its way, piece by piece, and those beside it whose motion gives its sensitivities.
+class NamedMoving(Moving):
+    """A named servo on its way, and those beside it whose motion gives its sensitivities.
 
     These are quicker, slower, and the weakest one that is tolerated.
+
+    Raises
+    ------
+    DesignError
+        If no residual filter suits the servo at this pace.
     """
 
-    def __init__(self, model: ServoModel, tolerance: Tolerance, context: Context = NO_CONTEXT) -> None:
+    missed_deg = 0.02
+    """Jitter of the stamps and commands that were lost move a drawn servo so much otherwise than its model (rms of
+    chirps to 10 Hz, even seeds of `benchmarks/fleet.py`)."""
+
+    def __init__(self, surface: Surface, model: ServoModel, period_s: float, context: Context = NO_CONTEXT) -> None:
+        tolerance = surface.tolerances
+        super().__init__(named_servo(model, tolerance, period_s), period_s)
+        self.generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
+        self.alone = surface.threshold == "constant"
+        self.own = _Moves(model, context, self.known.theta)
+        design = design_pulse_filter(model.transfer, 0.0, period_s, self.generator.pole_rad_s)
+        self.noise_gain = design.noise_gain
         servo = model.servo(context)
         beside = servo, servo.slower(1.0 + _CHANGE), servo.slower(1.0 - _CHANGE), servo.weaker(tolerance.rate)
-        self._delay_s, self._rate = model.delay_s, tolerance.rate
+        self._surface, self._delay_s = surface, model.delay_s
         self._motions = [Motion(each) for each in beside]
         self._received = 0
         """Commands, of those that are held, that have reached the servos."""
         self._last = np.array([np.nan, np.nan])
         """Time of the sample before [s], and where the servo was then [deg]."""
-        self._noise = np.array([np.nan, np.nan, max(tolerance.noise_deg, _SMALLEST_NOISE_DEG), 0.0, np.nan, np.inf])
-        self._tolerated_deg = tolerance.noise_deg
+        self._seen = np.array([np.nan, np.nan, max(tolerance.noise_deg, _SMALLEST_NOISE_DEG), 0.0, np.nan, np.inf])
+        self._filter = self.generator.filter_parameters()
+        self._lags = FilterMemory.of(self._filter, 1 + FITTED)
+        self._root = np.asarray(np.linalg.cholesky(self.known.covariance), dtype=np.float64)
+        self._before = np.zeros(0)
+        """Residual over threshold of the judged samples before, as many as make an alarm together with one more."""
 
     def surroundings(self, context: Context) -> None:
-        """Airspeed and supply, as far as they are known by now."""
+        """Airspeed and supply as far as they are known by now."""
         for motion in self._motions:
             motion.context = context
 
     def forget(self, commands: int) -> None:
         """The oldest commands are no longer held."""
+        super().forget(commands)
         self._received = max(self._received - commands, 0)
 
     def moved(
         self,
         commands: tuple[FloatArray, FloatArray, FloatArray],
         time_s: FloatArray,
+        load: FloatArray,
+        power: FloatArray,
         start_deg: FloatArray,
-        slopes: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Position at the next instants (m,) [deg], and the sensitivities of the family (m, 15) with its own in place.
-
-        Commands (n,) are times, values and slopes of those that are held; the servo begins anew where `start_deg` (m,)
-        is a number.
-        """
+    ) -> Moved:
+        """How it moves at the next instants: as its own model does, with the family's sensitivities beside its own."""
+        moved = super().moved(commands, time_s, load, power, start_deg)
+        if not time_s.size:
+            return moved
         effective_s, command_deg, slope_deg_s = commands[0] + self._delay_s, *commands[1:]
         begins = np.union1d(np.flatnonzero(np.isfinite(start_deg)), [0])
         pieces = []
@@ -200,18 +221,46 @@ class NamedMotion:
         healthy_deg, quick_deg, slow_deg, weak_deg = np.concatenate(pieces, axis=1)
         steps_s, steps_deg = np.diff(np.append(self._last[0], time_s)), np.diff(np.append(self._last[1], healthy_deg))
         self._last[:] = time_s[-1], healthy_deg[-1]
-        own = slopes.copy()
-        own[:, _GAIN] = healthy_deg
-        own[:, _DELAY] = -np.nan_to_num(steps_deg / steps_s)
-        own[:, _BANDWIDTH] = (quick_deg - slow_deg) / (2.0 * _CHANGE)
-        own[:, _RATE] = (healthy_deg - weak_deg) / self._rate if self._rate > 0.0 else 0.0
-        return healthy_deg, own
+        slopes, rate = moved.slopes, self._surface.tolerances.rate
+        slopes[:, _GAIN] = healthy_deg
+        slopes[:, _DELAY] = -np.nan_to_num(steps_deg / steps_s)
+        slopes[:, _BANDWIDTH] = (quick_deg - slow_deg) / (2.0 * _CHANGE)
+        slopes[:, _RATE] = (healthy_deg - weak_deg) / rate if rate > 0.0 else 0.0
+        return moved._replace(reading_deg=healthy_deg)
 
-    def noise_deg(self, error_deg: FloatArray, measured_deg: FloatArray, start_deg: FloatArray) -> FloatArray:
-        """Standard deviation of the position's noise as the flight has shown it until each next instant (m,) [deg]."""
-        out = np.empty(error_deg.size)
-        _follow_noise(error_deg, measured_deg, np.isfinite(start_deg), self._tolerated_deg, self._noise, out)
+    def noise_deg(self, moved: Moved, measured_deg: FloatArray) -> FloatArray:
+        """Standard deviation of the noise of the positions (m,) [deg], as the flight has shown it until then."""
+        out = np.empty(measured_deg.size)
+        error_deg, anew = measured_deg - moved.reading_deg, np.isfinite(moved.start_deg)
+        _follow_noise(error_deg, measured_deg, anew, self._surface.tolerances.noise_deg, self._seen, out)
         return out
+
+    def shown(
+        self,
+        moved: Moved,
+        measured_deg: FloatArray,
+        judged: BoolArray,
+        tested: Tested,  # noqa: ARG002 - the filter has a sigma of its own
+        noise_deg: FloatArray,
+    ) -> Shown:
+        """The residual of the nullspace filter and its threshold, and by how much it passes that so often in a row."""
+        time_s, reading_deg, surface = moved.time_s, moved.reading_deg, self._surface
+        anew = np.isfinite(moved.start_deg).astype(np.int8)
+        residual_deg, passed = measured_deg - reading_deg, np.zeros(time_s.size)
+        others_deg = np.ascontiguousarray(moved.slopes[:, :FITTED].T)
+        filter_in_place(self._filter, self._lags, time_s, residual_deg, anew, others_deg)
+        sigma_deg = self.noise_gain * noise_deg
+        if self.alone:
+            threshold = Threshold("constant", np.full(time_s.size, surface.threshold_deg), sigma_deg, noise_deg)
+        else:
+            tolerated_deg = np.sqrt(((self._root.T @ others_deg) ** 2).sum(axis=0))
+            level_deg = surface.threshold_sigmas * sigma_deg + _TOLERATED * tolerated_deg
+            threshold = Threshold("interval", level_deg, sigma_deg, noise_deg)
+        many = surface.persistence if self.alone else max(surface.persistence, _IN_A_ROW)
+        ratios = np.append(self._before, residual_deg[judged] / threshold.level_deg[judged])
+        passed[judged] = in_a_row(ratios, many)[self._before.size :]
+        self._before = ratios[ratios.size - min(many - 1, ratios.size) :]
+        return Shown(Residuals(time_s, reading_deg, measured_deg, residual_deg, judged, anew), threshold, passed)
 
 
 @compiled
@@ -243,140 +292,17 @@ def _follow_noise(
     kept[0], kept[1], kept[2], kept[3], kept[4], kept[5] = before, before_that, noise, seen, last_deg, resolution
 
 
-class Shown:
-    """The residual of the nullspace filter and its threshold, piece by piece."""
-
-    def __init__(self, servo: NamedServo) -> None:
-        self._servo = servo
-        self._filter = servo.generator.filter_parameters()
-        self._memory = FilterMemory.of(self._filter, 1 + FITTED)
-        self._root = np.asarray(np.linalg.cholesky(servo.known.covariance), dtype=np.float64)
-        self._before = np.zeros(0)
-        """Residual over threshold of the judged samples before, as many as make an alarm together with one more."""
-
-    def take(
-        self,
-        signals: tuple[FloatArray, FloatArray, FloatArray],
-        usable: BoolArray,
-        start_deg: FloatArray,
-        slopes: FloatArray,
-        noise_deg: FloatArray,
-    ) -> tuple[Residuals, Threshold, FloatArray]:
-        """Residual and threshold of the next instants, and by how much the first passes the other so often in a row.
-
-        `signals` are time [s], position of the healthy servo and measured one [deg], (m,) each; `slopes` (m, 15) are
-        sensitivities, `noise_deg` the noise of the positions.
-        """
-        time_s, reading_deg, measured_deg = signals
-        anew = np.isfinite(start_deg).astype(np.int8)
-        residual_deg, passed = measured_deg - reading_deg, np.zeros(time_s.size)
-        others_deg = np.ascontiguousarray(slopes[:, :FITTED].T)
-        filter_in_place(self._filter, self._memory, time_s, residual_deg, anew, others_deg)
-        servo, surface = self._servo, self._servo.surface
-        sigma_deg = servo.noise_gain * noise_deg
-        if servo.is_by_level:
-            threshold = Threshold("constant", np.full(time_s.size, surface.threshold_deg), sigma_deg)
-        else:
-            tolerated_deg = np.sqrt(((self._root.T @ others_deg) ** 2).sum(axis=0))
-            level_deg = surface.threshold_sigmas * sigma_deg + _TOLERATED * tolerated_deg
-            threshold = Threshold("interval", level_deg, sigma_deg)
-        many = surface.persistence if servo.is_by_level else max(surface.persistence, _IN_A_ROW)
-        ratios = np.append(self._before, residual_deg[usable] / threshold.level_deg[usable])
-        passed[usable] = in_a_row(ratios, many)[self._before.size :]
-        self._before = ratios[ratios.size - min(many - 1, ratios.size) :]
-        residuals = Residuals(time_s, reading_deg, measured_deg, residual_deg, usable, anew)
-        return residuals, threshold, passed
-
-
-@dataclass(frozen=True, slots=True)
-class NamedServo:
-    """A named servo, what a good one may differ by, and the filter whose residual is shown of it."""
-
-    model: ServoModel
-    surface: Surface
-    generator: ResidualGenerator
-    known: CalibratedServo
-    noise_gain: float
-    """Of the residual's noise over the position's."""
-
-    @classmethod
-    def of(cls, surface: Surface, model: ServoModel, period_s: float) -> NamedServo:
-        """For positions of a given period [s].
-
-        Raises
-        ------
-        DesignError
-            If no residual filter suits the servo at this pace.
-        """
-        generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
-        design = design_pulse_filter(model.transfer, 0.0, period_s, generator.pole_rad_s)
-        return cls(model, surface, generator, named_servo(model, surface.tolerances, period_s), design.noise_gain)
-
-    @property
-    def is_by_level(self) -> bool:
-        """Whether a level that the user or the file names is the only test of a fault."""
-        return self.surface.threshold == "constant"
-
-    def beside(self, segment: Series, noise_deg: FloatArray | None = None) -> tuple[Watched, Residuals, Threshold]:
-        """What the detector needs of a flight, and what is shown of it.
-
-        `noise_deg` (m,) is the noise of its positions, where a stream has seen more of them than these.
-        """
-        own = NamedMotion(self.model, self.surface.tolerances, segment.context)
-        flight = watched_segment(self.known, segment, own, noise_deg)
-        record = flight.record
-        signals = record.time_s, flight.reading_deg, record.measured_deg
-        shown = Shown(self).take(signals, flight.judged, record.start_deg, flight.slopes, flight.noise_deg)
-        residuals, threshold, passed = shown
-        moves = _Moves(self.model, self.model.servo(segment.context), record, self.known.theta)
-        flight = replace(flight, own=moves, passed=passed, alone=self.is_by_level)
-        return flight, replace(residuals, context=segment.context), threshold
-
-    def found(self, flight: Watched, *, asked: bool = False, names: dict[float, Named] | None = None) -> Found:
-        """Faults and suspicions of a flight; `asked`: the user named the level, which alone counts then.
-
-        Where a level is the only test of a fault, what the windows see beside it is suspect, if the model is known
-        exactly enough to tell, and the user has not asked for that level alone.
-
-        Examples
-        --------
-        >>> from servofd.aircraft.schema import plain_aircraft
-        >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
-        >>> model, time_s = aircraft.model("rudder"), np.arange(0.0, 20.0, 0.02)
-        >>> command_deg = 10.0 * np.sin(2.0 * time_s)
-        >>> jammed_deg = np.where(time_s < 12.0, model.simulate(time_s, command_deg, time_s), 5.0)
-        >>> servo = NamedServo.of(aircraft.surfaces["rudder"], model, 0.02)
-        >>> flight, _, _ = servo.beside(Series("rudder", time_s, command_deg, time_s, jammed_deg))
-        >>> [(fault.kind, round(fault.start_s, 1)) for fault in servo.found(flight).faults]
-        [('stuck', 12.0)]
-        """
-        found = judged(flight, names)
-        if not flight.alone:
-            return found
-        if asked:
-            held = tuple(replace(each, kind="unknown", probability=1.0 - each.probability) for each in found.suspicions)
-            faults = sorted((*found.faults, *held), key=lambda fault: fault.alarm_s)
-            return found._replace(faults=tuple(faults), suspicions=())
-        if not self.surface.tells_small_faults:
-            return found
-        below = judged(replace(flight, alone=False, passed=np.zeros(flight.reading_deg.size)))
-        known = (*found.faults, *found.suspicions)
-        small = (each for each in (*below.faults, *below.suspicions) if not any(_meet(each, other) for other in known))
-        suspicions = (*found.suspicions, *(replace(each, level="suspect") for each in small))
-        return found._replace(suspicions=tuple(sorted(suspicions, key=lambda fault: fault.alarm_s)))
-
-
 class _Moves(NamedTuple):
-    """The named servo in a flight, to be simulated with other parameters."""
+    """A named servo that is simulated with other parameters."""
 
     model: ServoModel
-    servo: AnyServo
-    record: Record
+    context: Context
     theta: FloatArray
     """Parameters of the family that is most like it."""
 
     def __call__(
         self,
+        record: Record,
         theta: FloatArray,
         rows: slice,
         start_deg: float,
@@ -386,7 +312,8 @@ class _Moves(NamedTuple):
     ) -> FloatArray:
         """Where it is at some samples [deg] if its parameters differ by as much as these do, from a position on."""
         apart = dict(zip(NAMES, (theta - self.theta).tolist(), strict=True))
-        physics = self.servo.physics
+        usual = self.model.servo(self.context)
+        physics = usual.physics
         rates = {name: float(np.exp(apart["ln_rate"])) * getattr(physics, name) for name in rate_fields()}
         gain = "gain" if behind else "command_gain"
         physics = physics._replace(
@@ -397,16 +324,54 @@ class _Moves(NamedTuple):
         )
         if apart["friction_deg"]:
             physics = physics._replace(friction_deg=physics.friction_deg + apart["friction_deg"])
-        servo = replace(self.servo, physics=physics).slower(float(np.exp(apart["ln_bandwidth"])))
-        time_s, given = self.record.time_s[rows], self.record.commands
+        servo = replace(usual, physics=physics).slower(float(np.exp(apart["ln_bandwidth"])))
+        time_s, given = record.time_s[rows], record.commands
         span = slice(*np.searchsorted(given[0], (time_s[0] - _LEAD_S, time_s[-1] + _STEP_S)).tolist())
         command_s, command_deg, slope_deg_s = held((given[0][span], given[1][span], given[2][span]), outages)
         if apart["deadband_deg"] > 0.0 and command_deg.size:  # before the servo, whatever its order is
             rest_deg = (start_deg - physics.bias_deg) / (physics.gain * physics.command_gain)
             command_deg, slope_deg_s = play(command_deg, apart["deadband_deg"], rest_deg), 0.0 * slope_deg_s
         late = command_s + self.model.delay_s + apart["delay_s"], command_deg, slope_deg_s
-        starts_deg = np.append(start_deg, self.record.start_deg[rows][1:])
+        starts_deg = np.append(start_deg, record.start_deg[rows][1:])
         return started_anew(servo, late, time_s, np.nan_to_num(starts_deg), np.isfinite(starts_deg))
+
+
+def found_of(
+    flight: Watched, surface: Surface, names: dict[float, Named] | None = None, *, asked: bool = False
+) -> Found:
+    """Faults and suspicions of a flight of a named servo; `asked`: the user named the level, which alone counts then.
+
+    Where a level is the only test of a fault, what the windows see beside it is suspect, if the model is known exactly
+    enough to tell, and the user has not asked for that level alone.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> from servofd.detection.faults import watched_segment
+    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
+    >>> surface, model, time_s = aircraft.surfaces["rudder"], aircraft.model("rudder"), np.arange(0.0, 20.0, 0.02)
+    >>> command_deg = 10.0 * np.sin(2.0 * time_s)
+    >>> jammed_deg = np.where(time_s < 12.0, model.simulate(time_s, command_deg, time_s), 5.0)
+    >>> moving = NamedMoving(surface, model, 0.02)
+    >>> flight = watched_segment(moving.known, Series("rudder", time_s, command_deg, time_s, jammed_deg), moving)
+    >>> [(fault.kind, round(fault.start_s, 1)) for fault in found_of(flight, surface).faults]
+    [('stuck', 12.0)]
+    """
+    found = judged(flight, names)
+    if not flight.alone:
+        return found
+    if asked:
+        held = tuple(replace(each, kind="unknown", probability=1.0 - each.probability) for each in found.suspicions)
+        faults = sorted((*found.faults, *held), key=lambda fault: fault.alarm_s)
+        return found._replace(faults=tuple(faults), suspicions=())
+    if not surface.tells_small_faults:
+        return found
+    silent = flight.shown._replace(passed=np.zeros(flight.reading_deg.size))
+    below = judged(replace(flight, alone=False, shown=silent))
+    known = (*found.faults, *found.suspicions)
+    small = (each for each in (*below.faults, *below.suspicions) if not any(_meet(each, other) for other in known))
+    suspicions = (*found.suspicions, *(replace(each, level="suspect") for each in small))
+    return found._replace(suspicions=tuple(sorted(suspicions, key=lambda fault: fault.alarm_s)))
 
 
 def _meet(one: Fault, other: Fault) -> bool:

@@ -78,7 +78,9 @@ class Threshold:
     kind: ThresholdKind
     level_deg: FloatArray
     sigma_deg: FloatArray
-    """Standard deviation of the residual from noise, as known at each instant."""
+    """Standard deviation of a good servo's residual, as known at each instant: of a named one, from noise alone."""
+    noise_deg: FloatArray
+    """That of the positions from noise, and from commands that were lost."""
 
     @property
     def typical_deg(self) -> float:

@@ -14,11 +14,12 @@ import numpy as np
 
 from servofd.aircraft.series import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOST, sent_period_s
 from servofd.core.errors import ServofdError
-from servofd.detection.changes import detectable, shown, thresholds_of
+from servofd.detection.changes import Moving, detectable
 from servofd.detection.evidence import passing, too_short
 from servofd.detection.faults import as_raised, judged, watched_segment
-from servofd.detection.named import NamedServo, with_hold
+from servofd.detection.named import NamedMoving, found_of, with_hold
 from servofd.detection.probability import Noise
+from servofd.detection.residual import ResidualGenerator
 from servofd.detection.stream import Following, Stream
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import load_at
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from servofd.core.evidence import Detectable
     from servofd.core.types import FloatArray
     from servofd.detection.changes import Watched
-    from servofd.detection.faults import Found
-    from servofd.detection.residual import ResidualGenerator, Residuals, Threshold
+    from servofd.detection.faults import Found, Named
+    from servofd.detection.residual import Residuals, Threshold
     from servofd.servo.servo_model import ServoModel
 
 _LITTLE_KNOWN: Final = 5.0
@@ -58,8 +59,6 @@ class Seen:
     """One surface of a log beside its healthy servo."""
 
     segment: Series
-    residuals: Residuals
-    threshold: Threshold
     flight: Watched
     found: Found
     judged_s: float
@@ -75,6 +74,16 @@ class Seen:
     """What part of the flight its good flights tell nothing of."""
     level: tuple[ResidualGenerator, int] | None = None
     """Filter and persistence, where the level that is shown is the only test."""
+
+    @property
+    def residuals(self) -> Residuals:
+        """What is shown of the flight."""
+        return self.flight.shown.residuals
+
+    @property
+    def threshold(self) -> Threshold:
+        """Threshold of what is shown."""
+        return self.flight.shown.threshold
 
     def detectable(self) -> Detectable:
         """The smallest faults that would have shown."""
@@ -198,23 +207,20 @@ class OfFlights:
 
     def stream(self, pace: Pace) -> Stream:
         """See a stream beside it."""
-        return Stream(self.known, self.surface, pace.period_s, pace.command_s, pace.sent_s)
+
+        def judge(segment: Series, noise_deg: FloatArray, names: dict[float, Named]) -> Found:
+            return judged(watched_segment(self.known, segment, noise_deg=noise_deg), names)
+
+        return Stream(Moving(self.known, pace.period_s), self.surface, *pace, judge)
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
         known, surface = self.known, self.surface
         flight = watched_segment(known, segment)
-        record, rows, judged_s = flight.record, flight.judged, _judged_s(flight)
+        rows, judged_s = flight.judged, _judged_s(flight)
         beyond = _beyond(flight)
         if too_short(judged_s):
             raise TooShortError(beyond or too_short(judged_s))
-        residuals, threshold = shown(
-            (record.time_s, flight.reading_deg, record.measured_deg, flight.error_deg),
-            rows,
-            np.isfinite(record.start_deg),
-            thresholds_of(known)[0],
-            flight.sigma_deg,
-        )
         peak = np.flatnonzero(rows)[np.argmax(np.abs(flight.error_deg[rows]))]
         is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
         where = ", in motion faster than theirs" if is_unknown else ""
@@ -234,9 +240,7 @@ class OfFlights:
             return judged(watched_segment(known, segment.at((time_s >= from_s) & (time_s <= to_s))))
 
         found = as_raised(flight, judged(flight), look)
-        return Seen(
-            segment, residuals, threshold, flight, found, judged_s, like, tuple(notes), doubt=known.doubt, beyond=beyond
-        )
+        return Seen(segment, flight, found, judged_s, like, tuple(notes), doubt=known.doubt, beyond=beyond)
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,15 +274,23 @@ class OfModel:
         DesignError
             If no residual filter suits the servo at this pace.
         """
-        named = NamedServo.of(self.surface, self.model, pace.period_s)
-        return Stream(named.known, self.surface, pace.period_s, pace.command_s, pace.sent_s, named)
+
+        def judge(segment: Series, noise_deg: FloatArray, names: dict[float, Named]) -> Found:
+            return found_of(self._watched(segment, pace.period_s, noise_deg), self.surface, names)
+
+        return Stream(NamedMoving(self.surface, self.model, pace.period_s), self.surface, *pace, judge)
+
+    def _watched(self, segment: Series, period_s: float, noise_deg: FloatArray | None = None) -> Watched:
+        moving = NamedMoving(self.surface, self.model, period_s, segment.context)
+        return watched_segment(moving.known, segment, moving, noise_deg)
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
         surface, model = self.surface, self.model
         segment, notes = with_hold(model, segment)
-        servo = NamedServo.of(surface, model, segment.period_s)
-        flight, residuals, threshold = servo.beside(segment)
+        period_s = segment.period_s
+        flight = self._watched(segment, period_s)
+        residuals, threshold, _ = flight.shown
         rows, judged_s = flight.judged, _judged_s(flight)
         if too_short(judged_s):
             raise TooShortError(too_short(judged_s))
@@ -287,9 +299,9 @@ class OfModel:
 
         def look(from_s: float, to_s: float) -> Found:
             near = segment.at((segment.measured_s >= from_s) & (segment.measured_s <= to_s))
-            return servo.found(servo.beside(near)[0], asked=self.asked)
+            return found_of(self._watched(near, period_s), surface, asked=self.asked)
 
-        found = as_raised(flight, servo.found(flight, asked=self.asked), look)
+        found = as_raised(flight, found_of(flight, surface, asked=self.asked), look)
         notes = (*notes, *_reservations(model, segment, surface))
         level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
         if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
@@ -301,9 +313,10 @@ class OfModel:
             f"followed its command as its servo should, within {{largest}} deg (threshold {level_deg:.2g} deg{passed})"
         )
         against = wiring_problem(residuals) if found.faults or found.suspicions else ""
-        by_level = flight.alone and not surface.tells_small_faults
-        level = (servo.generator, surface.persistence) if by_level else None
-        return Seen(segment, residuals, threshold, flight, found, judged_s, like, notes, against=against, level=level)
+        level = None
+        if flight.alone and not surface.tells_small_faults:
+            level = ResidualGenerator.fitting(model, segment, surface.filter_pole_rad_s), surface.persistence
+        return Seen(segment, flight, found, judged_s, like, notes, against=against, level=level)
 
 
 _LACKING = {

@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.series import Series
-from servofd.detection.changes import STATISTICS, Memory, exceeded, follow, shown, tests_of, thresholds_of
-from servofd.detection.faults import judged, watched_segment
-from servofd.detection.named import NamedMotion, Shown
+from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, thresholds_of
 from servofd.detection.residual import Residuals, Threshold
-from servofd.estimate.family import LONGEST_PAUSE_S, new_state, sensitivities, simulated, variants
-from servofd.estimate.fit import peaks, residual
+from servofd.estimate.family import LONGEST_PAUSE_S
+from servofd.estimate.fit import residual
 from servofd.estimate.record import (
     FINE_S,
     LONGEST_S,
@@ -37,18 +35,19 @@ from servofd.estimate.record import (
 from servofd.servo.context import NO_CONTEXT
 
 if TYPE_CHECKING:
-    from servofd.aircraft.calibrated import CalibratedServo
+    from collections.abc import Callable
+
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray, Marks
+    from servofd.detection.changes import Moving
     from servofd.detection.faults import Found, Named
-    from servofd.detection.named import NamedServo
     from servofd.detection.residual import ThresholdKind
     from servofd.servo.context import Context
 
 _DROPPED = 4
 """One part in so many is dropped when the room is full."""
 _OF_RESIDUALS = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "settled", "restart")
-_OF_LEVELS = ("level_deg", "sigma_deg")
+_OF_LEVELS = ("level_deg", "sigma_deg", "noise_deg")
 
 
 class History:
@@ -217,34 +216,28 @@ class Stream(Following):
     """The position of a surface beside its healthy servo.
 
     `command_s` are the times of the first commands, for their rhythm, and `sent_period_s` what passes between commands
-    as they were sent, where most of them get lost [s]. A servo that is `named` moves as its own model does.
+    as they were sent, where most of them get lost [s]; `judge` finds the faults of what is remembered, of which the
+    noise of the positions is known.
     """
 
     def __init__(
         self,
-        known: CalibratedServo,
+        moving: Moving,
         surface: Surface,
         period_s: float,
         command_s: FloatArray,
-        sent_period_s: float | None = None,
-        named: NamedServo | None = None,
+        sent_period_s: float | None,
+        judge: Callable[[Series, FloatArray, dict[float, Named]], Found],
     ) -> None:
         super().__init__(period_s)
-        self.surface, self._known_servo, self._period_s = surface, known, period_s
+        self.surface, self._moving, self._judge, self._period_s = surface, moving, judge, period_s
         self.longest_gap_s = gap_s(command_s) if sent_period_s is None else LONGEST_S
         self.sent_period_s = sent_period_s
-        self.doubts_wiring = named is not None
-        self._named = named
-        if named is not None:
-            self._motion, self._shown = NamedMotion(named.model, surface.tolerances), Shown(named)
-        self._limits = thresholds_of(known)
-        self._table = variants(known.theta)
-        self._state = new_state(self._table.shape[0])
+        self.doubts_wiring = moving.own is not None
+        self._limits = thresholds_of(moving.known)
         self._context = NO_CONTEXT
         self._begin_tests()
         self._before = np.zeros(len(STATISTICS))
-        self._noise = known.noise.noise.at(period_s)
-        self._peak = np.array([0.0, np.nan])
         fastest_s = FINE_S if surface.command_period_s is not None else FASTEST_COMMANDS_S
         self.logged = CommandBuffer(int(MEMORY_S / fastest_s))
         self.effective = self.logged
@@ -264,16 +257,15 @@ class Stream(Following):
         """Airspeed and supply, as far as they are known by now."""
         began = context.airspeed_s.size > 0 and not self._context.airspeed_s.size
         self._context = context
-        if self._named is not None:
-            self._motion.surroundings(context)
+        self._moving.surroundings(context)
         if began:
             self._begin_tests()
 
     def _begin_tests(self) -> None:
         """Make ready what tests a residual; without airspeed more is unknown."""
-        known = self._known_servo if self._context.airspeed_s.size else self._known_servo.without_airspeed()
-        is_lossy = self.sent_period_s is not None
-        self._tests = tests_of(known, self._period_s, is_named=self._named is not None, is_lossy=is_lossy)
+        known, is_lossy = self._moving.known, self.sent_period_s is not None
+        known = known if self._context.airspeed_s.size else known.without_airspeed()
+        self._tests = Tests.of(known, self._period_s, is_lossy=is_lossy, missed_deg=self._moving.missed_deg)
         self._memory = Memory(self._tests)
 
     def found(self, seen: Remembered, names: dict[float, Named]) -> Found:
@@ -281,10 +273,7 @@ class Stream(Following):
         residuals, threshold, commands = seen
         segment = Series("", commands.effective_s, commands.command_deg, residuals.time_s, residuals.measured_deg)
         segment = replace(segment, sent_period_s=self.sent_period_s, context=residuals.context)
-        if self._named is None:
-            return judged(watched_segment(self._known_servo, segment), names)
-        flight, _, _ = self._named.beside(segment, threshold.sigma_deg / self._named.noise_gain)
-        return self._named.found(flight, names=names)
+        return self._judge(segment, threshold.noise_deg, names)
 
     def evaluate(self, *, final: bool = False) -> Piece | None:
         """Evaluate what can be decided by now; everything if nothing more will come. None if that is nothing.
@@ -323,15 +312,9 @@ class Stream(Following):
     def _add(self, time_s: float, command_deg: float) -> None:
         dropped = self.logged.append(time_s, command_deg, 0.0)
         if self._filled is self.logged:
-            self._forget(dropped)
+            self._moving.forget(dropped)
         else:
             self._unknown[0] = max(self._unknown[0] - dropped, 0.0)
-
-    def _forget(self, commands: int) -> None:
-        """The oldest commands are no longer held."""
-        self._state.forget(commands)
-        if self._named is not None:
-            self._motion.forget(commands)
 
     def _fill(self, time_s: float, command_deg: float) -> None:
         """Commands that were lost before this one, and it."""
@@ -342,44 +325,30 @@ class Stream(Following):
             filled = list(zip(*(column[1:].tolist() for column in both), strict=True))
         for at_s, asked_deg in filled:
             dropped = self._filled.append(at_s, asked_deg, 0.0)
-            self._forget(dropped)
+            self._moving.forget(dropped)
 
     def _judged(self, ready: FloatArray) -> Piece:
         """Residual, threshold and alarms of positions (2, n) whose commands are known."""
-        known = self._known_servo
+        known, moving = self._moving.known, self._moving
         start_deg, usable = self._starts(ready)
         time_s, measured_deg = ready
-        load = loads(self._context, time_s, known.airspeed_m_s)
+        load, power = loads(self._context, time_s, known.airspeed_m_s), powers(self._context, time_s, known.supply_v)
         usable = usable & (load <= load_at(known.last_judged_m_s))
         held = self._filled.commands()
-        commands = held.effective_s, held.command_deg, held.slope_deg_s
-        power = powers(self._context, time_s, known.supply_v)
-        position_deg, speed_deg_s = simulated(self._table, self._state, commands, time_s, load, power, start_deg)
-        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, known.theta, known.reach_deg)
-        if self._named is not None:
-            reading_deg, slopes = self._motion.moved(commands, time_s, start_deg, slopes)
-        error_deg, _ = residual(measured_deg, reading_deg, known.reach_deg)
-        if self._named is None:
-            noise_deg = self._noise.sigma_deg(peaks(speed_deg_s, time_s, self._peak))
-        else:
-            noise_deg = self._motion.noise_deg(error_deg, measured_deg, start_deg)
+        moved = moving.moved((held.effective_s, held.command_deg, held.slope_deg_s), time_s, load, power, start_deg)
+        noise_deg = moving.noise_deg(moved, measured_deg)
         if self._filled is not self.logged:
             arrived = self.logged.commands()
             asked = arrived.effective_s, arrived.command_deg
             lost_deg = unknown_deg(asked, self._beat, known.theta, time_s, self._unknown, self.longest_gap_s)
             noise_deg = np.hypot(noise_deg, lost_deg)
-        error_deg = np.where(usable, error_deg, np.nan)
-        sigma_deg, triple, grid_s, table = follow(self._tests, self._memory, time_s, error_deg, slopes, noise_deg)
-        if self._named is None:
-            errors = time_s, reading_deg, measured_deg, error_deg
-            residuals, threshold = shown(errors, usable, np.isfinite(start_deg), self._limits[0], sigma_deg)
-            passed = triple / self._limits[0]
-        else:
-            moved = time_s, reading_deg, measured_deg
-            residuals, threshold, passed = self._shown.take(moved, usable, start_deg, slopes, noise_deg)
-            if self._named.is_by_level:
-                grid_s, table = grid_s[:0], table[:0]
-        raised = self._alarms(time_s, passed, grid_s, table[:, : len(STATISTICS)])
+        error_deg, _ = residual(measured_deg, moved.reading_deg, known.reach_deg)
+        judged_deg = np.where(usable, error_deg, np.nan)
+        tested = follow(self._tests, self._memory, time_s, judged_deg, moved.slopes, noise_deg)
+        residuals, threshold, passed = moving.shown(moved, measured_deg, usable, tested, noise_deg)
+        count = 0 if moving.alone else len(tested.statistics)
+        statistics = tested.statistics[:count, : len(STATISTICS)]
+        raised = self._alarms(time_s, passed, tested.grid_s[:count], statistics)
         self.history.append(History.packed(residuals, threshold))
         return Piece(residuals, threshold, raised)
 

@@ -61,10 +61,16 @@ def keep_windows() -> None:
     """Compile the tests of the detector's windows."""
     import numpy as np
 
-    from servofd.aircraft.noise import Noise
-    from servofd.aircraft.priors import FITTED
+    from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
+    from servofd.aircraft.priors import FITTED, PRIORS
     from servofd.detection.changes import Memory, Tests, follow
     from servofd.estimate.family import PATTERNS
 
-    tests = Tests.of(Noise(0.1, 0.0, (0.0, 0.0), 1.0, 0.02), np.eye(FITTED), 0.02)
+    usual = CalibratedServo(
+        parameters={prior.name: prior.value for prior in PRIORS},
+        between=lower_triangle(np.eye(FITTED)),
+        noise=CalibratedNoise(still_deg=0.1, lag_s=0.0, colour=(0.0, 0.0), innovation=1.0, period_s=0.02),
+        reach_deg=(-20.0, 20.0),
+    )
+    tests = Tests.of(usual, 0.02)
     follow(tests, Memory(tests), np.zeros(1), np.zeros(1), np.zeros((1, FITTED + len(PATTERNS))), np.ones(1))

@@ -267,7 +267,7 @@ def _moved_deg(flight: Watched, theta: FloatArray, rows: slice) -> FloatArray:
     """Reading of the healthy servo with other parameters at some samples [deg]."""
     record = flight.record
     if flight.own is not None:
-        return flight.own(theta, rows, float(record.measured_deg[rows][0]))
+        return flight.own(record, theta, rows, float(record.measured_deg[rows][0]))
     part = replace(
         record, time_s=record.time_s[rows], load=record.load[rows], power=record.power[rows],
         start_deg=np.append(record.measured_deg[rows][:1], record.start_deg[rows][1:]),

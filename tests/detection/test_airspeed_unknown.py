@@ -15,7 +15,7 @@ from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.detection.audit import audit_segment
 from servofd.detection.flights import Flight
-from servofd.detection.stream import Stream
+from servofd.detection.seen import Pace, healthy_of
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ def levels_deg(aircraft: Aircraft, segment: Series, parts: list[tuple[float, Con
     surface = aircraft.surfaces["x"]
     assert surface.calibrated is not None
     assert surface.measured is not None
-    stream = Stream(surface.calibrated, surface, segment.period_s, segment.command_s[:101])
+    pace = Pace(segment.period_s, segment.command_s[:101], None)
+    stream = healthy_of(surface, aircraft.model("x")).stream(pace)
     ends_s = [begin_s for begin_s, _ in parts[1:]] + [np.inf]
     found = []
     for (begin_s, context), end_s in zip(parts, ends_s, strict=True):

@@ -13,7 +13,7 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series, link_period_s, sent_period_s
 from servofd.detection.changes import watched
 from servofd.detection.faults import judged
-from servofd.detection.stream import Stream
+from servofd.detection.seen import Pace, healthy_of
 from servofd.estimate.family import new_state, simulated, variants
 from servofd.estimate.record import LONGEST_S, Record, Rhythm, new_memory, put_back, unknown_deg
 
@@ -127,8 +127,10 @@ def test_good_flights_have_no_alarm_and_jams_are_found() -> None:
 def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     segment = flown(3, duration_s=40.0)
     whole = watched(KNOWN, Record.of(segment))
-    surface = plain_aircraft(["x"], "s9254").surfaces["x"]
-    stream = Stream(KNOWN, surface, segment.period_s, segment.command_s[:101], segment.sent_period_s)
+    aircraft = plain_aircraft(["x"], "s9254")
+    surface = aircraft.surfaces["x"].model_copy(update={"calibrated": KNOWN})
+    pace = Pace(segment.period_s, segment.command_s[:101], segment.sent_period_s)
+    stream = healthy_of(surface, aircraft.model("x")).stream(pace)
     pieces = []
     events = [(t, 0, v) for t, v in zip(segment.command_s, segment.command_deg, strict=True)]
     events += [(t, 1, v) for t, v in zip(segment.measured_s, segment.measured_deg, strict=True)]
