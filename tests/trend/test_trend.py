@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from intervals import rows
 
 from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
 from servofd.aircraft.series import Series
@@ -21,7 +22,6 @@ from servofd.servo.loops import play
 from servofd.simulation.flight import simulate_flight
 from servofd.wear.estimate import FlightEstimate, estimate_flight
 from servofd.wear.trend import FlownLog, in_order, trend_document, trend_logs, trend_of
-from intervals import rows
 from trend_fleets import crossing_at, healthy_fleet, widths_trend
 
 if TYPE_CHECKING:
