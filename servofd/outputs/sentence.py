@@ -336,9 +336,8 @@ def other_way_round(surface: SurfaceAudit) -> str:
     return ""
 
 
-_DAY_S = 86400
-SINCE_1970_S = 1e8
-"""Stamps from here on, three years, count from 1970: no aircraft is powered for so long [s]."""
+_DAY_S, _SINCE_1970_S = 86400, 1e8
+"""A day [s]; and stamps from here on, three years, count from 1970, for no aircraft is powered for so long [s]."""
 
 
 def clock(time_s: float) -> str:
@@ -349,7 +348,7 @@ def clock(time_s: float) -> str:
     >>> clock(5.01), clock(3725.0), clock(-2.0), clock(1.7e9)
     ('0:05', '1:02:05', '-0:02', '22:13:20 UTC')
     """
-    of_day = time_s >= SINCE_1970_S
+    of_day = time_s >= _SINCE_1970_S
     seconds = round(abs(time_s)) % _DAY_S if of_day else round(abs(time_s))
     hours, minutes, rest = seconds // 3600, seconds // 60 % 60, seconds % 60
     text = f"{hours}:{minutes:02d}:{rest:02d}" if hours or of_day else f"{minutes}:{rest:02d}"

@@ -12,6 +12,7 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
 from servofd.cli.terminal import check_targets, print_document, print_table
 from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, meaning, next_step
+from servofd.feedback.flown import one_log
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.sentence import answers, sentence
 
@@ -172,7 +173,7 @@ def test_the_gravest_fault_heads_and_every_other_one_comes_with_what_to_do() -> 
     jam = Fault("stuck", 20.0, 20.4, 28.0, {}, 0.9, ("bias",))
     rudder = SurfaceAudit("rudder", "fault", "", "s9254", "constant", 1.5, True, faults=(slow, play, jam))
     assert sentence([rudder]) == "RUDDER JAMMED at 0:20. Do not fly."
-    log = LogAudit(servofd.load(STUCK), plain_aircraft(["rudder"], "s9254"), (rudder,))
+    log = LogAudit(one_log(STUCK), plain_aircraft(["rudder"], "s9254"), (rudder,))
     (line,) = answers(log)
     assert line.startswith("Rudder: on the ground, move it from stop to stop and feel for binding;")
     first, second = line.partition(" It also ")[2].split("; ")
