@@ -306,9 +306,44 @@ def meaning(fault: Fault) -> str:
     return KINDS[(fault.confirmed_by or fault).kind].meaning
 
 
+def check(fault: Fault) -> str:
+    """What to do about it on the ground."""
+    return KINDS[(fault.confirmed_by or fault).kind].check
+
+
+_LIKELIER_THAN_NOT = 0.5
+"""A name of a smaller probability is less likely than all others together."""
+
+
 def gravest(faults: Sequence[Fault]) -> Fault:
-    """The first fault that lasts to the end of the log; the first of all if every one has passed."""
-    return next((fault for fault in faults if fault.end_s is None), faults[0])
+    """The fault that may do most to the aircraft, in the order of `servofd.detection.kinds.KINDS`.
+
+    A fault whose name is less likely than all others together comes after those whose names are not. Of two of one
+    kind, one that lasts comes first, then the likelier one, then the earlier one.
+
+    Examples
+    --------
+    >>> play = Fault("deadband", 5.0, 6.0, None, {}, 0.99, ())
+    >>> jam, guess = (Fault("stuck", 20.0, 20.4, 28.0, {}, probability, ()) for probability in (0.9, 0.3))
+    >>> gravest([play, jam]).kind, gravest([play, guess]).kind
+    ('stuck', 'deadband')
+    """
+    return by_gravity(faults)[0]
+
+
+def by_gravity(faults: Sequence[Fault]) -> list[Fault]:
+    """Faults in that order."""
+    order = list(KINDS)
+    return sorted(
+        faults,
+        key=lambda one: (
+            one.probability < _LIKELIER_THAN_NOT,
+            order.index(one.kind),
+            one.end_s is not None,
+            -one.probability,
+            one.start_s,
+        ),
+    )
 
 
 def next_step(surface: SurfaceAudit) -> str:
@@ -317,11 +352,11 @@ def next_step(surface: SurfaceAudit) -> str:
         worst = gravest(surface.faults)
         by_position = worst.witness == "position" and worst.confirmed_by is None
         sensor = "; if it moves as asked, its position sensor is at fault" if by_position else ""
-        return f"do not fly; on the ground, {KINDS[(worst.confirmed_by or worst).kind].check}{sensor}"
+        return f"do not fly; on the ground, {check(worst)}{sensor}"
     if surface.status == "suspect":
-        check = KINDS[gravest(surface.suspicions).kind if surface.suspicions else "unknown"].check
+        look = check(gravest(surface.suspicions)) if surface.suspicions else KINDS["unknown"].check
         return (
-            f"look at another flight; if it happens again, on the ground, {check}; 'servofd explain' says what the "
+            f"look at another flight; if it happens again, on the ground, {look}; 'servofd explain' says what the "
             "model lacks"
         )
     if surface.status == "unknown":

@@ -100,6 +100,8 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     faulty, known = sum(log.status == "fault" for log in logs), {log.status for log in logs}
     suspect = sum(log.status == "suspect" for log in logs)
     others = f"; {suspect} {'is' if suspect == 1 else 'are'} suspect" if suspect else ""
+    dark = sum(log.status in ("unknown", "no_data") for log in logs)
+    others += f"; no verdict on {dark}" if dark else ""
     index = [
         (Cell(log.title, link=f"#log-{k}"), Cell(status=log.status), log.sentence) for k, log in enumerate(logs, 1)
     ]
@@ -196,6 +198,7 @@ def _log(audit: LogAudit) -> Document:
         for damage in log.damage_summary
     ]
     entries = diary(log)
+    is_drawn = audit.axes or any(s.residuals is not None or s.current is not None for s in audit.surfaces)
     return Document(
         title=log.source.name + (f", run {log.run}" if log.run else ""),
         status=worst((*audit.surfaces, *audit.axes)),
@@ -212,7 +215,7 @@ def _log(audit: LogAudit) -> Document:
                 if entries
                 else []
             ),
-            Lanes(lambda: beside(log)),
+            *([Lanes(lambda: beside(log))] if is_drawn else []),
         ],
         log=log.source.name,
     )

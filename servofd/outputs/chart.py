@@ -174,7 +174,7 @@ class Chart:
             step_s = next((step for step in _TIME_STEPS_S if span / step <= _MOST_TIME_TICKS), span)
             first, last = math.ceil(self.first / step_s - 1e-9), math.floor(self.last / step_s + 1e-9)
             times_s = [k * step_s for k in range(first, last + 1)]
-            shown = [(x, clock(x) if step_s >= 1 else f"{x:.1f} s") for x in times_s]
+            shown = [(x, clock(x).removesuffix(" UTC") if step_s >= 1 else f"{x:.1f} s") for x in times_s]
         return [(100.0 * float(self._share(x)), text) for x, text in shown]
 
     @property

@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from servofd.detection.kinds import KINDS, filled
-from servofd.detection.verdict import gravest, next_step
+from servofd.detection.verdict import by_gravity, check, gravest, next_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -102,7 +102,8 @@ def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> s
 
 def gravity(surface: SurfaceAudit) -> int:
     """Place of a surface among others, by what its faults or suspicions may do to the aircraft; the worst is first."""
-    return gravity_of(fault.kind for fault in surface.faults or surface.suspicions)
+    found = surface.faults or surface.suspicions
+    return gravity_of([gravest(found).kind] if found else [])
 
 
 def gravity_of(kinds: Iterable[str]) -> int:
@@ -148,8 +149,7 @@ def answers(audit: LogAudit) -> list[str]:
     for surface in surfaces:
         if surface.status in ("fault", "suspect"):
             step = next_step(surface).removeprefix("do not fly; ")
-            more = [_what(fault) for fault in surface.faults if fault is not gravest(surface.faults)]
-            also = f" It also {'; '.join(map(_calmly, more))}." if more else ""
+            also = _also(surface)
             either = other_way_round(surface)
             note = f" {either[:1].upper()}{either[1:]}." if either else ""
             lines.append(f"{spoken(surface.surface).capitalize()}: {step}.{also}{note}")
@@ -163,6 +163,16 @@ def answers(audit: LogAudit) -> list[str]:
     return lines
 
 
+def _also(surface: SurfaceAudit) -> str:
+    """What else a surface did, the worst first, and what to do about each; what to do is said once."""
+    said, parts = {check(fault) for fault in by_gravity(surface.faults)[:1]}, []
+    for fault in by_gravity(surface.faults)[1:]:
+        what = _calmly(_what(fault))
+        parts.append(what if check(fault) in said else f"{what}: {check(fault)}")
+        said.add(check(fault))
+    return f" It also {'; '.join(parts)}." if parts else ""
+
+
 def _calmly(what: str) -> str:
     """What a fault does, without capitals.
 
@@ -172,7 +182,7 @@ def _calmly(what: str) -> str:
     ('was too slow since 0:05', 'jammed at 0:30 (+0.5 deg)')
     """
     words = what.split(" ")
-    plain = " ".join(word.lower() if word.isupper() else word for word in words)
+    plain = " ".join(word.lower() if word.isupper() and word != "UTC" else word for word in words)
     return f"was {plain}" if words[0] in _STATES else plain
 
 
@@ -326,17 +336,24 @@ def other_way_round(surface: SurfaceAudit) -> str:
     return ""
 
 
+_DAY_S, _SINCE_1970_S = 86400, 1e8
+"""A day [s]; and stamps from here on, three years, count from 1970, for no aircraft is powered for so long [s]."""
+
+
 def clock(time_s: float) -> str:
-    """A time of the log as its minutes and seconds.
+    """A time of the log as its minutes and seconds; as the time of day where stamps count from 1970.
 
     Examples
     --------
-    >>> clock(5.01), clock(3725.0), clock(-2.0)
-    ('0:05', '1:02:05', '-0:02')
+    >>> clock(5.01), clock(3725.0), clock(-2.0), clock(1.7e9)
+    ('0:05', '1:02:05', '-0:02', '22:13:20 UTC')
     """
-    seconds = round(abs(time_s))
+    of_day = time_s >= _SINCE_1970_S
+    seconds = round(abs(time_s)) % _DAY_S if of_day else round(abs(time_s))
     hours, minutes, rest = seconds // 3600, seconds // 60 % 60, seconds % 60
-    text = f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    text = f"{hours}:{minutes:02d}:{rest:02d}" if hours or of_day else f"{minutes}:{rest:02d}"
+    if of_day:
+        return f"{text} UTC"
     return f"-{text}" if time_s <= -0.5 else text
 
 

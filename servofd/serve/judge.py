@@ -154,7 +154,10 @@ def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) ->
 
 
 def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], sentence: str, job: Job) -> Summary:
-    """Of several runs the worst; of a log that could not be judged the sentence of its page."""
+    """Of several runs the status of the worst and the sentence of the page; of one log its own.
+
+    Of a log that could not be judged it is that of its page as well.
+    """
     judged = [
         (LEAST_CLEARED.index(worst((*result.surfaces, *result.axes))), result, document)
         for result, document in zip(results, documents, strict=True)
@@ -172,8 +175,8 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
     name, outline = worst_outline(document)
     return Summary(
         worst((*shown.surfaces, *shown.axes)),
-        whole_sentence(shown),
-        document["duration_s"],
+        whole_sentence(shown) if len(results) == 1 else sentence,
+        sum(one["duration_s"] or 0.0 for one in documents),
         document["start_utc"],
         name,
         tuple(outline),

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 import servofd
+from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
 from servofd.cli.terminal import check_targets, print_document, print_table
 from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, meaning, next_step
+from servofd.feedback.flown import one_log
 from servofd.outputs.audit_report import audit_report
-from servofd.outputs.sentence import sentence
+from servofd.outputs.sentence import answers, sentence
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 STUCK = str(SAMPLES / "faser_stuck_flight.mat")
@@ -162,3 +164,20 @@ def test_what_rests_on_a_fitted_zero_says_so(capsys: pytest.CaptureFixture[str],
     assert told in (tmp_path / "fitted.html").read_text()
     main(["audit", str(log), "--surface", "rudder", "--servo", "hs225bb-eq31"])
     assert "was fitted" not in capsys.readouterr().out
+
+
+def test_the_gravest_fault_heads_and_every_other_one_comes_with_what_to_do() -> None:
+    """Whatever began first or lasts: a jam that passed is worse than play that stays, and a mere guess comes last."""
+    slow = Fault("slow", 3.0, 3.5, None, {}, 0.3, ("bias", "deadband"))
+    play = Fault("deadband", 5.0, 6.0, None, {}, 0.99, ())
+    jam = Fault("stuck", 20.0, 20.4, 28.0, {}, 0.9, ("bias",))
+    rudder = SurfaceAudit("rudder", "fault", "", "s9254", "constant", 1.5, True, faults=(slow, play, jam))
+    assert sentence([rudder]) == "RUDDER JAMMED at 0:20. Do not fly."
+    log = LogAudit(one_log(STUCK), plain_aircraft(["rudder"], "s9254"), (rudder,))
+    (line,) = answers(log)
+    assert line.startswith("Rudder: on the ground, move it from stop to stop and feel for binding;")
+    first, second = line.partition(" It also ")[2].split("; ")
+    assert (
+        first == "ignores small commands since 0:05: move it in steps of 0.5 deg and look for steps it does not follow"
+    )
+    assert second.startswith("was too slow since 0:03: measure the supply")

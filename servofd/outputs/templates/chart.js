@@ -9,9 +9,9 @@ for (const chart of document.querySelectorAll(".chart")) {
   const modes = ofTime && beside.modes || [], said = ofTime && beside.said || [], band = document.createElement("div");
   let from = first, to = last, begun = null, at = null;
   const clock = (t, fine) => {
-    const s = Math.abs(t), h = Math.floor(s / 3600), m = Math.floor(s / 60) % 60, r = s - 3600 * h - 60 * m;
+    const ofDay = t >= 1e8, s = ofDay ? t % 86400 : Math.abs(t), h = Math.floor(s / 3600), m = Math.floor(s / 60) % 60, r = s - 3600 * h - 60 * m;
     const rest = (r < 9.995 ? "0" : "") + r.toFixed(fine ? 2 : 0);
-    return (t < 0 ? "-" : "") + (h ? h + ":" + String(m).padStart(2, "0") : m) + ":" + rest;
+    return (t < 0 ? "-" : "") + (h || ofDay ? h + ":" + String(m).padStart(2, "0") : m) + ":" + rest;
   };
   const named = t => ofTime ? clock(t, true) : `${axis} ${+(log === undefined ? t : 10 ** t).toPrecision(4)}`;
   // Ends of what a plot draws: a lane has its own.
