@@ -304,7 +304,8 @@ def _repeats(rows: Rows, why: Marks) -> int:
     waits = bool(clear.size > 1 and clear[-2] and firsts[-1] == size - 1)  # for the row after the jump
     entered_deg = np.where(np.isfinite(moved_deg[firsts]), moved_deg[firsts], 0.0)
     steps_apart = _STEPS * np.minimum(np.nan_to_num(left_deg), entered_deg) / least_deg
-    sure = clear & ((lasts - firsts) * np.log1p(steps_apart) >= _NO_CHANCE)  # whatever was asked meanwhile
+    chance = (lasts - firsts) * np.log1p(steps_apart)
+    sure = clear & (chance >= _NO_CHANCE)  # whatever was asked meanwhile
     sure[sure] = _is_inside(rows.position_deg[firsts], np.flatnonzero(sure), least_deg[sure])
     clear[clear] = _is_clear(rows, firsts, lasts, np.flatnonzero(clear)) | sure[clear]
     span_s = age_s[lasts]
@@ -313,11 +314,13 @@ def _repeats(rows: Rows, why: Marks) -> int:
     asked_deg = rows.asked_deg[np.stack([before, firsts, answered])]  # a servo may still follow what came before
     asked = np.ptp(asked_deg, axis=0) >= ASKED_DEG
     silent = over & (rows.other[lasts] == 0)
-    again = (clear | silent) & (span_s < DUPLICATE_S - TINY_DEG)
-    late = (sure | (clear & asked & (left_deg >= ASKED_DEG))) & ~again
-    held = np.append(0, np.cumsum(late | (again & clear)))
+    short = span_s < DUPLICATE_S - TINY_DEG
+    late = sure | (clear & (short | (asked & (left_deg >= ASKED_DEG))))
+    held = np.append(0, np.cumsum(late))
     lately = held[:-1] - held[np.searchsorted(time_s[lasts], time_s[firsts] - _HOLDS_S)]
-    late |= (lately >= _KNOWN_TO_HOLD) & over & early[lasts] & ~again
+    ways = np.sign(np.diff(rows.position_deg[firsts], prepend=np.nan, append=np.nan))
+    late |= (lately >= _KNOWN_TO_HOLD) & over & early[lasts] & (ways[1:] == ways[:-1]) & (chance >= _LITTLE_CHANCE)
+    again, late = (late | silent) & short, late & ~short
     why[same & again[run]] = Why.DUPLICATE
     why[same & late[run]] = Why.HELD
     if rows.refresh_s > 0.0:
@@ -381,13 +384,13 @@ def _is_inside(fresh_deg: FloatArray, which: IntArray, least_deg: FloatArray) ->
 _ROUGHER, _MUCH_ROUGHER, _STEP_S = 1.5, 4.0, 1e-4
 """How many times as much the speed changes with the repeats as without them: of a servo that sets out from rest not at
 all, of one in steady motion at least four times as much. No two rows are closer than the last [s]."""
-_NO_CHANCE: Final = 4.0
-"""Minus the logarithm of the chance that readings repeat bit for bit amid motion by many of their steps: 2 %. On eight
-aircraft of even seed (`benchmarks/telemetry.py`) a tenth more of the held rows are marked by it, and .3 % of sound rows
-instead of .2."""
+_NO_CHANCE, _LITTLE_CHANCE = 4.0, 1.4
+"""Minus the logarithms of the chance that readings repeat bit for bit amid motion by many of their steps: 2 %, and 25 %
+where a telemetry is known to hold values and the motion goes on as it came. On eight aircraft of even seed and their
+holds (`benchmarks/telemetry.py`) half of the held rows are not marked, in slow motion, and three quarters without; of
+sound rows .6 % are, and .4 %."""
 _KNOWN_TO_HOLD, _HOLDS_S = 2, 1.5
-"""So many values that were surely held within so long [s], and every repeat after them is no news: of those held rows
-40 to 45 % stay, by the few steps that slow motion takes (70 to 74 % without both), and 1 % of sound rows go."""
+"""So many values that were surely held within so long [s] before make it known."""
 _STEADIEST, _CLEAR = 25.0, 8.0
 """Percentile of those second differences, and how many times as far a reading jumps that was old: by six standard
 deviations of white noise."""
