@@ -1,6 +1,6 @@
 """Alarms of healthy and of faulty flights over links that lose 0 to 60 % of their frames, at random and in bursts.
 
-Strangers' aircraft (`benchmarks/strangers.py`) fly with commands and positions at 5, 10, 20 and 40 Hz. Each is calibrated
+Strangers' aircraft (`benchmarks/strangers.py`) fly with commands and positions at 5 to 40 Hz. Each is calibrated
 on a clean log of its link and then replayed as a worse link would have brought it: frames are lost, late by up to
 50 ms, and one in twenty changes places with its neighbour. A healthy flight may raise no alarm. A fault is found, or
 the monitor has said that the link is too poor to judge that surface::
