@@ -1,13 +1,15 @@
 """What the script on board costs: instructions of Lua's machine in its longest call, and memory.
 
-``python benchmarks/onboard.py [LUA]``: real Lua 5.3 runs scripts of one to twelve surfaces through eight seconds of
+``python benchmarks/onboard.py [SOURCES]``: real Lua 5.3 runs scripts of one to twelve surfaces through eight seconds of
 sticks at their ends, one servo jammed, in which glitches are sorted out. ArduPilot gives a call 10 000 instructions and
-a script what is left of SCR_HEAP_SIZE. Its Lua has numbers and pointers of 32 bits: LUA is an interpreter built so
-(``gcc -m32 -DLUA_32BITS`` of the sources of Lua 5.3), by which the heap is measured; lupa's, without one, has 64 bits.
+a script what is left of SCR_HEAP_SIZE. Its Lua has numbers and pointers of 32 bits: with the SOURCES of Lua 5.3, in a
+folder, the least heap is told with which such a one starts the script (``onboard_heap.c``, built by ``gcc -m32``);
+without, what lupa's Lua of 64 bits holds in flight.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -19,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from servofd.aircraft.schema import Aircraft
 from servofd.onboard.plan import plan_onboard
 from servofd.onboard.script import watch_script
-from tests.onboard.autopilot import Flight, fly, heap_kb
+from tests.onboard.autopilot import Flight, fly
 
 LIMITED = 250.0
 SERVOS: dict[str, dict[str, object]] = {
@@ -30,12 +32,12 @@ SERVOS: dict[str, dict[str, object]] = {
 
 
 def aircraft(count: int, servo: dict[str, object], *, limited: bool) -> Aircraft:
-    """So many surfaces of one servo, calibrated."""
+    """So many surfaces, each with a servo of its own that hardly differs, calibrated."""
     surfaces = {
         f"surface_{k}": {
-            "servo": "it",
+            "servo": f"it_{k}",
             "threshold": "interval",
-            "tolerance": {"noise_deg": 0.1},
+            "tolerance": {"noise_deg": 0.1 + 0.01 * k},
             "command": {"channel": f"RCOU.C{k}", "unit": "us", "slope_deg_per_us": 0.09},
             "measured": {"channel": f"CSRV[{k - 1}].Pos", "unit": "deg"},
         }
@@ -44,7 +46,8 @@ def aircraft(count: int, servo: dict[str, object], *, limited: bool) -> Aircraft
     known = {"title": "it", "delay_s": 0.02, "hold": "zoh", "source": "benchmark", **servo}
     if limited:
         known["rate_limit_deg_s"] = LIMITED
-    return Aircraft.model_validate({"surfaces": surfaces, "servos": {"it": known}})
+    servos = {f"it_{k}": known | {"delay_s": 0.02 + 1e-4 * k} for k in range(1, count + 1)}
+    return Aircraft.model_validate({"surfaces": surfaces, "servos": servos})
 
 
 def flight_of(plane: Aircraft, period_us: int) -> Flight:
@@ -60,12 +63,28 @@ def flight_of(plane: Aircraft, period_us: int) -> Flight:
     return Flight(time_us, pulses, positions, armed=True)
 
 
+def built(sources: Path, folder: Path) -> Path:
+    """Build the program that measures the heap, with Lua's sources."""
+    parts = [part for part in sources.glob("*.c") if part.stem not in ("lua", "luac", "ltests", "onelua")]
+    own, host = Path(__file__).with_name("onboard_heap.c"), folder / "heap"
+    flags = ("-m32", "-DLUA_32BITS", "-w", "-I", sources)
+    subprocess.run(["gcc", *flags, *parts, own, "-lm", "-o", host], check=True)  # noqa: S607 - whichever is there
+    return host
+
+
+def least_heap_kb(host: Path, script: str, folder: Path) -> float:
+    """With which a script starts [kB]."""
+    path = folder / "script.lua"
+    path.write_text(script)
+    return float(subprocess.run([host, path], capture_output=True, text=True, check=True).stdout) / 1e3
+
+
 def main() -> None:
-    lua = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    print(f"heap with {'32' if lua else '64'} bits")
+    print(f"heap with {'32 bits, to start' if len(sys.argv) > 1 else '64 bits, in flight'}")
     print("surfaces  servo        rate limit  calls a period  instructions  foreseen  heap [kB]  script [kB]")
     with tempfile.TemporaryDirectory() as folder:
-        for count in (1, 6, 12):
+        host = built(Path(sys.argv[1]), Path(folder)) if len(sys.argv) > 1 else None
+        for count in (1, 3, 6, 12):
             for name, servo in SERVOS.items():
                 for limited in (False, True):
                     plane = aircraft(count, servo, limited=limited)
@@ -73,7 +92,7 @@ def main() -> None:
                     script = watch_script(plan)
                     flight = flight_of(plane, 1000 * plan.period_ms // plan.turns)
                     flown = fly(script, flight, Path(folder), counted=True)
-                    heap = heap_kb(lua, script, flight, Path(folder)) if lua else flown.heap_kb
+                    heap = least_heap_kb(host, script, Path(folder)) if host else flown.heap_kb
                     print(
                         f"{count:8}  {name:12} {'yes' if limited else 'no':10}  {plan.turns:14}"
                         f"  {flown.most_instructions:12}  {plan.instructions:8}  {heap:9.1f}"

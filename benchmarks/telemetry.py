@@ -42,6 +42,8 @@ WAYS: Final = ("audit, no file", "audit, calibrated", "monitor, calibrated")
 _STYLES: Final = ("mixed", "aerobatics", "turbulence", "loiter")
 _EVERY_S: Final = 9.0
 """Between two injections, on average: seven in a flight of a minute."""
+_LONGEST_S: Final = 3.0
+"""For so long a logger holds now and then."""
 _GOOD_S: Final = 120.0
 """Length of the flight that is calibrated on [s]."""
 _HELD: Final = 0.3
@@ -64,14 +66,15 @@ def injected(flight: Flight, reason: str, seed: int) -> Flight:
         return flight
     rng = np.random.default_rng([75, seed, REASONS.index(reason)])
     time_s, deg = flight.position_s, flight.position_deg.copy()
-    begins_s = np.cumsum(rng.exponential(_EVERY_S, 200)) + 2.0
+    apart_s = _LONGEST_S if reason == "held" else 0.0  # what is held already is not held again, and so for longer
+    begins_s = np.cumsum(apart_s + rng.exponential(_EVERY_S - apart_s, 200)) + 2.0
     for begin_s in begins_s[begins_s < time_s[-1] - 2.0].tolist():
         first = int(np.searchsorted(time_s, begin_s))
         if reason == "frozen":
             last = int(np.searchsorted(time_s, begin_s + rng.uniform(0.5, 0.8)))
             deg[first:last] = deg[first - 1]
         elif reason == "held":
-            _hold(rng, deg[first : int(np.searchsorted(time_s, begin_s + 3.0))])
+            _hold(rng, deg[first : int(np.searchsorted(time_s, begin_s + _LONGEST_S))])
         elif reason == "echo":
             last = int(np.searchsorted(time_s, begin_s + rng.uniform(0.5, 1.5)))
             which = rng.integers(deg.shape[1])
@@ -169,12 +172,13 @@ def _audited(path: Path, aircraft: Aircraft | None) -> dict[str, str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--flights", type=int, default=8)
+    parser.add_argument("--first", type=int, default=0, help="first aircraft, for a part of a campaign")
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--reasons", nargs="+", choices=REASONS, default=REASONS)
     parser.add_argument("--no-file", action="store_true", help="audit without a file only")
     options = parser.parse_args()
-    seeds = range(-(-options.flights // _EACH_CALIBRATES))
+    seeds = range(options.first, options.first + -(-options.flights // _EACH_CALIBRATES))
     numbers = range(1, 1 + min(_EACH_CALIBRATES, options.flights))
     tally: dict[tuple[str, str], Counter[str]] = {(r, way): Counter() for r in options.reasons for way in WAYS}
     done: dict[tuple[str, str], str] = {}

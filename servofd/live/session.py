@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from logparsers.units import S_PER_NS, US_PER_S
 from servofd.aircraft.outputs import of_other_messages
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.live.channels import ChannelTable
+from servofd.live.channels import ChannelTable, stamp_of
 from servofd.live.requests import RemoteLog
 from servofd.live.vehicle import Vehicle
 
@@ -35,6 +35,9 @@ _SYNC_S = 5.0
 """How often the delay of a link is asked for; ground stations ask every 10 s."""
 _SETTLED_S = 1.0
 """When a vehicle has sent no new channel for so long, it is known what it sends: positions come five times a second."""
+_RENUMBERED_S = 1.0
+"""A vehicle that was silent for so long while another number's stamps go on where its own ended, to within as long [s],
+has been given that number: autopilots take a new system id at once, and no two boot within a second."""
 _LATEST_US = 2**64 - 1
 """That a telemetry log can hold; read from a damaged one, seconds in a float come to one more."""
 
@@ -108,6 +111,10 @@ class Session:
     """Systems that were watched until another one sent the positions."""
     _wanted: dict[int, set[str]] = field(default_factory=dict)
     _tables: dict[int, ChannelTable] = field(default_factory=dict)
+    _met_s: dict[int, float] = field(default_factory=dict)
+    """When a vehicle without a file first spoke [s],"""
+    _renumbered: dict[int, int] = field(default_factory=dict)
+    """and of whom it turned out to be the watched one, by the number that this has now."""
     _first: int = 0
     """The vehicle that has the one file without a system id."""
     _open: dict[int, Aircraft] = field(default_factory=dict)
@@ -143,6 +150,8 @@ class Session:
             if message is None:
                 continue
             self.frames += 1
+            if message.system in self._renumbered:
+                message = replace(message, system=self._renumbered[message.system])  # noqa: PLW2901 - the same vehicle's
             vehicle = self.vehicles.get(message.system) or self._found(message, arrival_s)
             if vehicle is not None:
                 self.names.add(message.name)
@@ -219,6 +228,7 @@ class Session:
         if 0 not in self.aircraft or message.system == _GROUND_SYSTEM:
             self._stranger(message.system, autopilot)
             return None
+        self._met_s.setdefault(message.system, arrival_s)
         if message.system not in self._tables:
             channels = {channel for craft in self.aircraft.values() for channel in _positions(craft)}
             self._tables[message.system] = ChannelTable(channels)
@@ -232,8 +242,14 @@ class Session:
             return None
         bound = self.vehicles.get(self._first)
         if bound is not None:
+            if bound.has_positions and self._is_bound(bound, message, arrival_s):
+                self.notes.append(f"vehicle {bound.system} speaks as vehicle {message.system} now: it is watched on")
+                self._renumbered[message.system] = bound.system
+                return bound
             if bound.has_positions or message.system in self._left or not sent:
-                self._stranger(message.system, autopilot)
+                met_s = self._met_s[message.system]
+                if bound.received_s > met_s or arrival_s - met_s > 2.0 * _RENUMBERED_S:  # else it may be the bound one
+                    self._stranger(message.system, autopilot)
                 return None
             self.notes.append(
                 f"vehicle {message.system} sends the positions: it is watched, not vehicle {bound.system}"
@@ -245,6 +261,16 @@ class Session:
             return None
         self._first = message.system
         return self._adopt(message.system, 0)
+
+    def _is_bound(self, bound: Vehicle, message: Received, arrival_s: float) -> bool:
+        """Whether a message of another number is that of the watched vehicle, whose number was changed in flight.
+
+        That fell silent when the other began, and its clock goes on in the other's stamps.
+        """
+        stamp, silent_s = stamp_of(message.name), arrival_s - bound.received_s
+        if stamp is None or silent_s < _RENUMBERED_S or bound.received_s > self._met_s[message.system]:
+            return False
+        return abs(stamp.tick_s * float(message.fields[stamp.field]) - bound.now_s - silent_s) <= _RENUMBERED_S
 
     def _match(self, arrival_now_s: float) -> None:
         """Give each of several files to the vehicle that sends the positions it names.
@@ -323,7 +349,7 @@ class Session:
         messages = alerts.due(now_s) + alerts.periodic(vehicle.monitors, vehicle.alarms.gravest, vehicle.now_s, now_s)
         if self.alert is not None:
             for name, fields in messages:
-                self.alert(vehicle.system, name, fields)
+                self.alert(self._number_of(vehicle), name, fields)
 
     def _inquire(self, vehicle: Vehicle, now_s: float) -> None:
         """Ask a vehicle for what is needed, and for the time."""
@@ -341,7 +367,15 @@ class Session:
             target = {"target_system": vehicle.system, "target_component": Component.AUTOPILOT1, "param_index": -1}
             due += [("PARAM_REQUEST_READ", target | {"param_id": name}) for name in vehicle.unread()]
         for name, fields in due:
-            self.send(vehicle.system, name, fields)
+            self.send(self._number_of(vehicle), name, self._to(vehicle, fields))
+
+    def _number_of(self, vehicle: Vehicle) -> int:
+        """The system id by which a vehicle goes now."""
+        return next((new for new, old in reversed(self._renumbered.items()) if old == vehicle.system), vehicle.system)
+
+    def _to(self, vehicle: Vehicle, fields: dict[str, Any]) -> dict[str, Any]:
+        number = self._number_of(vehicle)
+        return fields | {"target_system": number} if "target_system" in fields else fields
 
     def _compare(self, vehicle: Vehicle) -> None:
         """Say once, of each surface, that less comes than its servo needs, or other messages than it is known by."""

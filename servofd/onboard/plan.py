@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -81,12 +81,13 @@ _CALL_COST, _SURFACE_COST, _MODE_COST = 310, 850, 100
 _RATE_COST, _RATE_MODE_COST = 170, 130
 """Instructions more, and for each mode more, of a servo with a rate limit: 4 to 20 % above what
 ``benchmarks/onboard.py`` counted."""
-_OWN_BYTES, _READ_BYTES, _HELD_BYTES, _SURFACE_BYTES = 15_000, 50_000, 22_000, 2_000
-"""Memory of ArduPilot's own tables, of the script while it is read, and of what is held of it then, and for each
-surface, with numbers and pointers of 32 bits. Read: the least with which a Lua of ArduPilot's sources, built with
-``gcc -m32 -DLUA_32BITS``, loads it, 8 bytes for each block included (49 kB with one surface, 50 with twelve). Held:
-half of what ``benchmarks/onboard.py`` measures with 64 bits. ArduPilot's own: half of the 27 kB that a script of one
-line needs in the loop, with 64 bits."""
+_OWN_BYTES: Final = 15_000
+"""Memory of ArduPilot's own tables: half of the 27 kB that a script of one line needs in the loop, with 64 bits."""
+_READ_BYTES, _READ_SURFACE_BYTES = 47_200, 600
+"""Memory that a script takes while it is read, with numbers and pointers of 32 bits, and each of its surfaces;"""
+_BEGUN_BYTES, _BEGUN_SURFACE_BYTES = 36_000, 3_400
+"""and while it begins (``benchmarks/onboard.py SOURCES``: 47.7, 48.8, 56.0 and 76.0 kB for 1, 3, 6 and 12 surfaces of
+different servos of three poles)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +135,9 @@ class OnboardPlan:
     @property
     def heap_bytes(self) -> int:
         """``SCR_HEAP_SIZE`` that an autopilot needs for this script alone."""
-        script = max(_READ_BYTES, _HELD_BYTES + len(self.surfaces) * _SURFACE_BYTES)
-        return 10_000 * math.ceil((_OWN_BYTES + script) / 10_000)
+        count = len(self.surfaces)
+        script = max(_READ_BYTES + count * _READ_SURFACE_BYTES, _BEGUN_BYTES + count * _BEGUN_SURFACE_BYTES)
+        return 1_000 * math.ceil((_OWN_BYTES + script) / 1_000)
 
 
 def plan_onboard(

@@ -108,6 +108,35 @@ def test_a_foreign_heartbeat_captures_nothing(aircraft: Aircraft) -> None:
 
 
 @pytest.mark.slow
+def test_a_vehicle_whose_number_changes_in_flight_is_watched_on(aircraft: Aircraft) -> None:
+    """The operator set its system id in flight; a servo jams 5 s later."""
+    field, plane = Field.of({0: aircraft}), vehicle(lively(duration_s=40.0, stuck_s=25.0))
+    speakers, monitor, asked = {1: Codec(1, 1), 7: Codec(7, 1)}, Codec(1, 191), set()
+    begin_s = field.now_s - 1e-6 * int(plane.time_us[0])
+    for turn, now_us in enumerate(plane.time_us.tolist()):
+        field.now_s = begin_s + 1e-6 * now_us
+        plane.system = 7 if field.now_s >= begin_s + 20.0 else 1
+        for message in plane.turn(turn):
+            field.events += field.session.take(field.now_s, speakers[plane.system].encode(*message))
+        for name, fields in field.sent:
+            asked.add((plane.system, fields.get("target_system", plane.system)))
+            for received in speakers[plane.system].decode(monitor.encode(name, fields)):
+                for answer in plane.receive(received, now_us):
+                    field.events += field.session.take(field.now_s, speakers[plane.system].encode(*answer))
+        field.sent.clear()
+        field.events += field.session.step(field.now_s)
+    events = field.end()
+    assert {surface for surface, _ in kinds(events, "alarm")} == {"elevator"}
+    assert kinds(events, "alarm")[0][1] == pytest.approx(25.5, abs=1.0)
+    assert kinds(events, "link_lost") == []
+    assert (7, 7) in asked
+    assert list(field.session.vehicles) == [1]
+    assert [note for note in field.session.notes if note.startswith("vehicle")] == [
+        "vehicle 1 speaks as vehicle 7 now: it is watched on"
+    ]
+
+
+@pytest.mark.slow
 def test_another_aircraft_on_the_port_is_named_and_not_watched(aircraft: Aircraft) -> None:
     field = Field.of({0: aircraft})
     field.fly(vehicle(lively(duration_s=20.0)), vehicle(lively(duration_s=20.0, stuck_s=12.0, seed=5), system=2))

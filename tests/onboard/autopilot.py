@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
     from servofd.core.types import FloatArray, IntArray
 
-__all__ = ["Flight", "Flown", "fly", "heap_kb"]
+__all__ = ["Flight", "Flown", "fly"]
 
 _STUBS_FILE = Path(__file__).with_name("autopilot.lua")
 _STUBS = _STUBS_FILE.read_text()
@@ -112,20 +111,3 @@ def rows_of(flight: Flight, folder: Path) -> list[int]:
         rows[f"ms_{output}"] = np.where(came >= 0, (flight.time_us[came] // 1000) & 0x7FFFFFFF, -1)
     rows.tofile(folder / "rows.bin")
     return outputs
-
-
-def heap_kb(interpreter: Path, script: str, flight: Flight, folder: Path) -> float:
-    """What a script holds at the end of a flight [kB], by another Lua 5.3: one of 32 bits, as autopilots have it."""
-    outputs = rows_of(flight, folder)
-    (folder / "script.lua").write_text(script)
-    (folder / "run.lua").write_text(
-        f"""local file = assert(io.open("{folder}/script.lua"))
-SCRIPT = file:read("a")
-file:close()
-INPUT, OUTPUT, OUTPUTS = "{folder}/rows.bin", nil, {{ {", ".join(map(str, outputs))} }}
-PARAMETERS, COUNTED, OLD = {{}}, false, false
-print(dofile("{_STUBS_FILE}").most_heap_kb)
-"""
-    )
-    done = subprocess.run([interpreter, folder / "run.lua"], capture_output=True, text=True, check=True)
-    return float(done.stdout)

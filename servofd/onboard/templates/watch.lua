@@ -453,38 +453,36 @@ end
 
 -- ---------------------------------------------------------------- once
 
--- Settings of a surface from its lines; a list where a value has commas.
+-- Settings of a surface from its lines, lists where there are several numbers; and what is wrong with them: they may have
+-- been edited by hand, and it is said now, not in flight.
 local function read(lines)
    local s = {}
    for _, line in ipairs(lines) do
       for key, text in string.gmatch(line, "(%S+)=(%S+)") do
          local list = {}
          for word in string.gmatch(text, "[^,]+") do
-            list[#list + 1] = tonumber(word) or word
+            if not tonumber(word) then
+               list = {}
+               break
+            end
+            list[#list + 1] = tonumber(word)
          end
-         s[key] = #list > 1 and list or list[1]
+         s[key] = key == "name" and text or list
       end
+   end
+   if #(s.name or "") < 1 or #s.name > {{ longest_name }} then
+      return s, "a name: 1 to {{ longest_name }} letters"
+   end
+   for key, count, free in string.gmatch("output1 gain1 offset1 sense1 zero1 delay_us1 dc_gain1 lag1 noise1 jitter1 limit1 "
+                                         .. "persistence1 energies2 modes4 doubt21 rates3? bounds2? stops2? curve2?",
+                                         "(%D+)(%d+)(%??) ?") do
+      local list, n = s[key], tonumber(count)
+      if list and #list ~= n and (key ~= "modes" or #list == 0 or #list % n > 0) or not list and free == "" then
+         return s, s.name .. ": " .. key .. ": " .. n .. (n > 1 and " numbers" or " number")
+      end
+      s[key] = n == 1 and list[1] or list
    end
    return s
-end
-
--- They may have been edited by hand: say what is wrong with them now, not in flight.
-local function mistake(s)
-   if #tostring(s.name or "") < 1 or #tostring(s.name) > {{ longest_name }} then
-      return "a name: 1 to {{ longest_name }} letters"
-   end
-   for key, count in string.gmatch("output1 gain1 offset1 sense1 zero1 delay_us1 dc_gain1 lag1 noise1 jitter1 limit1 "
-                                   .. "persistence1 energies2 modes4 doubt21 rates3 bounds2 stops2 curve2", "(%D+)(%d+) ?") do
-      local value, n = s[key], tonumber(count)
-      local list = type(value) == "table" and value or { value }
-      local fine = #list == n or n > 1 and #list % n == 0 and key == "modes" or #list == 0 and string.find("rates bounds stops curve", key)
-      for k = 1, #list do
-         fine = fine and type(list[k]) == "number"
-      end
-      if not fine or key == "modes" and #list == 0 then
-         return s.name .. ": " .. key .. ": " .. n .. (n > 1 and " numbers" or " number")
-      end
-   end
 end
 
 local function prepare(s, now_us)
@@ -515,8 +513,9 @@ end
 
 local wrong = not servo_telem and "needs ArduPilot 4.6 with servo telemetry"
 for i = 1, wrong and 0 or #SURFACES do
-   SURFACES[i] = read(SURFACES[i])
-   wrong = wrong or mistake(SURFACES[i])
+   local odd
+   SURFACES[i], odd = read(SURFACES[i])
+   wrong = wrong or odd
 end
 if wrong then
    gcs:send_text(CRITICAL, "servofd: " .. wrong)
