@@ -23,9 +23,10 @@ from servofd.axes.model import (
     settled,
     whitened,
 )
-from servofd.axes.windows import Sliding, Windows, lags, sliding, slowness
+from servofd.axes.windows import LAG, Windows, lateness, part, sliding
 from servofd.core.errors import CalibrationError
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.core.windows import Sizes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -154,7 +155,7 @@ def _another_aircraft(axes: Mapping[str, _Trial], groups: Sequence[str], flights
         trial = axes.get(name)
         if trial is None or not trial.model.own_command:
             continue
-        found = [sliding(one, one.usable.size, trial.model.noise_var, enough=0.0).loss[-1] for one in trial.inputs]
+        found = [part(one, 0, one.usable.size, trial.model.noise_var).value[0, 0] for one in trial.inputs]
         lost = np.array(
             [np.nanmean([x for x, of in zip(found, groups, strict=True) if of == group]) for group in names]
         )
@@ -462,7 +463,7 @@ _ROUNDS = 60
 """Rounds of expectation and maximization."""
 
 
-def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
+def spread_between(flights: Sequence[Sizes], start: FloatArray) -> FloatArray:
     """Covariance of lambda and beta between healthy flights, or windows, beyond the noise of each.
 
     Maximum likelihood by expectation and maximization (Dempster, Laird and Rubin 1977), theta around zero; each
@@ -471,14 +472,14 @@ def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
     From the windows of each healthy flight, or that flight as one, with a model that has not seen its day.
     """
     between = start
-    seen = [found for found in flights if found.loss.size]
+    seen = [found for found in flights if found.known.size]
     if not seen:
         return np.zeros((2, 2))
-    theta = np.hstack([(found.loss, found.offset) for found in seen])
-    loss_var, cross, offset_var = np.hstack([(found.loss_var, found.cross, found.offset_var) for found in seen])
-    weights = np.concatenate([np.full(found.loss.size, 1.0 / (found.loss.size * len(seen))) for found in seen])
+    theta = np.hstack([found.value for found in seen])
+    noise = np.concatenate([found.covariance for found in seen], axis=2)
+    weights = np.concatenate([np.full(found.known.size, 1.0 / (found.known.size * len(seen))) for found in seen])
     for _ in range(_ROUNDS):
-        first, both, second = loss_var + between[0, 0], cross + between[0, 1], offset_var + between[1, 1]
+        (first, both), (_, second) = noise + between[..., None]
         adjugate = np.array([[second, -both], [-both, first]])
         gain = np.einsum("ij,jkn->ikn", between, adjugate) / (first * second - both**2)
         mean = np.einsum("ijn,jn->in", gain, theta)
@@ -498,7 +499,7 @@ def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float, s
         length = max(4, round(window_s * rate_hz))
         found = [sliding(one, length, model.noise_var) for one in flights]
         apart = [one.at(np.flatnonzero(one.known)[:: max(1, length // 10)]) for one in found]
-        if any(one.loss.size for one in apart):
+        if any(one.known.size for one in apart):
             spreads.append(Spread.of(window_s, (1.0 - share) * (spread_between(apart, start) + _LEAST_SPREAD)))
     if not spreads:
         return None
@@ -520,15 +521,16 @@ def _with_lags(model: AxisModel, flights: Sequence[Inputs], rate_hz: float) -> A
     spreads = []
     for spread in model.spreads:
         length = spread.samples(rate_hz)
-        found = [lags(one, length, model.noise_var) for one in flights]
-        apart = [np.flatnonzero(np.isfinite(lag_s))[:: max(1, length // 10)] for lag_s, _ in found]
-        lag_s, var_s2 = (np.concatenate([one[k][at] for one, at in zip(found, apart, strict=True)]) for k in (0, 1))
+        found = [sliding(one, length, model.noise_var, LAG) for one in flights]
+        apart = [one.at(np.flatnonzero(one.known)[:: max(1, length // 10)]) for one in found]
+        lag_s = np.concatenate([one.value[0] for one in apart])
+        var_s2 = np.concatenate([one.covariance[0, 0] for one in apart])
         weights = 1.0 / var_s2
         excess = float(weights @ (lag_s**2 - var_s2) / weights.sum()) if lag_s.size else 0.0
         within = (1.0 - model.of_flight) * max(excess, _LEAST_LAG_S**2)
         spreads.append(spread.model_copy(update={"lag_var_s2": within}))
     model = model.model_copy(update={"spreads": tuple(spreads)})
-    scales = np.max([[float(j.max()) for j in slowness(model, one, rate_hz)] for one in flights], axis=0)
+    scales = [max(float(lateness(model, one, s, rate_hz).max()) for one in flights) for s in model.spreads]
     scaled = [
         spread.model_copy(
             update={"lag_scale": max(float(scale), _by_chance(flights, spread, rate_hz)) if scale > 0.0 else None}
@@ -586,9 +588,8 @@ def _noise_var(flights: Sequence[Inputs]) -> float:
 
 def _lost_half(windows: Windows) -> FloatArray:
     """J / scale if half of the axis were lost (if a copied command: if it stood far away), where it is judged."""
-    loss, offset_us = (0.5, 0.0) if windows.axis.own_command else (0.0, _AWAY_US)
-    shifted = (one._replace(loss=one.loss + loss, offset=one.offset + offset_us) for one in windows.found)
-    return np.asarray(replace(windows, found=tuple(shifted)).shares()[:, windows.inputs.usable])
+    change = (0.5, 0.0) if windows.axis.own_command else (0.0, _AWAY_US)
+    return np.asarray(windows.shifted(np.array(change)).shares()[:, windows.inputs.usable])
 
 
 _PRIOR_INDEX, _PRIOR_WEIGHT = 2.5, 4.0
