@@ -325,10 +325,11 @@ def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: flo
     precision = np.asarray(np.linalg.inv(past.covariance[..., 0] / axis.noise_var), dtype=np.float64)
     first = max(begin, alarm - round(_ONSET_S * rate_hz))
     begins = np.arange(first, alarm) + 1
-    since = inputs.sums.between(begins, alarm + 1).at(SIZES.columns)
-    before = inputs.sums.between(first + 1, begins).at(SIZES.columns)
-    explained = np.where(since.samples > _UNKNOWNS, fitted(since, 2).explained, np.nan)
-    of_flight = np.where(before.samples > _AT_ONCE_S * rate_hz, fitted(before, 2, precision).explained, 0.0)
+    since, before = inputs.sums.between(begins, alarm + 1), inputs.sums.between(first + 1, begins)
+    explained = fitted(since, SIZES.patterns, columns=SIZES.columns).explained
+    of_flight = fitted(before, SIZES.patterns, precision, SIZES.columns).explained
+    explained[since.samples <= _UNKNOWNS] = np.nan
+    of_flight[before.samples <= _AT_ONCE_S * rate_hz] = 0.0
     return first + split(explained, of_flight) if begins.size else alarm
 
 
@@ -357,7 +358,7 @@ def _estimate(
     lost, offset = (_between(axis, away.value[k, 0], away.covariance[k, k, 0]) for k in range(2))
     explained = min(1.0, max(_LEAST_EXPLAINED, axis.explained)) if axis.own_command else 1.0
     hidden = max(lost.high, 0.0) * (1.0 / math.sqrt(explained) - 1.0)
-    loss_offset, offset_offset = inputs.sums.between(start, last).products[1:3, 2, 0].tolist()
+    loss_offset, offset_offset = inputs.sums.between(start, last).table[1:3, 2, 0].tolist()
     away_us = hidden * abs(loss_offset) / offset_offset if offset_offset > 0.0 else 0.0
     return (
         lost._replace(high=float(lost.high + hidden)),

@@ -10,6 +10,8 @@ import numpy as np
 from servofd.core.windows import Sizes, Sums, distance, fitted, known_from, lasting, least
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.aircraft.axes import AxisModel, Spread
     from servofd.axes.model import Inputs
     from servofd.core.types import FloatArray
@@ -35,7 +37,7 @@ SIZES, LAG = Asked((1, 2, 3), 2), Asked((1, 2, 0, 3), 1)
 
 def sizes(inputs: Inputs, window: Sums, noise_var: float, asked: Asked = SIZES) -> Sizes:
     """Sizes in windows, by least squares; turbulence differs, so that what they leave tells of their own noise."""
-    found = fitted(window.at(asked.columns), asked.patterns)
+    found = fitted(window, asked.patterns, columns=asked.columns)
     if inputs.variance <= 0.0:
         return found.scaled(noise_var)
     left = np.fmax(found.left, 0.0) / inputs.variance
@@ -61,13 +63,13 @@ def expected(
     n, p = inputs.usable.size, asked.patterns
     known = Sizes(np.zeros((p, n)), np.repeat(flight[..., None], n, axis=2))
     if length < n:
-        past = Sums(inputs.sums.products[..., 1:-length], inputs.sums.samples[1:-length])
-        found = known_from(past.at(asked.columns), p, flight, window, noise_var)
+        past = Sums(inputs.sums.products[:, 1:-length], inputs.sums.samples[1:-length])
+        found = known_from(past, p, flight, window, noise_var, asked.columns)
         known.value[:, length:], known.covariance[..., length:] = found
     return known
 
 
-def lateness(axis: AxisModel, inputs: Inputs, spread: Spread, rate_hz: float) -> FloatArray:
+def _lateness(axis: AxisModel, inputs: Inputs, spread: Spread, rate_hz: float) -> FloatArray:
     """J of a lag in the windows of a length; earlier than expected is not slow."""
     length, window = spread.samples(rate_hz), np.array([[spread.lag_var_s2]])
     flight = window * axis.of_flight / (1.0 - axis.of_flight)
@@ -84,17 +86,26 @@ class Windows:
     rate_hz: float
     found: tuple[Sizes, ...]
     away: tuple[Sizes, ...]
+    late: tuple[FloatArray, ...]
+    """J of a lag, where the command is the axis' own; shape (n,) each."""
 
     @classmethod
     def of(cls, axis: AxisModel, inputs: Inputs, rate_hz: float) -> Windows:
         """Of one flight."""
-        found, away = [], []
+        found, away, late = [], [], []
         for spread in axis.spreads:
             length = spread.samples(rate_hz)
             found.append(sliding(inputs, length, axis.noise_var))
             known = expected(inputs, length, axis.noise_var, axis.of_flights(spread), spread.covariance)
             away.append(found[-1].beyond(known, spread.covariance))
-        return cls(axis, inputs, rate_hz, tuple(found), tuple(away))
+            tells = axis.own_command and spread.lag_scale is not None
+            late.append(_lateness(axis, inputs, spread, rate_hz) if tells else np.zeros(inputs.usable.size))
+        return cls(axis, inputs, rate_hz, tuple(found), tuple(away), tuple(late))
+
+    def scaled(self, axis: AxisModel, kept: Sequence[int]) -> Windows:
+        """The windows of some lengths, by an axis that differs in its scales and levels alone."""
+        found, away = (tuple(each[k] for k in kept) for each in (self.found, self.away))
+        return Windows(axis, self.inputs, self.rate_hz, found, away, tuple(self.late[k] for k in kept))
 
     def shifted(self, change: FloatArray) -> Windows:
         """The same if the axis had lost a share, and stood away [us], shape (2,)."""
@@ -127,11 +138,6 @@ class Windows:
 
     def statistic(self) -> FloatArray:
         """Largest J of all windows at each sample, as a multiple of the calibration's largest, after persistence."""
-        shares = [*self.shares()]
-        if self.axis.own_command:
-            shares += [
-                lateness(self.axis, self.inputs, spread, self.rate_hz) / spread.lag_scale
-                for spread in self.axis.spreads
-                if spread.lag_scale is not None
-            ]
+        late = [j / (spread.lag_scale or np.inf) for j, spread in zip(self.late, self.axis.spreads, strict=True)]
+        shares = [*self.shares(), *late]
         return lasting(np.max(shares, axis=0), max(1, round(_PERSISTENCE_S * self.rate_hz)))

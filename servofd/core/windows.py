@@ -6,9 +6,9 @@ e, what a change of size theta would leave in it, and what a healthy one may dif
     e = x theta + A c + n,     c ~ N(0, Sigma),     theta of a healthy one ~ N(theta0, P).
 
 Products of these columns, summed up to each edge of a grid, give every window as a difference of two sums. A window is
-fitted by sweeping its products (Goodnight 1979): A first, with the precision of c on the diagonal, which marginalises
-it, then x. What is left beside e tells theta and its covariance, and what theta explains of e^2 is twice the logarithm
-of the likelihood ratio of the change, times the variance of the noise. Of it
+fitted by elimination: A first, with the precision of c on the diagonal, which marginalises it, then x. That gives theta
+and its covariance, and what theta explains of e^2 is twice the logarithm of the likelihood ratio of the change, times
+the variance of the noise. Of theta
 
     J = (theta - theta0)^T (Sigma_theta + P)^-1 (theta - theta0)
 
@@ -18,13 +18,14 @@ the square of the score test of `servofd.detection.changes`, which a compiled lo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from servofd.core.types import BoolArray, FloatArray, IntArray
 
@@ -43,8 +44,8 @@ class Sums:
 
     Parameters
     ----------
-    products : ndarray, shape (q, q, n + 1) or (q, q, n)
-        Of all pairs of columns.
+    products : ndarray, shape (q (q + 1) / 2, n + 1) or (q (q + 1) / 2, n)
+        Of all pairs of columns, row by row of the upper triangle.
     samples : ndarray, shape (n + 1,) or (n,)
         How many were usable.
     """
@@ -68,60 +69,56 @@ class Sums:
         Examples
         --------
         >>> sums = Sums.of(np.array([[1.0, 1.0, 1.0], [2.0, 3.0, 4.0]]), np.array([True, False, True]))
-        >>> sums.products[0, 1], sums.samples
+        >>> sums.table[0, 1], sums.samples
         (array([0., 2., 2., 6.]), array([0., 1., 1., 2.]))
         """
         rows = np.where(usable, columns, 0.0)
-        products, samples = rows[:, None] * rows, usable.astype(np.float64)
+        left, right = np.triu_indices(len(rows))
+        return cls.running((rows[i] * rows[j] for i, j in zip(left, right, strict=True)), usable, begins)
+
+    @classmethod
+    def running(cls, rows: Iterable[FloatArray], usable: BoolArray, begins: IntArray | None = None) -> Sums:
+        """Of rows (m,) as they are, where samples count, such as how much likelier some change makes each sample."""
+        each, samples = [np.where(usable, row, 0.0) for row in rows], usable.astype(np.float64)
         if begins is not None:
-            products, samples = np.add.reduceat(products, begins, axis=2), np.add.reduceat(samples, begins)
-        q = len(rows)
-        totals, counts = np.zeros((q, q, samples.size + 1)), np.zeros(samples.size + 1)
-        np.cumsum(products, axis=2, out=totals[..., 1:])
+            each, samples = [np.add.reduceat(row, begins) for row in each], np.add.reduceat(samples, begins)
+        totals, counts = np.zeros((len(each), samples.size + 1)), np.zeros(samples.size + 1)
+        for total, row in zip(totals, each, strict=True):
+            np.cumsum(row, out=total[1:])
         np.cumsum(samples, out=counts[1:])
         return cls(totals, counts)
 
     def between(self, begin: IntArray | int, end: IntArray | int) -> Sums:
         """In windows from some edges to others."""
         begin, end = np.atleast_1d(begin), np.atleast_1d(end)
-        return Sums(self.products[..., end] - self.products[..., begin], self.samples[end] - self.samples[begin])
+        return Sums(self.products[:, end] - self.products[:, begin], self.samples[end] - self.samples[begin])
 
     def trailing(self, length: int) -> Sums:
         """In the window of a length that ends with each sample; the first ones are shorter."""
-        products, samples = self.products[..., 1:].copy(), self.samples[1:].copy()
+        products, samples = self.products[:, 1:].copy(), self.samples[1:].copy()
         if length < samples.size:
-            products[..., length:] -= self.products[..., 1:-length]
+            products[:, length:] -= self.products[:, 1:-length]
             samples[length:] -= self.samples[1:-length]
         return Sums(products, samples)
 
-    def at(self, columns: Sequence[int]) -> Sums:
-        """Of some columns alone, in another order, or of some more than once."""
-        if list(columns) == list(range(columns[0], len(self.products))):
-            return Sums(self.products[columns[0] :, columns[0] :], self.samples)
-        chosen = np.asarray(columns)
-        return Sums(self.products[chosen[:, None], chosen], self.samples)
+    @property
+    def width(self) -> int:
+        """Number of columns, q."""
+        return (math.isqrt(8 * len(self.products) + 1) - 1) // 2
 
+    @property
+    def table(self) -> FloatArray:
+        """Products of all columns with all, shape (q, q, n)."""
+        place = np.zeros((self.width, self.width), dtype=int)
+        place[np.triu_indices(self.width)] = np.arange(len(self.products))
+        return np.asarray(self.products[np.maximum(place, place.T)])
 
-def swept(products: FloatArray, places: Sequence[int]) -> FloatArray:
-    """Products (q, q, n) of columns after some of them were fitted to all others; NaN where they are too much alike.
-
-    Of fitted columns stand the inverse of their products, and in the other columns their coefficients; of the others
-    what is left of their products.
-
-    Examples
-    --------
-    >>> line = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 3.0, 5.0]])
-    >>> left = swept((line @ line.T)[..., None], (0, 1))[..., 0]
-    >>> left[:2, 2].round(6), bool(abs(left[2, 2]) < 1e-12)
-    (array([1., 2.]), True)
-    """
-    out = np.array(products, dtype=np.float64)
-    for k in places:
-        pivot = np.where(out[k, k] > _ALIKE * products[k, k], out[k, k], np.nan)
-        row, column = out[k] / pivot, out[:, k].copy()
-        out -= column[:, None] * row
-        out[k], out[:, k], out[k, k] = row, -column / pivot, 1.0 / pivot
-    return out
+    def rows(self, columns: Sequence[int]) -> list[list[FloatArray]]:
+        """Of some columns, in an order of their own: rows of the upper triangle of their products."""
+        place = np.zeros((self.width, self.width), dtype=int)
+        place[np.triu_indices(self.width)] = np.arange(len(self.products))
+        place = np.maximum(place, place.T)
+        return [[self.products[place[i, j]] for j in columns[k:]] for k, i in enumerate(columns)]
 
 
 class Sizes(NamedTuple):
@@ -171,7 +168,29 @@ class Fitted(NamedTuple):
         return Sizes(self.sizes.value + 0.0 * noise_var, self.sizes.covariance * noise_var)
 
 
-def fitted(window: Sums, patterns: int, precision: FloatArray | None = None) -> Fitted:
+def _eliminated(
+    rows: list[list[FloatArray]], count: int
+) -> tuple[list[list[FloatArray]], list[tuple[FloatArray, list[FloatArray], FloatArray]]]:
+    """What is left of the upper triangle of products once so many columns were fitted to the others (Gauss).
+
+    And of each of these its square, its share in the columns after it, and its product with the last.
+    """
+    squares, steps = [row[0] for row in rows[:count]], []
+    for square in squares:
+        (pivot, *others), *rest = rows
+        pivot = np.where(pivot > _ALIKE * square, pivot, np.nan)
+        shares = [other / pivot for other in others]
+        rows = [
+            [x - other * share for x, share in zip(row, shares[i:], strict=True)]
+            for i, (row, other) in enumerate(zip(rest, others, strict=True))
+        ]
+        steps.append((pivot, shares, others[-1]))
+    return rows, steps
+
+
+def fitted(
+    window: Sums, patterns: int, precision: FloatArray | None = None, columns: Sequence[int] | None = None
+) -> Fitted:
     """Fit the last columns of windows before the residual to it, beside those that come first.
 
     Parameters
@@ -182,6 +201,8 @@ def fitted(window: Sums, patterns: int, precision: FloatArray | None = None) -> 
         How many sizes are asked for.
     precision : ndarray, shape (q - 1, q - 1) or (q - 1, q - 1, n), optional
         Inverse covariance of differences and sizes before the window, times the variance of the noise; None: free.
+    columns : sequence of int, optional
+        Which columns, in which order, and which of them more than once; None: all as they are.
 
     Examples
     --------
@@ -191,20 +212,32 @@ def fitted(window: Sums, patterns: int, precision: FloatArray | None = None) -> 
     >>> float(found.sizes.value[0, -1]), float(found.explained[-1])
     (1.0, 8.0)
     """
-    rest = window.products
+    rows = window.rows(range(window.width) if columns is None else columns)
     if precision is not None:
-        rest = rest.copy()
-        rest[:-1, :-1] += precision if np.ndim(precision) > 2 else precision[..., None]
-    squares = [rest[k, k] for k in range(len(rest) - 1 - patterns)]
-    for square in squares:
-        pivot = np.where(rest[0, 0] > _ALIKE * square, rest[0, 0], np.nan)
-        rest = rest[1:, 1:] - rest[1:, :1] * (rest[0, 1:] / pivot)
-    done = swept(rest, range(patterns))
-    sizes = Sizes(done[:patterns, -1], done[:patterns, :patterns])
-    return Fitted(sizes, rest[-1, -1] - done[-1, -1], done[-1, -1])
+        for i, row in enumerate(rows[:-1]):
+            row[:-1] = [x + known if np.any(known) else x for x, known in zip(row, precision[i, i:], strict=False)]
+    ((left,),), steps = _eliminated(rows, len(rows) - 1)
+    n, p = window.samples.size, patterns
+    value, covariance, explained = np.zeros((p, n)), np.zeros((p, p, n)), np.zeros(n)
+    for k, (pivot, shares, with_e) in zip(range(p - 1, -1, -1), steps[: -p - 1 : -1], strict=True):
+        # What the sizes after it leave of each (Takahashi 1973).
+        after = list(zip(range(k + 1, p), shares, strict=False))
+        for j in range(k + 1, p):
+            covariance[k, j] = covariance[j, k] = -sum(share * covariance[m, j] for m, share in after)
+        covariance[k, k] = 1.0 / pivot - sum(share * covariance[m, k] for m, share in after)
+        value[k] = shares[-1] - sum(share * value[m] for m, share in after)
+        explained += with_e * shares[-1]
+    return Fitted(Sizes(value, covariance), explained, left)
 
 
-def known_from(past: Sums, patterns: int, flight: FloatArray, window: FloatArray, noise_var: float) -> Sizes:
+def known_from(
+    past: Sums,
+    patterns: int,
+    flight: FloatArray,
+    window: FloatArray,
+    noise_var: float,
+    columns: Sequence[int] | None = None,
+) -> Sizes:
     """What to expect of the sizes in a window, from all that came before it.
 
     The past counts as one window's worth of knowledge however long it is, because windows of one flight differ: it
@@ -212,13 +245,14 @@ def known_from(past: Sums, patterns: int, flight: FloatArray, window: FloatArray
 
     `past` is of columns as `fitted` takes them, and may be empty.
     """
-    q, p = len(past.products), patterns
+    columns = range(past.width) if columns is None else columns
+    q, p = len(columns), patterns
     known = np.zeros((q - 1 + p, q - 1 + p))
     inverse = np.asarray(np.linalg.inv(flight + _LEAST_VAR * np.eye(p)), dtype=np.float64)
     known[q - 1 :, q - 1 :] = inverse
     known[q - 1 - p : q - 1, q - 1 - p : q - 1] = np.linalg.inv(window + _LEAST_VAR * np.eye(p))
-    doubled = past.at([*range(q - 1), *range(q - 1 - p, q - 1), q - 1])
-    found, prior = fitted(doubled, p, noise_var * known).scaled(noise_var), Sizes.nothing(flight)
+    doubled = [columns[k] for k in (*range(q - 1), *range(q - 1 - p, q))]
+    found, prior = fitted(past, p, noise_var * known, doubled).scaled(noise_var), Sizes.nothing(flight)
     value = np.where(found.known, found.value, prior.value)
     away = np.sqrt(np.sum(value * (inverse @ value), axis=0))
     held = np.minimum(1.0, _LEARNED_SIGMAS / np.maximum(away, _LEAST_VAR))
@@ -227,13 +261,12 @@ def known_from(past: Sums, patterns: int, flight: FloatArray, window: FloatArray
 
 def _conditional(away: Sizes, faulty: int | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """J of all sizes but one, and that one beyond what they imply with its variance."""
-    p, n = away.value.shape
-    table = np.zeros((p + 1, p + 1, n))
-    table[:p, :p], table[:p, p], table[p, :p] = away.covariance, away.value, away.value
-    table = swept(table, [k for k in range(p) if k != faulty])
-    if faulty is None:
-        return -table[p, p], np.zeros(n), np.ones(n)
-    return -table[p, p], table[faulty, p], table[faulty, faulty]
+    order = [k for k in range(len(away.value)) if k != faulty]
+    count, order = len(order), order if faulty is None else [*order, faulty]
+    rows = [[*(away.covariance[i, j] for j in order[k:]), away.value[i]] for k, i in enumerate(order)]
+    rest, _ = _eliminated([*rows, [np.zeros_like(away.value[0])]], count)
+    variance, given = (rest[0][0], rest[0][1]) if faulty is not None else (np.ones(1), np.zeros(1))
+    return -rest[-1][0], given, variance
 
 
 def distance(away: Sizes, faulty: int | None = 0) -> FloatArray:

@@ -21,7 +21,7 @@ import numpy as np
 from servofd.axes.model import FORMS, Filtered
 from servofd.axes.verdict import named
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
-from servofd.core.windows import Sizes, Sums, distance, fitted, lasting, least, split, swept
+from servofd.core.windows import Sizes, Sums, distance, fitted, lasting, least, split
 
 if TYPE_CHECKING:
     from servofd.axes.model import Form, Regression
@@ -130,19 +130,19 @@ class Seconds:
 
     def fitted(self, upto: IntArray) -> Past:
         """The form as it was up to some seconds, shape (k,)."""
-        products = self.sums.products[..., upto].copy()
-        known = np.arange(len(products) - 1)
-        products[known, known] += _RIDGE * products[known, known] + LEAST_DIVISOR
-        done = swept(products, known.tolist())
-        variance = np.maximum(done[-1, -1] / np.maximum(self.sums.samples[upto], 1.0), _LEAST_VARIANCE)
-        return Past(done[:-1, -1], products[:-1, :-1], variance)
+        past = Sums(self.sums.products[:, upto], self.sums.samples[upto])
+        normal = past.table[:-1, :-1]
+        ridge = np.eye(len(normal))[..., None] * (_RIDGE * normal + LEAST_DIVISOR)
+        found = fitted(past, len(normal), ridge)
+        variance = np.maximum(found.left / np.maximum(past.samples, 1.0), _LEAST_VARIANCE)
+        return Past(found.sizes.value, normal + ridge, variance)
 
     @property
     def explained(self) -> float:
         """Share of the answer (of an inverse form, of the command) that the form explains over the flight."""
         last = np.array([self.sums.samples.size - 1])
         variance = float(self.fitted(last).variance[0])
-        gram, count = self.sums.products[..., -1], max(float(self.sums.samples[-1]), 1.0)
+        gram, count = self.sums.table[..., -1], max(float(self.sums.samples[-1]), 1.0)
         mean = gram[-1, -2] / max(gram[-2, -2], LEAST_DIVISOR)
         power = gram[-1, -1] / count - mean**2 * gram[-2, -2] / count
         return float(1.0 - variance / max(power, LEAST_DIVISOR))
@@ -150,7 +150,7 @@ class Seconds:
     def compared(self, past: Past, begins: IntArray, ends: IntArray, patterns: int = 2) -> tuple[Sizes, FloatArray]:
         """Lost share and offset [us] in some windows, or the offset alone, and what they explain; shape (k,)."""
         window = self.sums.between(begins, ends)
-        q, k = len(window.products), begins.size
+        q, k = window.width, begins.size
         sign = -1.0 if self.form.inverse else 1.0
         gain = past.coefficients[0] if self.form.command != "throttle" and not self.form.inverse else np.ones(k)
         into = np.zeros((k, q + 2, q))
@@ -158,11 +158,12 @@ class Seconds:
         into[:, q - 1, -1 if self.form.inverse else 0] = -gain
         into[:, q, q - 2] = gain
         into[:, q + 1, :-1], into[:, q + 1, -1] = -sign * past.coefficients.T, sign
-        products = into @ np.moveaxis(window.products, 2, 0) @ into.transpose(0, 2, 1)
+        products = into @ np.moveaxis(window.table, 2, 0) @ into.transpose(0, 2, 1)
         columns = [*range(q - 1), *range(q + 1 - patterns, q + 2)]
         precision = np.zeros((q - 1 + patterns, q - 1 + patterns, k))
         precision[: q - 1, : q - 1] = past.precision
-        found = fitted(Sums(np.moveaxis(products, 0, 2), window.samples).at(columns), patterns, precision)
+        packed = np.moveaxis(products, 0, 2)[np.triu_indices(q + 2)]
+        found = fitted(Sums(packed, window.samples), patterns, precision, columns)
         noise = np.fmax(found.left / window.samples, past.variance) * _COLOUR_S * self.rate_hz
         return found.scaled(noise), found.explained
 
