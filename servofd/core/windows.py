@@ -107,17 +107,20 @@ class Sums:
         return (math.isqrt(8 * len(self.products) + 1) - 1) // 2
 
     @property
+    def _places(self) -> IntArray:
+        """Row of the products of two columns, shape (q, q)."""
+        place = np.zeros((self.width, self.width), dtype=np.intp)
+        place[np.triu_indices(self.width)] = np.arange(len(self.products))
+        return np.maximum(place, place.T)
+
+    @property
     def table(self) -> FloatArray:
         """Products of all columns with all, shape (q, q, n)."""
-        place = np.zeros((self.width, self.width), dtype=int)
-        place[np.triu_indices(self.width)] = np.arange(len(self.products))
-        return np.asarray(self.products[np.maximum(place, place.T)])
+        return np.asarray(self.products[self._places])
 
     def rows(self, columns: Sequence[int]) -> list[list[FloatArray]]:
         """Of some columns, in an order of their own: rows of the upper triangle of their products."""
-        place = np.zeros((self.width, self.width), dtype=int)
-        place[np.triu_indices(self.width)] = np.arange(len(self.products))
-        place = np.maximum(place, place.T)
+        place = self._places
         return [[self.products[place[i, j]] for j in columns[k:]] for k, i in enumerate(columns)]
 
 

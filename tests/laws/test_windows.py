@@ -100,6 +100,14 @@ def test_the_scores_of_a_position_are_sizes_over_what_they_scatter_by() -> None:
         assert np.square(score) == pytest.approx(distance(away, None), rel=1e-6), name
 
 
+def test_a_position_is_alarmed_where_a_statistic_lasts_for_two_times() -> None:
+    rng = np.random.default_rng(6)
+    ratios = rng.uniform(0.5, 1.19, (200, len(changes.STATISTICS)))  # none is so large that once is enough
+    limits = rng.uniform(1.0, 5.0, ratios.shape[1])
+    alarmed = changes.exceeded(limits, ratios[0] * limits, ratios[1:] * limits) >= 1.0
+    assert np.array_equal(alarmed, (lasting(ratios[:, 1:].T, 2) >= 1.0).any(axis=0)[1:])
+
+
 def test_an_alarm_lasts_as_long_as_each_value_of_it() -> None:
     values = np.random.default_rng(5).normal(size=(2, 40)) + 1.0
     kept = lasting(values, 3)
