@@ -23,9 +23,10 @@ from servofd.axes.model import (
     settled,
     whitened,
 )
-from servofd.axes.windows import Sliding, Windows, lags, sliding, slowness
+from servofd.axes.windows import LAG, SIZES, Windows, part, sliding
 from servofd.core.errors import CalibrationError
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.core.windows import Sizes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -154,7 +155,7 @@ def _another_aircraft(axes: Mapping[str, _Trial], groups: Sequence[str], flights
         trial = axes.get(name)
         if trial is None or not trial.model.own_command:
             continue
-        found = [sliding(one, one.usable.size, trial.model.noise_var, enough=0.0).loss[-1] for one in trial.inputs]
+        found = [part(one, 0, one.usable.size, trial.model.noise_var).value[0, 0] for one in trial.inputs]
         lost = np.array(
             [np.nanmean([x for x, of in zip(found, groups, strict=True) if of == group]) for group in names]
         )
@@ -336,10 +337,10 @@ class _Setting:
         """The same with more of what windows differ by learned from the flight itself, if it finds losses sooner."""
         learned = trial.model.own_command  # where lambda is free, what was learned early would hide an offset
         rate_hz = self.flights[0].rate_hz
-        model = _with_spreads(trial.model, trial.inputs, rate_hz, _MOST_OF_FLIGHT) if learned else None
-        if model is None:
+        found = _with_spreads(trial.model, trial.inputs, rate_hz, _MOST_OF_FLIGHT) if learned else None
+        if found is None:
             return trial
-        more = self._scored(model, trial.inputs)
+        more = self._scored(*found)
         return min(trial, more, key=lambda one: one.delay_s(one.tail.level(per_hour)))
 
     def _trial(
@@ -378,7 +379,7 @@ class _Setting:
             }
         )
         whole = _with_spreads(fitted, inputs, self.flights[0].rate_hz, _OF_FLIGHT)
-        return None if whole is None else self._scored(whole, inputs)
+        return None if whole is None else self._scored(*whole)
 
     def unseen_tail(self, trial: _Trial) -> Tail:
         """Tail of flights of which neither the model, nor the covariances, nor the largest J have seen the day.
@@ -392,24 +393,20 @@ class _Setting:
         rate_hz, tops = self.flights[0].rate_hz, np.zeros(len(self.flights))
         for group in dict.fromkeys(self.groups):
             seen = [one for one, of in zip(trial.inputs, self.groups, strict=True) if of != group]
-            model = _with_spreads(trial.model, seen, rate_hz, trial.model.of_flight)
-            if model is None:
+            found = _with_spreads(trial.model, seen, rate_hz, trial.model.of_flight)
+            if found is None:
                 return trial.tail
             for i, one in enumerate(trial.inputs):
                 if self.groups[i] == group:
-                    tops[i] = Windows.of(model, one, rate_hz).statistic().max()
+                    tops[i] = Windows.of(found[0], one, rate_hz).statistic().max()
         hours = np.array([float(one.usable.sum()) / rate_hz / S_PER_HOUR for one in trial.inputs])
         return tail_of(tops, hours, days=trial.tail.days)
 
-    def _scored(self, whole: AxisModel, inputs: Sequence[Inputs]) -> _Trial:
-        tops, hours, losses = [], [], []
-        for one, flight in zip(inputs, self.flights, strict=True):
-            windows = Windows.of(whole, one, flight.rate_hz)
-            tops.append(float(windows.statistic().max()))
-            hours.append(float(one.usable.sum()) / flight.rate_hz / S_PER_HOUR)
-            losses.append(_lost_half(windows))
-        tail = tail_of(np.array(tops), np.array(hours), days=len({flight.day for flight in self.flights}))
-        return _Trial(whole, tail, tuple(losses), tuple(inputs))
+    def _scored(self, whole: AxisModel, flights: Sequence[Windows]) -> _Trial:
+        tops = np.array([float(one.statistic().max()) for one in flights])
+        hours = np.array([float(one.inputs.usable.sum()) / one.rate_hz / S_PER_HOUR for one in flights])
+        tail = tail_of(tops, hours, days=len({flight.day for flight in self.flights}))
+        return _Trial(whole, tail, tuple(_lost_half(one) for one in flights), tuple(one.inputs for one in flights))
 
     def _inputs(self, model: AxisModel, columns: Regression, i: int) -> Inputs:
         flight = self.flights[i]
@@ -462,7 +459,7 @@ _ROUNDS = 60
 """Rounds of expectation and maximization."""
 
 
-def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
+def spread_between(flights: Sequence[Sizes], start: FloatArray) -> FloatArray:
     """Covariance of lambda and beta between healthy flights, or windows, beyond the noise of each.
 
     Maximum likelihood by expectation and maximization (Dempster, Laird and Rubin 1977), theta around zero; each
@@ -471,14 +468,14 @@ def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
     From the windows of each healthy flight, or that flight as one, with a model that has not seen its day.
     """
     between = start
-    seen = [found for found in flights if found.loss.size]
+    seen = [found for found in flights if found.known.size]
     if not seen:
         return np.zeros((2, 2))
-    theta = np.hstack([(found.loss, found.offset) for found in seen])
-    loss_var, cross, offset_var = np.hstack([(found.loss_var, found.cross, found.offset_var) for found in seen])
-    weights = np.concatenate([np.full(found.loss.size, 1.0 / (found.loss.size * len(seen))) for found in seen])
+    theta = np.hstack([found.value for found in seen])
+    noise = np.concatenate([found.covariance for found in seen], axis=2)
+    weights = np.concatenate([np.full(found.known.size, 1.0 / (found.known.size * len(seen))) for found in seen])
     for _ in range(_ROUNDS):
-        first, both, second = loss_var + between[0, 0], cross + between[0, 1], offset_var + between[1, 1]
+        (first, both), (_, second) = noise + between[..., None]
         adjugate = np.array([[second, -both], [-both, first]])
         gain = np.einsum("ij,jkn->ikn", between, adjugate) / (first * second - both**2)
         mean = np.einsum("ijn,jn->in", gain, theta)
@@ -490,52 +487,48 @@ def spread_between(flights: Sequence[Sliding], start: FloatArray) -> FloatArray:
     return between
 
 
-def _with_spreads(model: AxisModel, flights: Sequence[Inputs], rate_hz: float, share: float) -> AxisModel | None:
-    """Covariances between flights and between windows, and the largest J that each window length reached."""
+def _with_spreads(
+    model: AxisModel, flights: Sequence[Inputs], rate_hz: float, share: float
+) -> tuple[AxisModel, list[Windows]] | None:
+    """What flights and windows differ by, the largest J that each window length reached, and these windows."""
     start = np.diag([0.05**2, 10.0**2])
     spreads = []
     for window_s in (w for w in _WINDOWS_S if w >= _WINDOW_PER_CORNER / model.corner_hz):
         length = max(4, round(window_s * rate_hz))
-        found = [sliding(one, length, model.noise_var) for one in flights]
-        apart = [one.at(np.flatnonzero(one.known)[:: max(1, length // 10)]) for one in found]
-        if any(one.loss.size for one in apart):
-            spreads.append(Spread.of(window_s, (1.0 - share) * (spread_between(apart, start) + _LEAST_SPREAD)))
+        apart, late = (
+            [one.at(np.flatnonzero(one.known)[:: max(1, length // 10)]) for one in found]
+            for found in ([sliding(one, length, model.noise_var, asked) for one in flights] for asked in (SIZES, LAG))
+        )
+        if any(one.known.size for one in apart):
+            spread = Spread.of(window_s, (1.0 - share) * (spread_between(apart, start) + _LEAST_SPREAD))
+            strays = {"lag_var_s2": (1.0 - share) * _stray_s2(late), "lag_scale": 1.0}
+            spreads.append(spread.model_copy(update=strays))
     if not spreads:
         return None
     model = model.model_copy(update={"spreads": tuple(spreads), "of_flight": share})
-    scales = np.zeros(len(spreads))
-    for one in flights:
-        found_j = Windows.of(model, one, rate_hz).distances()
-        scales = np.maximum(scales, [float(j.max()) for j in found_j])
-    kept = tuple(
-        spread.model_copy(update={"scale": float(scale)})
-        for spread, scale in zip(spreads, scales, strict=True)
-        if scale > 0.0
-    )
-    return _with_lags(model.model_copy(update={"spreads": kept}), flights, rate_hz) if kept else None
+    windows = [Windows.of(model, one, rate_hz) for one in flights]
+    scales = np.max([[float(j.max()) for j in one.distances()] for one in windows], axis=0)
+    lag_scales = np.max([[float(j.max()) for j in one.late] for one in windows], axis=0)
+    kept = [k for k, scale in enumerate(scales) if scale > 0.0]
+    if not kept:
+        return None
+    found = []
+    for k in kept:
+        scale, lag_scale = float(scales[k]), float(lag_scales[k])
+        least = _by_chance(flights, spreads[k], rate_hz)
+        update = {"scale": scale, "lag_scale": max(lag_scale, least) if lag_scale > 0.0 else None}
+        found.append(spreads[k].model_copy(update=update))
+    model = model.model_copy(update={"spreads": tuple(found)})
+    return model, [one.scaled(model, kept) for one in windows]
 
 
-def _with_lags(model: AxisModel, flights: Sequence[Inputs], rate_hz: float) -> AxisModel:
-    """How far the lag of healthy windows strays, and the largest statistic that each window length reached."""
-    spreads = []
-    for spread in model.spreads:
-        length = spread.samples(rate_hz)
-        found = [lags(one, length, model.noise_var) for one in flights]
-        apart = [np.flatnonzero(np.isfinite(lag_s))[:: max(1, length // 10)] for lag_s, _ in found]
-        lag_s, var_s2 = (np.concatenate([one[k][at] for one, at in zip(found, apart, strict=True)]) for k in (0, 1))
-        weights = 1.0 / var_s2
-        excess = float(weights @ (lag_s**2 - var_s2) / weights.sum()) if lag_s.size else 0.0
-        within = (1.0 - model.of_flight) * max(excess, _LEAST_LAG_S**2)
-        spreads.append(spread.model_copy(update={"lag_var_s2": within}))
-    model = model.model_copy(update={"spreads": tuple(spreads)})
-    scales = np.max([[float(j.max()) for j in slowness(model, one, rate_hz)] for one in flights], axis=0)
-    scaled = [
-        spread.model_copy(
-            update={"lag_scale": max(float(scale), _by_chance(flights, spread, rate_hz)) if scale > 0.0 else None}
-        )
-        for spread, scale in zip(spreads, scales, strict=True)
-    ]
-    return model.model_copy(update={"spreads": tuple(scaled)})
+def _stray_s2(flights: Sequence[Sizes]) -> float:
+    """Variance of the lag of healthy windows beyond their noise."""
+    lag_s = np.concatenate([one.value[0] for one in flights])
+    var_s2 = np.concatenate([one.covariance[0, 0] for one in flights])
+    weights = 1.0 / var_s2
+    excess = float(weights @ (lag_s**2 - var_s2) / weights.sum()) if lag_s.size else 0.0
+    return max(excess, _LEAST_LAG_S**2)
 
 
 def _by_chance(flights: Sequence[Inputs], spread: Spread, rate_hz: float) -> float:
@@ -586,9 +579,8 @@ def _noise_var(flights: Sequence[Inputs]) -> float:
 
 def _lost_half(windows: Windows) -> FloatArray:
     """J / scale if half of the axis were lost (if a copied command: if it stood far away), where it is judged."""
-    loss, offset_us = (0.5, 0.0) if windows.axis.own_command else (0.0, _AWAY_US)
-    shifted = (one._replace(loss=one.loss + loss, offset=one.offset + offset_us) for one in windows.found)
-    return np.asarray(replace(windows, found=tuple(shifted)).shares()[:, windows.inputs.usable])
+    change = (0.5, 0.0) if windows.axis.own_command else (0.0, _AWAY_US)
+    return np.asarray(windows.shifted(np.array(change)).shares()[:, windows.inputs.usable])
 
 
 _PRIOR_INDEX, _PRIOR_WEIGHT = 2.5, 4.0

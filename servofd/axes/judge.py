@@ -30,12 +30,13 @@ import numpy as np
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
 from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus, excludes_none, left_out, reason_of
-from servofd.axes.windows import Sliding, Solved, Windows, lags, nothing_known, sliding
+from servofd.axes.windows import LAG, SIZES, Windows, part
 from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR, Z_95, Estimate
+from servofd.core.windows import Sizes, fitted, split
 
 if TYPE_CHECKING:
-    from servofd.aircraft.axes import AxisModel, MotionModel
+    from servofd.aircraft.axes import AxisModel, MotionModel, Spread
     from servofd.axes.motion import Motion
     from servofd.core.types import BoolArray, FloatArray
 
@@ -118,7 +119,7 @@ class _Change:
     end: int
     before: Inputs
     """Of the flight before it and any event that still lasts."""
-    past: Sliding
+    past: Sizes
     rest: Inputs
     """Beyond what still lasts."""
     score: FloatArray
@@ -185,7 +186,7 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
         learned = min(max(alarm + 1, learned), size)
         before = standing[0].before if standing else rest
         if from_start:
-            end, last, past = size, learned, nothing_known(axis.of_flights(axis.spreads[-1]))
+            end, last, past = size, learned, Sizes.nothing(axis.of_flights(axis.spreads[-1]))
         else:
             recovered = _recovered(axis, before, alarm, rate_hz)
             end = size if recovered is None else recovered
@@ -226,11 +227,8 @@ def _beyond(axis: AxisModel, state: Inputs, first: int, last: int, rate_hz: floa
 
 def _became(axis: AxisModel, flight: Inputs, start: int, learned: int) -> Inputs:
     """What is left beyond the loss, the offset and the lag of an axis since an event."""
-    samples = np.arange(flight.usable.size)
-    seen = replace(flight, usable=flight.usable & (samples >= start) & (samples < learned))
-    found = sliding(seen, samples.size, axis.noise_var, enough=0.0)
-    loss, offset = float(np.nan_to_num(found.loss[-1])), float(np.nan_to_num(found.offset[-1]))
-    lag_s = float(np.nan_to_num(lags(seen, samples.size, axis.noise_var, enough=0.0).lag_s[-1]))
+    loss, offset = np.nan_to_num(part(flight, start, learned, axis.noise_var).value[:, 0]).tolist()
+    lag_s = float(np.nan_to_num(part(flight, start, learned, axis.noise_var, LAG).value[0, 0]))
     return replace(flight, residual=flight.residual - loss * flight.loss - offset * flight.offset - lag_s * flight.lag)
 
 
@@ -251,9 +249,10 @@ def _event(axis: AxisModel, change: _Change, time_s: FloatArray, rate_hz: float)
     )
 
 
-def _beside(inputs: Inputs, past: Sliding) -> Inputs:
+def _beside(inputs: Inputs, past: Sizes) -> Inputs:
     """What is left beside the loss and the offset that a flight had of its own, which flights differ by."""
-    return replace(inputs, residual=inputs.residual - past.loss[0] * inputs.loss - past.offset[0] * inputs.offset)
+    loss, offset = past.value[:, 0].tolist()
+    return replace(inputs, residual=inputs.residual - loss * inputs.loss - offset * inputs.offset)
 
 
 def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estimate | None:
@@ -309,49 +308,45 @@ def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> i
     windows = Windows.of(only, inputs, rate_hz)
     well = windows.found[0].known & (windows.shares()[0] < _CLEAR_SHARE * axis.suspect)
     if axis.own_command:
-        well &= np.sqrt(np.nan_to_num(windows.found[0].loss_var, nan=np.inf) + spread.loss_var) < _KNOWN_WITHIN / Z_95
+        well &= _is_known_in(windows.found[0], spread)
     well[: alarm + clear] = False
     runs = np.convolve(well, np.ones(clear), mode="full")[: well.size]
     found = np.flatnonzero(runs >= clear)
     return int(found[0]) if found.size else None
 
 
-def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float, past: Sliding) -> int:
+def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float, past: Sizes) -> int:
     """Where a fault must have begun to explain most of the residual up to its alarm.
 
     Before it, if that was long enough to tell, the flight had a loss and an offset of its own, which flights differ by:
     what they explain as well is not the fault's.
     """
     inputs = _beside(inputs, past)
-    healthy = np.array([[past.loss_var[0], past.cross[0]], [past.cross[0], past.offset_var[0]]]) / axis.noise_var
+    precision = np.asarray(np.linalg.inv(past.covariance[..., 0] / axis.noise_var), dtype=np.float64)
     first = max(begin, alarm - round(_ONSET_S * rate_hz))
-    *products, count = (total[alarm] - total[first:alarm] for total in inputs.sums[:6])
-    explained = np.where(count > _UNKNOWNS, Solved.of(*products).explained, np.nan)
-    prior = np.linalg.inv(healthy)
-    a, b, c, d1, d2, count = (total[first:alarm] - total[first] for total in inputs.sums[:6])
-    of_flight = Solved.of(a + prior[0, 0], b + prior[0, 1], c + prior[1, 1], d1, d2).explained
-    explained += np.where(count > _AT_ONCE_S * rate_hz, of_flight, 0.0)
-    return first + int(np.nanargmax(explained)) if np.isfinite(explained).any() else alarm
+    begins = np.arange(first, alarm) + 1
+    since, before = inputs.sums.between(begins, alarm + 1), inputs.sums.between(first + 1, begins)
+    explained = fitted(since, SIZES.patterns, columns=SIZES.columns).explained
+    of_flight = fitted(before, SIZES.patterns, precision, SIZES.columns).explained
+    explained[since.samples <= _UNKNOWNS] = np.nan
+    of_flight[before.samples <= _AT_ONCE_S * rate_hz] = 0.0
+    return first + split(explained, of_flight) if begins.size else alarm
 
 
-def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> Sliding:
+def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> Sizes:
     """What the flight was like before the longest window that ends with the alarm, if it was judged for long enough."""
     spread = axis.spreads[-1]
     before = alarm - spread.samples(rate_hz)
-    found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
-    if int(inputs.usable[begin : max(before, begin)].sum()) < _OWN_PAST_S * rate_hz or not found.known[before]:
-        return nothing_known(axis.of_flights(spread))
-    return Sliding(
-        found.loss[[before]],
-        found.offset[[before]],
-        found.loss_var[[before]] + spread.loss_var,
-        found.cross[[before]] + spread.cross_us,
-        found.offset_var[[before]] + spread.offset_var_us2,
-    )
+    if int(inputs.usable[begin : max(before, begin)].sum()) < _OWN_PAST_S * rate_hz:
+        return Sizes.nothing(axis.of_flights(spread))
+    found = part(inputs, 0, before + 1, axis.noise_var)
+    if not found.known[0]:
+        return Sizes.nothing(axis.of_flights(spread))
+    return found._replace(covariance=found.covariance + spread.covariance[..., None])
 
 
 def _estimate(
-    axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Sliding
+    axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Sizes
 ) -> tuple[Estimate, Estimate]:
     """Loss and offset from an onset on, beyond what the flight was like before; healthy flights differ as well.
 
@@ -359,15 +354,11 @@ def _estimate(
     than it is, the more so the less of the motion the command explains in healthy flights.
     """
     last = min(last, start + round(_ONSET_S * rate_hz))
-    event = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) >= start))
-    found = sliding(event, inputs.usable.size, axis.noise_var, enough=0.0)
-    spread, place = axis.spreads[-1], last - 1
-    lost = _between(axis, found.loss[place] - past.loss[0], found.loss_var[place] + spread.loss_var + past.loss_var[0])
-    offset_var = found.offset_var[place] + spread.offset_var_us2 + past.offset_var[0]
-    offset = _between(axis, found.offset[place] - past.offset[0], offset_var)
+    away = part(inputs, start, last, axis.noise_var).beyond(past, axis.spreads[-1].covariance)
+    lost, offset = (_between(axis, away.value[k, 0], away.covariance[k, k, 0]) for k in range(2))
     explained = min(1.0, max(_LEAST_EXPLAINED, axis.explained)) if axis.own_command else 1.0
     hidden = max(lost.high, 0.0) * (1.0 / math.sqrt(explained) - 1.0)
-    loss_offset, offset_offset = event.sums.loss_offset[place], event.sums.offset_offset[place]
+    loss_offset, offset_offset = inputs.sums.between(start, last).table[1:3, 2, 0].tolist()
     away_us = hidden * abs(loss_offset) / offset_offset if offset_offset > 0.0 else 0.0
     return (
         lost._replace(high=float(lost.high + hidden)),
@@ -390,6 +381,13 @@ def _is_known(whole: tuple[Estimate, Estimate] | None) -> bool:
     return whole is not None and whole[0].high - whole[0].low <= 2.0 * _KNOWN_WITHIN
 
 
+def _is_known_in(found: Sizes, spread: Spread) -> BoolArray:
+    """Windows in which lambda is known to less than +-0.3."""
+    variance = np.where(found.known, found.covariance[0, 0], np.inf) + spread.loss_var
+    is_known: BoolArray = Z_95 * np.sqrt(variance) < _KNOWN_WITHIN
+    return is_known
+
+
 def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> tuple[BoolArray, FloatArray]:
     """Where lambda is known to less than +-0.3, in windows in which a member that stood still would be found.
 
@@ -401,8 +399,7 @@ def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> tup
     least = windows.smallest()
     known, shows = np.zeros((2, inputs.usable.size), dtype=bool)
     for found, spread, (loss, _) in zip(windows.found, axis.spreads, least, strict=True):
-        variance = np.nan_to_num(found.loss_var, nan=np.inf) + spread.loss_var
-        known |= Z_95 * np.sqrt(variance) < _KNOWN_WITHIN
+        known |= _is_known_in(found, spread)
         length = spread.samples(rate_hz)
         still = loss < 1.0 / members
         shows |= np.convolve(still, np.ones(length))[length - 1 :] > 0.5  # all of a window that tells
@@ -413,15 +410,15 @@ def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray, rate_hz: float) ->
     """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not."""
     if not (inputs.usable & flown).any():
         return None
-    found = sliding(inputs, inputs.usable.size, axis.noise_var, enough=0.0)
-    if not found.known[-1]:
+    found = part(inputs, 0, inputs.usable.size, axis.noise_var)
+    if not found.known[0]:
         return None
     spread = axis.spreads[-1]
     windows = max(1.0, float(inputs.usable.sum()) / spread.samples(rate_hz))
     stray = axis.of_flights(spread) + spread.covariance / windows
     return (
-        _between(axis, found.loss[-1], found.loss_var[-1] + stray[0, 0]),
-        _between(axis, found.offset[-1], found.offset_var[-1] + stray[1, 1]),
+        _between(axis, found.value[0, 0], found.covariance[0, 0, 0] + stray[0, 0]),
+        _between(axis, found.value[1, 0], found.covariance[1, 1, 0] + stray[1, 1]),
     )
 
 

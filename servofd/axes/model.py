@@ -15,9 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from servofd.core.windows import Sums
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, Regime
@@ -184,33 +186,6 @@ FORMS: Mapping[str, Form] = {
 """By name; calibration takes for each axis the one under which a lost axis stands out most."""
 
 
-def before(total: FloatArray, length: int) -> FloatArray:
-    """Cumulative sum at the begin of the window that ends at each sample."""
-    earlier = np.zeros_like(total)
-    earlier[length:] = total[:-length]
-    return earlier
-
-
-class Sums(NamedTuple):
-    """Cumulative products over what is usable, and its count; shape (n,) each."""
-
-    loss_loss: FloatArray
-    loss_offset: FloatArray
-    offset_offset: FloatArray
-    loss_e: FloatArray
-    offset_e: FloatArray
-    samples: FloatArray
-    e_e: FloatArray
-    lag_loss: FloatArray
-    lag_offset: FloatArray
-    lag_lag: FloatArray
-    lag_e: FloatArray
-
-    def within(self, length: int) -> Sums:
-        """Over the window that ends at each sample."""
-        return Sums(*(total - before(total, length) for total in self))
-
-
 @dataclass(frozen=True, eq=False)
 class Inputs:
     """Residual of a form, and what a loss, an offset and a lag would leave in it; shape (n,) each.
@@ -235,14 +210,9 @@ class Inputs:
 
     @cached_property
     def sums(self) -> Sums:
-        """Cumulative products."""
+        """Cumulative products of lag, loss, offset and residual."""
         lag = self.lag if self.lag.size else np.zeros_like(self.loss)
-        e, x1, x2, x3 = (np.where(self.usable, x, 0.0) for x in (self.residual, self.loss, self.offset, lag))
-        products = (
-            *(x1 * x1, x1 * x2, x2 * x2, x1 * e, x2 * e),
-            *(self.usable.astype(np.float64), e * e, x3 * x1, x3 * x2, x3 * x3, x3 * e),
-        )
-        return Sums(*(np.cumsum(product) for product in products))
+        return Sums.of(np.array([lag, self.loss, self.offset, self.residual]), self.usable)
 
 
 _SETTLING = 1.0

@@ -20,6 +20,7 @@ import numpy as np
 
 from servofd.aircraft.current import NAMES
 from servofd.core.statistics import Estimate
+from servofd.core.windows import Sums, split
 from servofd.current.model import Seen, see
 from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
@@ -309,17 +310,13 @@ def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
         for share in _shares(seen, time_s, places, _SLACK_DEG[1]).T:
             gains["blocked"] += [good - _misfit(seen, everything, "blocked", least * n, share) for n in _STALLS]
     last = np.searchsorted(time_s, at_s, side="right")
+    begins = [np.searchsorted(time_s, at_s - look_s) for look_s in LOOKS_S]
     largest = {}
     for kind, accounts in gains.items():
-        if not accounts:
-            continue
-        each = each_of(seen.series) * np.clip(np.column_stack(accounts), -_LARGEST, _LARGEST)
-        table = np.where(seen.usable[:, None], each, 0.0)
-        sums = np.concatenate([np.zeros((1, table.shape[1])), np.cumsum(table, axis=0)])
-        largest[kind] = np.full(at_s.size, -np.inf)
-        for look_s in LOOKS_S:
-            first = np.searchsorted(time_s, at_s - look_s)
-            largest[kind] = np.maximum(largest[kind], (sums[last] - sums[first]).max(axis=1))
+        if accounts:
+            sums = Sums.running((np.clip(one, -_LARGEST, _LARGEST) for one in accounts), seen.usable)
+            best = np.max([sums.between(first, last).products.max(axis=0) for first in begins], axis=0)
+            largest[kind] = each_of(seen.series) * best
     return largest
 
 
@@ -459,8 +456,9 @@ def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float, *, 
     time_s = seen.series.time_s
     each = each_of(seen.series)
     rows = slice(*np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, earliest_s), np.nextafter(alarm_s, np.inf))))
-    since = np.cumsum(each * _gains(seen, account, rows)[::-1])[::-1]
-    start_s = float(min(time_s[rows][int(np.argmax(since))], alarm_s)) if since.size else alarm_s
+    gained = Sums.running([_gains(seen, account, rows)], seen.usable[rows])
+    since = gained.between(np.arange(time_s[rows].size), -1).products[0]
+    start_s = float(min(time_s[rows][split(since)], alarm_s)) if since.size else alarm_s
     span = slice(*np.searchsorted(time_s, (start_s, np.nextafter(named_s, np.inf))).tolist())
     healthy, *others = _accounts(seen, span) if seen.usable[span].any() else (account,)
     others = sorted(others, key=lambda one: one.total)

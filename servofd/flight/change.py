@@ -3,16 +3,11 @@
 The reference is the flight's own past. An axis obeys one of the forms of `servofd.axes.model`, linear in its unknowns;
 every second they are fitted to all that was flown before a trailing window, and what the window leaves,
 
-    e = lambda x1 + beta x2,     x1 = -K F(g u),  x2 = K F(g),
+    e = lambda x1 + beta x2 + A c,     x1 = -K F(g u),  x2 = K F(g),
 
-is a lost share of the command's effect and an offset. Their covariance is that of the noise and of the fit itself (a
-short past extrapolates), and
-
-    J = theta^T (S + Sigma)^-1 theta,
-
-one-sided in lambda, compares them with what windows of healthy flights differ by: S0, of other aircraft, and, with
-every window that passes, what this flight showed. All products are sums over seconds, so that a window costs a few
-small matrices however long it is.
+is a lost share of the command's effect and an offset, beside what the fit does not know: A are its columns, and c has
+its covariance (a short past extrapolates). The windows are those of `servofd.core.windows`; healthy ones differ by
+S0, of other aircraft, and, with every window that passes, by what this flight showed.
 """
 
 from __future__ import annotations
@@ -25,8 +20,8 @@ import numpy as np
 
 from servofd.axes.model import FORMS, Filtered
 from servofd.axes.verdict import named
-from servofd.axes.windows import Sliding, Solved, distance, smallest
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
+from servofd.core.windows import Sizes, Sums, distance, fitted, lasting, least, split
 
 if TYPE_CHECKING:
     from servofd.axes.model import Form, Regression
@@ -48,6 +43,8 @@ _DELAY_FROM_S = 40
 """Flight from which the delay is found [s]."""
 _RIDGE = 1e-3
 """Ridge of the regression, in units of its scaled diagonal."""
+_LEAST_VARIANCE = 1e-12
+"""Of a residual, in the square of its unit: a form that fits to the last digit has been fed with a constant."""
 _PRIOR_WINDOWS = 8.0
 """What other aircraft's flights are worth, in windows of this one."""
 _ENOUGH = 0.8
@@ -91,14 +88,14 @@ LOOKS = {
     "roll": Look(
         ("roll_rate", 1.0),
         ("roll_acceleration", 2.5),
-        ((0.030**2, -0.001, 1.0), (0.035**2, -0.015, 1.0), (0.048**2, -0.023, 1.1**2)),
-        8.1,
+        ((0.029**2, -0.001, 1.0), (0.036**2, -0.017, 1.0), (0.045**2, -0.027, 1.0)),
+        8.7,
     ),
     "pitch": Look(
         ("pitch_inverse", 0.4),
         ("pitch_inverse", 1.0),
-        ((0.096**2, 0.078, 3.3**2), (0.081**2, 0.027, 3.8**2), (0.076**2, 0.005, 3.9**2)),
-        17.5,
+        ((0.097**2, 0.087, 3.3**2), (0.084**2, 0.032, 3.8**2), (0.088**2, 0.026, 3.7**2)),
+        19.7,
     ),
 }
 """The side axis is left out: its sizes made no sense in healthy flights (lambda from -1.3 to 5.8)."""
@@ -111,120 +108,115 @@ engine of ArduPlane leaves -11 m/s2."""
 
 @dataclass(frozen=True, eq=False)
 class Seconds:
-    """Products of a form's columns, summed up to each second.
+    """A form's columns, with their products summed up to each second.
 
-    `totals` (shape (n + 1, q, q)): of command, others, offset and answer, in this order. `samples` (shape (n + 1,)):
-    how many were usable so far.
+    `sums` is of what is known (the command of a forward form, others, offset), and last of what it answers: the motion,
+    or of an inverse form the command.
     """
 
     form: Form
-    totals: FloatArray
-    samples: FloatArray
+    sums: Sums
     rate_hz: float
 
     @classmethod
     def of(cls, form: Form, columns: Regression, usable: BoolArray, motion: Motion) -> Seconds:
         """Of one flight."""
-        rows = np.where(usable, np.vstack([columns.command, columns.others, columns.offset, columns.answer]), 0.0)
+        rows = [columns.others, columns.offset, columns.command]
+        if not form.inverse:
+            rows = [columns.command, columns.others, columns.offset, columns.answer]
         second = np.floor(motion.time_s - motion.time_s[0] + 1e-6).astype(int)
         edges = np.searchsorted(second, np.arange(second[-1] + 1))
-        products = np.add.reduceat(np.einsum("in,jn->nij", rows, rows), edges, axis=0)
-        samples = np.add.reduceat(usable.astype(float), edges)
-        zero = np.zeros((1, *products.shape[1:]))
-        return cls(
-            form,
-            np.concatenate([zero, np.cumsum(products, axis=0)]),
-            np.concatenate([[0.0], np.cumsum(samples)]),
-            motion.rate_hz,
-        )
+        return cls(form, Sums.of(np.vstack(rows), usable, edges), motion.rate_hz)
 
-    def fitted(self, upto: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Coefficients of the residual, variance of the residual, and covariance of the coefficients, up to seconds.
-
-        The residual is what a row of columns times the first result gives; shapes (k, q), (k,), (k, q, q).
-        """
-        grams, count = self.totals[upto], np.maximum(self.samples[upto], 1.0)
-        q = grams.shape[-1]
-        known = np.arange(1 if self.form.inverse else 0, q - 1)
-        answer = 0 if self.form.inverse else q - 1
-        normal = grams[:, known[:, None], known]
-        scale = np.sqrt(np.maximum(np.einsum("kii->ki", normal), LEAST_DIVISOR))
-        normal = normal / scale[:, :, None] / scale[:, None, :] + _RIDGE * np.eye(known.size)
-        inverse = np.linalg.inv(normal) / scale[:, :, None] / scale[:, None, :]
-        found = np.einsum("kij,kj->ki", inverse, grams[:, known, answer])
-        sign = -1.0 if self.form.inverse else 1.0
-        residual = np.zeros(grams.shape[:2])
-        residual[:, known], residual[:, answer] = -sign * found, sign
-        variance = np.maximum(np.einsum("ki,kij,kj->k", residual, grams, residual) / count, 1e-12)
-        covariance = np.zeros_like(grams)
-        covariance[:, known[:, None], known] = inverse
-        return residual, variance, covariance
+    def fitted(self, upto: IntArray) -> Past:
+        """The form as it was up to some seconds, shape (k,)."""
+        past = Sums(self.sums.products[:, upto], self.sums.samples[upto])
+        normal = past.table[:-1, :-1]
+        ridge = np.eye(len(normal))[..., None] * (_RIDGE * normal + LEAST_DIVISOR)
+        found = fitted(past, len(normal), ridge)
+        variance = np.maximum(found.left / np.maximum(past.samples, 1.0), _LEAST_VARIANCE)
+        return Past(found.sizes.value, normal + ridge, variance)
 
     @property
     def explained(self) -> float:
         """Share of the answer (of an inverse form, of the command) that the form explains over the flight."""
-        last = np.array([self.samples.size - 1])
-        _, variance, _ = self.fitted(last)
-        place = 0 if self.form.inverse else -1
-        gram, count = self.totals[-1], max(self.samples[-1], 1.0)
-        mean = gram[place, -2] / max(gram[-2, -2], LEAST_DIVISOR)
-        power = gram[place, place] / count - mean**2 * gram[-2, -2] / count
-        return float(1.0 - variance[0] / max(power, LEAST_DIVISOR))
+        last = np.array([self.sums.samples.size - 1])
+        variance = float(self.fitted(last).variance[0])
+        gram, count = self.sums.table[..., -1], max(float(self.sums.samples[-1]), 1.0)
+        mean = gram[-1, -2] / max(gram[-2, -2], LEAST_DIVISOR)
+        power = gram[-1, -1] / count - mean**2 * gram[-2, -2] / count
+        return float(1.0 - variance / max(power, LEAST_DIVISOR))
+
+    def compared(self, past: Past, begins: IntArray, ends: IntArray, patterns: int = 2) -> tuple[Sizes, FloatArray]:
+        """Lost share and offset [us] in some windows, or the offset alone, and what they explain; shape (k,)."""
+        window = self.sums.between(begins, ends)
+        q, k = window.width, begins.size
+        sign = -1.0 if self.form.inverse else 1.0
+        gain = past.coefficients[0] if self.form.command != "throttle" and not self.form.inverse else np.ones(k)
+        into = np.zeros((k, q + 2, q))
+        into[:, : q - 1, : q - 1] = np.eye(q - 1)
+        into[:, q - 1, -1 if self.form.inverse else 0] = -gain
+        into[:, q, q - 2] = gain
+        into[:, q + 1, :-1], into[:, q + 1, -1] = -sign * past.coefficients.T, sign
+        products = into @ np.moveaxis(window.table, 2, 0) @ into.transpose(0, 2, 1)
+        columns = [*range(q - 1), *range(q + 1 - patterns, q + 2)]
+        precision = np.zeros((q - 1 + patterns, q - 1 + patterns, k))
+        precision[: q - 1, : q - 1] = past.precision
+        packed = np.moveaxis(products, 0, 2)[np.triu_indices(q + 2)]
+        found = fitted(Sums(packed, window.samples), patterns, precision, columns)
+        noise = np.fmax(found.left / window.samples, past.variance) * _COLOUR_S * self.rate_hz
+        return found.scaled(noise), found.explained
 
 
-def windows(seconds: Seconds, length_s: int) -> Sliding:
-    """Lost share and offset [us] in the window that ends with each second, by a fit to what came before; shape (n,)."""
-    n = seconds.samples.size - 1
-    found = Sliding(*(np.full(n, np.nan) for _ in range(5)))
-    ends = np.arange(length_s, n + 1)
-    begins = ends - length_s
-    inside = seconds.samples[ends] - seconds.samples[begins]
-    good = (inside >= _ENOUGH * length_s * seconds.rate_hz) & (
-        seconds.samples[begins] >= LEAST_PAST_S * seconds.rate_hz
+class Past(NamedTuple):
+    """A form as fitted to what was flown up to some seconds: what it knows of its columns, shapes (q, k), (q, q, k).
+
+    `precision`: inverse covariance of the coefficients, times the `variance` (k,) of what they leave.
+    """
+
+    coefficients: FloatArray
+    precision: FloatArray
+    variance: FloatArray
+
+    def at(self, place: int, count: int) -> Past:
+        """One of them, as often as there are windows that it is compared with."""
+        return Past(*(np.repeat(each[..., place, None], count, axis=-1) for each in self))
+
+
+def _windows(seconds: Seconds, length_s: int) -> tuple[IntArray, IntArray]:
+    """Begins and ends of the windows of a length that hold enough, and have enough flight before them."""
+    ends = np.arange(length_s, seconds.sums.samples.size)
+    begins, so_far = ends - length_s, seconds.sums.samples
+    good = (so_far[ends] - so_far[begins] >= _ENOUGH * length_s * seconds.rate_hz) & (
+        so_far[begins] >= LEAST_PAST_S * seconds.rate_hz
     )
-    ends, begins, inside = ends[good], begins[good], inside[good]
-    if not ends.size:
-        return found
-    residual, variance, fit = seconds.fitted(begins)
-    gram = seconds.totals[ends] - seconds.totals[begins]
-    solved, tells = _solved(seconds, residual, gram)
-    left = np.einsum("ki,kij,kj->k", residual, gram, residual) - solved.explained
-    noise = np.maximum(np.maximum(left, 0.0) / inside, variance) * _COLOUR_S * seconds.rate_hz
-    inverse = np.array([[solved.loss_loss, solved.loss_offset], [solved.loss_offset, solved.offset_offset]])
-    to_fit = np.einsum("ijk,kjq->kiq", inverse, tells)
-    of_fit = np.einsum("kiq,kqr,kjr->ijk", to_fit, fit, to_fit) * variance * _COLOUR_S * seconds.rate_hz
-    covariance = noise * inverse + of_fit
-    values = (solved.loss, solved.offset, covariance[0, 0], covariance[0, 1], covariance[1, 1])
-    for into, value in zip(found, values, strict=True):
-        into[ends - 1] = value
+    return begins[good], ends[good]
+
+
+def windows(seconds: Seconds, length_s: int) -> Sizes:
+    """Lost share and offset [us] in the window that ends with each second, by a fit to what came before; n of them."""
+    n = seconds.sums.samples.size - 1
+    found = Sizes(np.full((2, n), np.nan), np.full((2, 2, n), np.nan))
+    begins, ends = _windows(seconds, length_s)
+    if ends.size:
+        sizes, _ = seconds.compared(seconds.fitted(begins), begins, ends)
+        found.value[:, ends - 1], found.covariance[..., ends - 1] = sizes
     return found
 
 
-def _solved(seconds: Seconds, residual: FloatArray, gram: FloatArray) -> tuple[Solved, FloatArray]:
-    """Loss and offset in windows with these products of columns, and products of what they leave with the columns."""
-    gain = np.ones(len(gram)) if seconds.form.inverse else -residual[:, 0]
-    tells = np.stack([-gain[:, None] * gram[:, 0], gain[:, None] * gram[:, -2]], axis=1)
-    a, b, c = -gain * tells[:, 0, 0], gain * tells[:, 0, -2], gain * tells[:, 1, -2]
-    d1, d2 = np.einsum("kij,kj->ik", tells, residual)
-    return Solved.of(a, b, c, d1, d2), tells
-
-
-def expected(found: Sliding, length_s: int, spread: FloatArray) -> Sliding:
+def expected(found: Sizes, length_s: int, spread: FloatArray) -> Sizes:
     """What windows of this flight may differ by: S0, and what the windows before showed, each by what it can tell."""
     seen = found.known
-    sigma = np.array([[found.loss_var, found.cross], [found.cross, found.offset_var]]).transpose(2, 0, 1)[seen]
-    theta = np.array([found.loss, found.offset]).T[seen]
+    sigma, theta = np.moveaxis(found.covariance[..., seen], 2, 0), found.value[:, seen].T
     gain = spread @ np.linalg.inv(spread + sigma)
     mean = np.einsum("kij,kj->ki", gain, theta)
-    each = np.zeros((found.loss.size, 2, 2))
-    each[seen] = mean[:, :, None] * mean[:, None, :] + spread - gain @ spread
-    total = np.cumsum(each, axis=0) / length_s
-    count = np.cumsum(seen) / length_s
-    total = np.concatenate([np.zeros((length_s, 2, 2)), total])[: count.size]
-    count = np.concatenate([np.zeros(length_s), count])[: count.size]
+    each = np.zeros((seen.size + 1, 2, 2))
+    each[1:][seen] = mean[:, :, None] * mean[:, None, :] + spread - gain @ spread
+    before = np.maximum(np.arange(1, seen.size + 1) - length_s, 0)
+    total = np.cumsum(each, axis=0)[before] / length_s
+    count = np.concatenate([[0.0], np.cumsum(seen)])[before] / length_s
     s = (_PRIOR_WINDOWS * spread + total) / (_PRIOR_WINDOWS + count)[:, None, None]
-    zero = np.zeros(found.loss.size)
-    return Sliding(zero, zero, s[:, 0, 0], s[:, 0, 1], s[:, 1, 1])
+    return Sizes(np.zeros((2, seen.size)), np.moveaxis(s, 0, 2))
 
 
 def regressed(form: Form, motion: Motion, usable: BoolArray, corner_hz: float, reference_m_s: float) -> Seconds:
@@ -308,32 +300,28 @@ class AxisChange:
 class Compared:
     """An axis, window by window, against what was flown before each.
 
-    `found`, `known`: estimates and what to expect of them, for the windows of each length. `shares` (shape (3, n)): J
-    over its limit, where its size means something, after persistence and before.
+    `found`, `away`: estimates, and how far beyond what is expected, for the windows of each length. `shares`, `held`
+    (shape (3, n)): J over its limit, where its size means something, before and after persistence.
     """
 
     seconds: Seconds
-    found: tuple[Sliding, ...]
-    known: tuple[Sliding, ...]
+    found: tuple[Sizes, ...]
+    away: tuple[Sizes, ...]
     shares: FloatArray
     held: FloatArray
 
     @classmethod
     def of(cls, seconds: Seconds, look: Look) -> Compared:
         """Of one axis."""
-        from scipy import ndimage
-
         found = [windows(seconds, length_s) for length_s in WINDOWS_S]
         spreads = [np.array([[v, c], [c, o]]) for v, c, o in look.spread]
-        known = [expected(*each) for each in zip(found, WINDOWS_S, spreads, strict=True)]
-        shares = np.array(
-            [
-                np.where(_means_something(one), distance(one, prior, np.zeros((2, 2))), 0.0) / look.limit
-                for one, prior in zip(found, known, strict=True)
-            ]
-        )
-        held = ndimage.minimum_filter1d(shares, _HELD_S, axis=1, origin=(_HELD_S - 1) // 2)
-        return cls(seconds, tuple(found), tuple(known), shares, held)
+        away = [
+            one.beyond(expected(one, length_s, spread), np.zeros((2, 2)))
+            for one, length_s, spread in zip(found, WINDOWS_S, spreads, strict=True)
+        ]
+        shares = np.array([_means_something(one) * distance(far) for one, far in zip(found, away, strict=True)])
+        shares /= look.limit
+        return cls(seconds, tuple(found), tuple(away), shares, lasting(shares, _HELD_S))
 
     @property
     def judged(self) -> BoolArray:
@@ -343,16 +331,13 @@ class Compared:
 
     def shown_loss(self, look: Look) -> float:
         """Loss that half of the judged seconds would have shown."""
-        least = [
-            smallest(one, prior, np.zeros((2, 2)), look.limit)[0]
-            for one, prior in zip(self.found, self.known, strict=True)
-        ]
-        return float(np.median(np.min(least, axis=0)[self.judged]))
+        return float(np.median(np.min([least(one, look.limit) for one in self.away], axis=0)[self.judged]))
 
 
-def _means_something(window: Sliding) -> BoolArray:
-    large = (window.loss >= _LEAST_LOSS) | ((np.abs(window.offset) >= _LEAST_US) & (window.loss > _LEAST_GAIN))
-    means: BoolArray = large & (window.loss <= _MOST_LOSS)
+def _means_something(window: Sizes) -> BoolArray:
+    loss, offset = window.value
+    large = (loss >= _LEAST_LOSS) | ((np.abs(offset) >= _LEAST_US) & (loss > _LEAST_GAIN))
+    means: BoolArray = large & (loss <= _MOST_LOSS)
     return means
 
 
@@ -406,8 +391,9 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
 def _changed(known: AxisChange, compared: Compared, at: int, begin_s: float) -> AxisChange:
     """An axis that stopped answering as before, as it could be reported at a second."""
     window = compared.found[int(np.argmax(compared.held[:, at]))].at(np.array([at]))
-    lost = Estimate.of(float(window.loss[0]), math.sqrt(float(window.loss_var[0])))
-    offset = Estimate.of(float(window.offset[0]), math.sqrt(float(window.offset_var[0])))
+    lost, offset = (
+        Estimate.of(float(window.value[k, 0]), math.sqrt(float(window.covariance[k, k, 0]))) for k in range(2)
+    )
     since_s, alarm_s = begin_s + onset(compared.seconds, at + 1), begin_s + at + 1.0
     what = (
         f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
@@ -433,11 +419,8 @@ def onset(seconds: Seconds, reported: int) -> float:
     Of the windows that end where it was reported, the one whose loss and offset explain most.
     """
     begins = np.arange(max(reported - WINDOWS_S[-1], 0), reported - _HELD_S + 1)
-    residual, _, _ = seconds.fitted(begins[:1])
-    solved, _ = _solved(
-        seconds, np.repeat(residual, begins.size, axis=0), seconds.totals[reported] - seconds.totals[begins]
-    )
-    return float(begins[np.argmax(np.nan_to_num(solved.explained))])
+    past = seconds.fitted(begins[:1]).at(0, begins.size)
+    return float(begins[split(seconds.compared(past, begins, np.full(begins.size, reported))[1])])
 
 
 def thrust_missing_s(motion: Motion, usable: BoolArray, reference_m_s: float) -> float | None:
@@ -445,21 +428,12 @@ def thrust_missing_s(motion: Motion, usable: BoolArray, reference_m_s: float) ->
     if np.ptp(motion.throttle) == 0.0:
         return None
     seconds = regressed(FORMS[_THRUST_FORM], motion, usable, _THRUST_HZ, reference_m_s)
-    ends = np.arange(_THRUST_S, seconds.samples.size)
-    begins = ends - _THRUST_S
-    good = (seconds.samples[ends] - seconds.samples[begins] >= _ENOUGH * _THRUST_S * motion.rate_hz) & (
-        seconds.samples[begins] >= LEAST_PAST_S * motion.rate_hz
-    )
-    ends, begins = ends[good], begins[good]
+    begins, ends = _windows(seconds, _THRUST_S)
     if not ends.size:
         return None
-    residual, variance, fit = seconds.fitted(begins)
-    gram = seconds.totals[ends] - seconds.totals[begins]
-    tells = gram[:, -2] / gram[:, -2, -2][:, None]
-    missing = np.einsum("ki,ki->k", tells, residual)
-    noise = variance * _COLOUR_S * motion.rate_hz
-    spread = noise / gram[:, -2, -2] + noise * np.einsum("ki,kij,kj->k", tells, fit, tells) + _THRUST_SPREAD_M_S2**2
-    reported = np.flatnonzero((missing < -_THRUST_M_S2) & (missing < -_THRUST_SIGMAS * np.sqrt(spread)))
+    missing, _ = seconds.compared(seconds.fitted(begins), begins, ends, patterns=1)
+    deviation = np.sqrt(missing.covariance[0, 0] + _THRUST_SPREAD_M_S2**2)
+    reported = np.flatnonzero(missing.value[0] < -np.maximum(_THRUST_M_S2, _THRUST_SIGMAS * deviation))
     return float(motion.time_s[0] + begins[reported[0]]) if reported.size else None
 
 

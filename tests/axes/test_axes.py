@@ -21,9 +21,10 @@ from servofd.axes.calibrate import calibrate_motion, spread_between, tail_of
 from servofd.axes.judge import judge_motion
 from servofd.axes.model import Inputs
 from servofd.axes.motion import Motion, airframe_of, cell_means, motion_of_table
-from servofd.axes.windows import distance, nothing_known, sliding
+from servofd.axes.windows import sliding
 from servofd.cli import main
 from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
+from servofd.core.windows import Sizes, distance
 from servofd.detection.verdict import LogAudit
 from tests.axes.flights import flown
 
@@ -46,8 +47,9 @@ def test_the_distance_of_healthy_windows_is_chi_square() -> None:
             -loss * asked + offset + rng.normal(0.0, 40.0, 60), -asked, np.ones(60), np.ones(60, dtype=bool)
         )
         found = sliding(inputs, 60, 40.0**2)
-        if found.loss[-1] - found.cross[-1] / found.offset_var[-1] * found.offset[-1] > 0.0:
-            ratios.append(distance(found, nothing_known(between), np.zeros((2, 2)))[-1])
+        loss, offset = found.value[:, -1]
+        if loss - found.covariance[0, 1, -1] / found.covariance[1, 1, -1] * offset > 0.0:
+            ratios.append(distance(found.beyond(Sizes.nothing(between), np.zeros((2, 2))))[-1])
     one_sided = [r for r in ratios if r > 0.0]
     assert stats.kstest(one_sided, stats.chi2(2).cdf).pvalue > 0.01
 
@@ -55,7 +57,8 @@ def test_the_distance_of_healthy_windows_is_chi_square() -> None:
 def test_more_effect_than_expected_is_no_loss() -> None:
     asked = np.sin(np.arange(200.0))
     inputs = Inputs(3.0 * asked, -asked, np.ones(200), np.ones(200, dtype=bool))
-    assert distance(sliding(inputs, 100, 1.0), nothing_known(np.diag([0.01, 1.0])), np.diag([0.01, 1.0])).max() < 0.1
+    healthy = np.diag([0.01, 1.0])
+    assert distance(sliding(inputs, 100, 1.0).beyond(Sizes.nothing(healthy), healthy)).max() < 0.1
 
 
 @pytest.mark.slow
