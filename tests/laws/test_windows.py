@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
+from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sizes, Sums, distance, fitted, known_from, lasting
 from servofd.detection import changes
 from servofd.estimate.family import PATTERNS
@@ -61,15 +62,15 @@ def test_the_scores_of_a_position_are_sizes_over_what_they_scatter_by() -> None:
     """`servofd.detection.changes` follows a stream in one compiled loop; this is the same by the windows of others."""
     rng = np.random.default_rng(4)
     period_s, count, width, missed_deg, noise_deg = 0.02, 2200, FITTED + len(PATTERNS), 0.2, 0.05
-    time_s = (np.arange(count) + 0.5) * period_s
-    slopes = np.cumsum(rng.normal(size=(count, width)), axis=0) * 0.002
+    time_s = np.asarray((np.arange(count) + 0.5) * period_s, dtype=float)
+    slopes: FloatArray = np.cumsum(rng.normal(size=(count, width)), axis=0) * 0.002
     error_deg = rng.normal(0.0, noise_deg, count)
     covariance = np.diag(rng.uniform(0.5, 2.0, FITTED)) + 0.1
     first, second, innovation = 0.4, 0.1, 0.9
     tests = changes.Tests(
         np.array([first, second, innovation, 6.0]),
-        np.linalg.cholesky(covariance),
-        np.linalg.inv(covariance),
+        np.asarray(np.linalg.cholesky(covariance), dtype=float),
+        np.asarray(np.linalg.inv(covariance), dtype=float),
         np.ones(5),
         period_s,
         missed_deg,
@@ -102,10 +103,12 @@ def test_the_scores_of_a_position_are_sizes_over_what_they_scatter_by() -> None:
 
 def test_a_position_is_alarmed_where_a_statistic_lasts_for_two_times() -> None:
     rng = np.random.default_rng(6)
-    ratios = rng.uniform(0.5, 1.19, (200, len(changes.STATISTICS)))  # none is so large that once is enough
-    limits = rng.uniform(1.0, 5.0, ratios.shape[1])
-    alarmed = changes.exceeded(limits, ratios[0] * limits, ratios[1:] * limits) >= 1.0
-    assert np.array_equal(alarmed, (lasting(ratios[:, 1:].T, 2) >= 1.0).any(axis=0)[1:])
+    ratios: FloatArray = rng.uniform(0.5, 1.19, (200, len(changes.STATISTICS)))  # none is so large that once is enough
+    limits: FloatArray = rng.uniform(1.0, 5.0, len(changes.STATISTICS))
+    before: FloatArray = ratios[0] * limits
+    alarmed: BoolArray = np.greater_equal(changes.exceeded(limits, before, ratios[1:] * limits), 1.0)
+    lasts: BoolArray = np.asarray(lasting(ratios[:, 1:].T, 2)) >= 1.0
+    assert np.array_equal(alarmed, np.asarray(np.any(lasts, axis=0))[1:])
 
 
 def test_an_alarm_lasts_as_long_as_each_value_of_it() -> None:
