@@ -679,6 +679,31 @@ def signal_of(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray,
     return np.zeros(0), np.zeros(0)
 
 
+_FLIES_M_S, _OF_USUAL, _CLIMBS_S = 5.0, 0.5, 5.0
+"""An aircraft has taken off once it is faster than half of its usual airspeed, of what is faster than this [m/s], and
+stays so for so long [s]: slower than it can fly, faster than gusts on the ground."""
+
+
+def take_off_s(log: FlightLog) -> float | None:
+    """When an aircraft took off, by its airspeed [s]; None if the log does not tell, or begins in the air.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> take_off_s(logparsers.read("sample_logs/table_three_faults.csv")) is None
+    True
+    """
+    time_s, airspeed_m_s = signal_of(log, SURROUNDINGS["airspeed_m_s"])
+    moving = airspeed_m_s > _FLIES_M_S
+    if not moving.any():
+        return None
+    fast = airspeed_m_s > _OF_USUAL * float(np.median(airspeed_m_s[moving]))
+    for begin, end in stretches(fast):
+        if time_s[end - 1] - time_s[begin] >= _CLIMBS_S:
+            return float(time_s[begin]) if begin else None
+    return None
+
+
 def channel_of(log: FlightLog, name: str, kind: str) -> Channel:
     """A channel that holds values; `kind` says what is missing.
 

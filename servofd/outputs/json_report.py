@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
+from servofd.aircraft.series import take_off_s
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.sentence import whole_sentence
 
@@ -67,6 +68,7 @@ def _about(log: FlightLog) -> dict[str, Any]:
         "format": log.format,
         "start_utc": log.start_utc.isoformat() if log.start_utc else None,
         "duration_s": log.duration_s,
+        "take_off_s": take_off_s(log),
         "damage": [asdict(damage) for damage in log.damage_summary],
     }
 

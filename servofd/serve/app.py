@@ -308,7 +308,8 @@ class _Routes:
         names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
         first, second = (curves_in(self._flights.results(one.id)) for one in flights)
         both = {name: (track, second[name]) for name, track in first.items() if name in second}
-        at_s = _moments(request.query_params.getlist("at"))
+        off_s = [document["logs"][0].get("take_off_s") for document in documents]
+        at_s = _moments(request.query_params.getlist("at") or ([] if None in off_s else list(map(str, off_s))))
         document = compare_report(names, documents, links, [charts(both, names, at_s)])
         return _page(document, template="compared.html", chosen=chosen, at_s=at_s, names=names, drawn=bool(both))
 
@@ -349,7 +350,7 @@ class _Routes:
 
 
 def _moments(given: Sequence[str]) -> tuple[float, float]:
-    """The moment of each flight that lies at 0 [s]: its boot, if none is given."""
+    """The moment of each flight that lies at 0 [s]: its boot, if none is given and no take-off is known."""
     try:
         first, second = (float(one or 0.0) for one in given or ("", ""))
     except ValueError:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, urlencode
 
+import numpy as np
 import pytest
 
 from logparsers import EmptyLog
@@ -534,6 +535,31 @@ def test_good_flights_are_calibrated_followed_and_explained_at_a_click(tmp_path:
         assert again.finish() == (None, "mine.toml is an aircraft file: choose it on the page of a flight.")
     with flights_of(tmp_path / "club") as flights:
         until(lambda: len(flights.tasks()) == 3)
+
+
+@pytest.mark.slow
+def test_two_flights_lie_over_each_other_from_their_take_offs_on(tmp_path: Path) -> None:
+    """One taxies for 8 s, the other for 20 s; both fly for 40 s."""
+    with flights_of(tmp_path / "club") as flights, client_of(flights) as client:
+        ids = []
+        for taxis_s in (8.0, 20.0):
+            time_s = np.arange(0.0, taxis_s + 40.0, 0.02)
+            command_deg = 8.0 * np.sin(1.3 * time_s) + 4.0 * np.sign(np.sin(0.7 * time_s))
+            position_deg = np.interp(time_s - 0.05, time_s, command_deg) + 0.05 * np.sin(40.0 * time_s)
+            airspeed_m_s = np.where(time_s < taxis_s, 3.0, 18.0) + np.sin(time_s)
+            log = tmp_path / f"taxis_{taxis_s:.0f}.csv"
+            columns = np.column_stack([time_s, command_deg, position_deg, airspeed_m_s])
+            header = "time_s,rudder_cmd_deg,rudder_pos_deg,airspeed_m_s"
+            np.savetxt(log, columns, "%.4f", ",", header=header, comments="")
+            ids.append(dropped(client, log)["id"])
+        for one in ids:
+            done(flights, one)
+        document = json.loads((flights.results(ids[1]) / "audit.json").read_text())
+        assert document["logs"][0]["take_off_s"] == pytest.approx(20.0, abs=0.03)
+        page = client.get(f"/compare?flight={ids[0]}&flight={ids[1]}").text
+        assert re.findall(r'name="at" [^>]*value="(.*?)"', page) == ["8", "20"]
+        (first,) = re.findall(r'data-first="(.*?)"', page)
+        assert float(first) == pytest.approx(-20.0, abs=1.5)
 
 
 def test_the_list_is_searched_and_two_flights_are_asked_for(tmp_path: Path) -> None:
