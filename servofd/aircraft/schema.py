@@ -134,8 +134,8 @@ class Surface(_Entry):
     command_period_s: Annotated[float, Field(gt=0.0, le=1.0, strict=True)] | None = None
     """Period at which the autopilot really updates the command; for "linear" alone."""
     threshold_deg: Positive = DEFAULT_THRESHOLD_DEG
-    threshold: Literal["constant", "interval"] = "interval"
-    """ "interval" follows the activity of the command, within `tolerance`; "constant" where only a level is given."""
+    threshold: Literal["constant", "interval"] = "constant"
+    """ "interval" follows the activity of the command, within `tolerance`."""
     threshold_sigmas: Sigmas = DEFAULT_SIGMAS
     """Standard deviations of noise in the interval threshold."""
     persistence: Annotated[int, Field(ge=1, le=100, strict=True)] = 1
@@ -196,14 +196,6 @@ class Surface(_Entry):
     def names_servo(self) -> bool:
         """Whether its file says which servo it is."""
         return self.servo != UNKNOWN_SERVO
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_level(cls, entry: object) -> object:
-        """A file that names a level means it."""
-        if isinstance(entry, dict) and "threshold_deg" in entry and "threshold" not in entry:
-            return {**entry, "threshold": "constant"}
-        return entry
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -425,6 +425,8 @@ class Moving:
     """What its model is known to miss of how a sound servo moves."""
     alone = False
     """Whether the threshold that is shown is the user's, and the only test."""
+    at_once = False
+    """Whether it is judged from where it begins at rest on, and not after a second."""
     own: OtherMotion | None = None
     """Its motion with other parameters, where that is not the family's."""
 

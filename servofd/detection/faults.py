@@ -378,5 +378,6 @@ def watched_segment(
 ) -> Watched:
     """What the detector needs of a flight; see `servofd.detection.changes.watched`."""
     has_airspeed = segment.context.airspeed_s.size > 0
-    record = Record.of(segment, known.supply_v, known.airspeed_m_s)
+    at_once = moving is not None and moving.at_once
+    record = Record.of(segment, known.supply_v, known.airspeed_m_s, at_once=at_once)
     return watched(known if has_airspeed else known.without_airspeed(), record, moving, noise_deg)

@@ -157,6 +157,7 @@ class NamedMoving(Moving):
         If no residual filter suits the servo at this pace.
     """
 
+    at_once = True
     missed_deg = 0.02
     """Jitter of the stamps and commands that were lost move a drawn servo so much otherwise than its model (rms of
     chirps to 10 Hz, even seeds of `benchmarks/fleet.py`)."""

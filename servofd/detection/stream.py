@@ -360,7 +360,10 @@ class Stream(Following):
         first = max(int(np.searchsorted(commands.effective_s, time_s[0] - self.longest_gap_s)) - 1, 0)
         command_s = commands.effective_s[first:]
         held_s = None if self.sent_period_s is None else self._beat.longest_s
-        start_deg, usable = starts(command_s, time_s, measured_deg, self.longest_gap_s, self._begun_s, held_s)
+        asked_deg = commands.command_deg[first:] if self._moving.at_once else None
+        start_deg, usable = starts(
+            command_s, time_s, measured_deg, self.longest_gap_s, self._begun_s, held_s, asked_deg
+        )
         if not np.isfinite(self._begun_s):
             begun = np.flatnonzero(np.isfinite(start_deg))
             if begun.size:

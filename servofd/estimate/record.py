@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.priors import NAMES
-from servofd.aircraft.series import pace_steps
+from servofd.aircraft.series import pace_steps, settled_from_s
 from servofd.core.series import latest, subdivided
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.servo.context import AIR_KG_M3
@@ -261,8 +261,15 @@ class Record:
     """How fast each command runs on; None: it holds until the next."""
 
     @classmethod
-    def of(cls, segment: Series, supply_v: float | None = None, airspeed_m_s: float | None = None) -> Record:
-        """Prepare a segment.
+    def of(
+        cls,
+        segment: Series,
+        supply_v: float | None = None,
+        airspeed_m_s: float | None = None,
+        *,
+        at_once: bool = False,
+    ) -> Record:
+        """Prepare a segment; `at_once`: a servo that begins at rest is judged from there on, and not after a second.
 
         By the usual supply and airspeed, for flights that logged none: that of this segment if None; 0 if
         none was known.
@@ -278,7 +285,10 @@ class Record:
         known = np.isfinite(segment.measured_deg)
         time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
         holds_s = None if sent_s is None else beat.longest_s
-        start_deg, usable = starts(segment.command_s, time_s, measured_deg, longest_s, held_s=holds_s)
+        asked_deg = segment.command_deg if at_once else None
+        start_deg, usable = starts(
+            segment.command_s, time_s, measured_deg, longest_s, held_s=holds_s, asked_deg=asked_deg
+        )
         context = segment.context
         if supply_v is None:
             supply_v = usual_supply_v(context)
@@ -353,11 +363,13 @@ def starts(
     longest_s: float | None = None,
     begun_s: float = float("nan"),
     held_s: float | None = None,
+    asked_deg: FloatArray | None = None,
 ) -> tuple[FloatArray, BoolArray]:
     """Where the simulation begins anew (positions, else NaN), and which samples may be judged; both (m,).
 
     `longest_s` is the longest time between commands that is no gap, `begun_s` when the flight began, if that is known;
-    `held_s` how long a command holds for sure where the next one comes after a gap, or never: as long if left out.
+    `held_s` how long a command holds for sure where the next one comes after a gap, or never: as long if left out;
+    `asked_deg` what the commands ask for, if a servo that begins at rest is judged at once, and not after a second.
 
     Examples
     --------
@@ -391,7 +403,10 @@ def starts(
         begun_s = float(time_s[first[0]])
         start_deg[first[0]] = measured_deg[first[0]]
     if np.isfinite(begun_s):
-        usable[: np.searchsorted(time_s, begun_s + _FIRST_S)] = False
+        settled_s = begun_s + _FIRST_S
+        if asked_deg is not None:
+            settled_s = settled_from_s(begun_s, (command_s, asked_deg), time_s, measured_deg)
+        usable[: np.searchsorted(time_s, settled_s)] = False
     return start_deg, usable
 
 

@@ -125,7 +125,7 @@ class TestVerdicts:
         (found,) = verdict["faults"] + verdict["suspicions"]
         assert "stuck" in (found["kind"], *found["alternatives"])
 
-    @pytest.mark.parametrize(("size_deg", "expected"), [(0.0, "unknown"), (1.2, "fault")])
+    @pytest.mark.parametrize(("size_deg", "expected"), [(0.0, "unknown"), (1.2, "suspect")])
     def test_a_glitch_does_not_prove_motion(
         self, size_deg: float, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -135,7 +135,7 @@ class TestVerdicts:
         command_deg = size_deg * np.sin(2.0 * np.pi * 0.2 * time_s)
         verdict = elevator(write(tmp_path / "glitch.csv", command_deg, measured_deg), capsys)
         assert verdict["status"] == expected
-        assert [found["kind"] for found in verdict["faults"]] == ["stuck"] * (expected == "fault")
+        assert [found["kind"] for found in verdict["suspicions"]] == ["stuck"] * (expected == "suspect")
 
     def test_a_position_without_a_command_is_listed(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         path = tmp_path / "lone.csv"
