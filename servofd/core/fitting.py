@@ -174,24 +174,22 @@ class Solution:
 
     def changes(self, parts: Sequence[IntArray]) -> FloatArray:
         """By how much the numbers change where each of some parts of the samples is left out, shape (p, k)."""
-        problem, x = self.problem, self.x
-        weighted = self.slopes * problem.noise.weights(self.error)[:, None]
-        whole = self.curvature
-        pull = -(weighted.T @ self.error + problem.prior**2 * (x - problem.centre))
-        nothing = np.diag(_NO_CURVATURE * (1.0 + np.diag(whole)))
-
-        def moved(curvature: FloatArray, down: FloatArray) -> FloatArray:
-            return bounded_step(curvature + nothing, down, problem.low - x, problem.high - x)
-
-        still = moved(whole, pull)
-        found = np.zeros((len(parts), x.size))
+        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
+        whole, free = self.curvature, self.problem.high > self.problem.low
+        pull = -(weighted.T @ self.error + self.problem.prior**2 * (self.x - self.problem.centre))
+        found = np.zeros((len(parts), self.x.size))
         for change, part in zip(found, parts, strict=True):
             left = whole - weighted[part].T @ self.slopes[part]
-            change[:] = moved(left, pull + weighted[part].T @ self.error[part]) - still
+            down = pull + weighted[part].T @ self.error[part]
+            change[free] = inverse(left[np.ix_(free, free)]) @ down[free]
         return found
 
-    def covariance(self, memory: float = 1.0) -> FloatArray:
+    def covariance(self, memory: float = 1.0, parts: Sequence[IntArray] = (), lasting: float = 1.0) -> FloatArray:
         """Of the numbers, shape (k, k): that of noise, of which so many samples tell as much as one.
+
+        What is left may be the model's own error, which no average makes smaller: then what the numbers change by where
+        each of some `parts` is left out (jackknife) comes on top, `lasting` times as large for what parts have in
+        common, which none shows.
 
         Examples
         --------
@@ -201,26 +199,9 @@ class Solution:
         >>> mean.covariance().round(6).tolist()
         [[0.0001]]
         """
-        return memory * inverse(self.curvature)
-
-    def deviation(
-        self, gradient: FloatArray, memory: float = 1.0, parts: Sequence[IntArray] = (), lasting: float = 1.0
-    ) -> float:
-        """Standard deviation of what changes by `gradient`, shape (k,), with the numbers.
-
-        What is left may be the model's own error, which no average makes smaller. Then what some `parts` of the samples
-        pull the numbers apart by (the jackknife of first order: a part that alone tells of a number is not left out)
-        says more than noise, `lasting` times for what parts have in common, which none shows. As parts hold noise as
-        well, the larger of both counts, and not their sum.
-        """
-        by_noise = float(gradient @ self.covariance(memory) @ gradient)
-        by_parts = 0.0
-        if parts:
-            weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
-            pulls = np.array([weighted[part].T @ self.error[part] for part in parts])
-            moved = (pulls - pulls.mean(axis=0)) @ inverse(self.curvature) @ gradient
-            by_parts = lasting**2 * float(moved @ moved) * len(parts) / (len(parts) - 1)
-        return float(np.sqrt(max(by_noise, by_parts, 0.0)))
+        changes = lasting * self.changes(parts)
+        covariance: FloatArray = memory * inverse(self.curvature) + changes.T @ changes
+        return covariance
 
 
 def fit(

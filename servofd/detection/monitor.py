@@ -585,7 +585,7 @@ class SurfaceMonitor:
             self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
             return [] if was_known else [Event(positions[-1][0], self.name, "no_data", text=problem)]
         self.problem, self._stream = "", stream
-        self._command_period_s = sent_s or float(np.median(pace_steps(logged_s)))
+        self._command_period_s = float(np.median(pace_steps(logged_s)))
         if self.quantity == "position":
             self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, self._command_period_s)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
@@ -651,7 +651,8 @@ class SurfaceMonitor:
         if self._reviewed is None or self._valued_s - since_s >= _REVIEW_S:
             self._reviewed = self._valued_s, self._judged_s
         share = (self._judged_s - judged_s) / max(self._valued_s - since_s, 1e-9)
-        if not self.is_periodic or self._valued_s - since_s < _REVIEW_S or share >= _MOST or self._told_slow:
+        is_told = bool(self._told_slow or self.outage)
+        if not self.is_periodic or self._valued_s - since_s < _REVIEW_S or share >= _MOST or is_told:
             return []
         self._told_slow = True
         text = f"judged for {share:.0%} of the last {_REVIEW_S:g} s: the link loses too many commands"

@@ -270,7 +270,6 @@ def _to_toml(log: FlightLog, aircraft: Aircraft, remarks: list[str], heads: Mapp
         order = {key: entry[key] for key in _ENTRIES if key in entry} | entry
         lines += ["", f"[surfaces.{toml_key(name)}]{heads.get(name, '')}", *toml_lines(order)]
         if known is not None:
-            known.pop("flights", None)  # parts of one log are one flight
             lines += calibrated_to_toml(name, known, {})
     for key, servo in aircraft.servos.items():
         table = servo.model_dump(exclude_defaults=True, exclude_none=True, mode="json")

@@ -131,11 +131,11 @@ _DEVIATION_LAGS = 20
 """Lags over which errors are correlated at most."""
 _WHITE = 1.6
 """Von Neumann's ratio above which the errors are as good as noise (2 for white noise)."""
-_PARTS, _COMMON = 8, 9.5
+_PARTS, _COMMON = 8, 3.5
 """Parts of the tests, whose disagreement shows what is not in the model (in a chirp each holds other frequencies), and
 by how much their scatter is enlarged for what they have in common, which none shows: a dead zone of 1 deg within the
-loop, which the model has before it, shifts the bandwidth by 18 standard deviations of the scatter (chirp of 4 deg,
-`tests/cli/test_identify.py`). Chosen so that the 95 % interval holds it; not a law."""
+loop, which the model has before it, shifts the bandwidth by 2.4 to 6.7 standard deviations of the scatter (chirps of
+4 deg, five servos), a limit of 120 deg/s by 2.3 and 5.2 (two). Chosen so that 95 % intervals hold these; not a law."""
 _SLOWEST_DEG_S, _FASTEST_DEG_S = 1.0, 5000.0
 """Rate limits of servos; the fastest of the library, an S9256, has 1263 deg/s."""
 _SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
@@ -215,19 +215,14 @@ class MotionFit:
     """Of `servo.vector()`."""
 
     @cached_property
-    def _scales(self) -> FloatArray:
-        """Standard deviations of `servo.vector()` by noise."""
-        return np.sqrt(np.diag(self.found.covariance()))
-
-    def deviation(self, gradient: FloatArray) -> float:
-        """Standard deviation of what changes so with `servo.vector()`; larger by the correlation of the errors.
+    def covariance(self) -> FloatArray:
+        """Of `servo.vector()`; larger by the correlation of the errors, if there is any.
 
         Correlated errors also come from what is not in the model, which no average makes smaller: then what each of
         `_PARTS` parts of the tests alone would change counts in full, and for what they have in common.
         """
         parts = [] if self.is_white else np.array_split(np.arange(self.found.error.size), _PARTS)
-        memory = correlation_factor(self.errors_deg, _DEVIATION_LAGS)
-        return self.found.deviation(gradient, memory, parts, _COMMON)
+        return self.found.covariance(correlation_factor(self.errors_deg, _DEVIATION_LAGS), parts, _COMMON * _PARTS**0.5)
 
     @property
     def rms_deg(self) -> float:
@@ -255,14 +250,16 @@ class MotionFit:
         """95 % interval of anything that follows from the servo, from the linear part of its dependence."""
         x = self.servo.vector()
         value = quantity(self.servo)
+        scales = np.sqrt(np.diag(self.covariance))
         gradient = np.zeros(x.size)
         for k in range(x.size):
             step = np.zeros(x.size)
-            step[k] = min(1e-2 * self._scales[k], 1e-3) or 1e-9
+            step[k] = min(1e-2 * scales[k], 1e-3) or 1e-9
             gradient[k] = (quantity(self.servo.with_vector(x + step)) - quantity(self.servo.with_vector(x - step))) / (
                 2.0 * step[k]
             )
-        return Estimate.of(value, self.deviation(gradient))
+        variance = float(gradient @ self.covariance @ gradient)
+        return Estimate.of(value, float(np.sqrt(max(variance, 0.0))))
 
 
 def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, steps: int = 60) -> MotionFit:

@@ -6,7 +6,7 @@ aircraft file says is what good servos differ by. So no interval is wider than w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from types import MappingProxyType
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
     from servofd.core.fitting import Solution
-    from servofd.core.types import FloatArray, IntArray
+    from servofd.core.types import FloatArray
     from servofd.detection.changes import Watched
     from servofd.detection.seen import Seen
 
@@ -149,11 +149,11 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
     of_servo = [name for name, what in QUANTITIES.items() if what.of == "position" and name not in values]
     if unfit:
         return ServoEstimate(values, dict.fromkeys(of_servo, unfit))
+    found = _Servo.of(seen.flight)
     # A named servo rests as its own model does, and not as the one of the family that is most like it.
     usual: dict[str, float] = {}
     if seen.flight.own is not None:
         usual = {name: float(getattr(model.physics, field)) for name, field in _RESTING.items()}
-    found = _Servo.of(seen.flight, usual)
     width_deg = sum(_WIDTHS[name] * size for name, size in usual.items()) if usual else None
     own = {
         "dead_band_deg": found.shown(_WIDTHS, width_deg),
@@ -203,16 +203,16 @@ class _Servo:
 
     known: FloatArray
     """Parameters as the aircraft file has them, shape (13,) as all."""
+    x: FloatArray
     before: FloatArray
     """Standard deviations of what is known without the flight."""
-    found: Solution
-    parts: Sequence[IntArray]
-    """Of its samples."""
+    covariance: FloatArray
+    """With it, shape (13, 13)."""
     noise_deg: Estimate
 
     @classmethod
-    def of(cls, flight: Watched, usual: Mapping[str, float]) -> _Servo:
-        """Fit it; no width is less than none where a named servo has the `usual` ones."""
+    def of(cls, flight: Watched) -> _Servo:
+        """Fit it."""
         known, rows = flight.known, _rows(flight)
         record = flight.record
         used = np.flatnonzero(flight.judged[rows])
@@ -223,27 +223,29 @@ class _Servo:
             return residual(measured_deg, _moved_deg(flight, x, rows), known.reach_deg)[0][used]
 
         low, high = (np.array([getattr(prior, end) for prior in PRIORS]) for end in ("low", "high"))
-        for name, width in usual.items():
-            place = NAMES.index(name)
-            low[place] = max(low[place], known.theta[place] - width)
         white = Noise(huber=_ORDINARY, sigma=flight.noise_deg[rows][used])
         steps = np.array([prior.step for prior in PRIORS])
         problem = Problem(low, high, 1.0 / before, known.theta, error_deg, white, steps)
         found = fit(problem, known.theta, close=_CLOSE)
         found = fit(_with_memory(found, record.period_s), found.x, close=_CLOSE)
         parts = np.array_split(np.arange(used.size), _PARTS)
-        noise, each = noise_deg(found.error), [noise_deg(found.error[part]) for part in parts]
-        deviation = max(float(np.std(each, ddof=1)) / _PARTS**0.5, noise / used.size**0.5)
-        return cls(known.theta, before, found, parts, Estimate.of(noise, deviation))
+        covariance = found.covariance(parts=parts)
+        # The disagreement of parts makes no number less known than before, and what changes nothing is no number.
+        share = np.minimum(1.0, before / np.sqrt(np.diag(covariance))) * found.slopes.any(axis=0)
+        noise = noise_deg(found.error)
+        return cls(
+            known.theta, found.x, before * (share > 0.0), covariance * np.outer(share, share),
+            Estimate.of(noise, noise / np.sqrt(used.size)),
+        )  # fmt: skip
 
     def shown(self, slopes: Mapping[str, float], usual: float | None = None) -> Estimate | None:
         """A sum of parameters, in place of the usual one; None if the flight tells no more than was known before."""
-        slope = np.array([slopes.get(name, 0.0) for name in NAMES]) * self.found.slopes.any(axis=0)
-        deviation = self.found.deviation(slope, parts=self.parts)
+        slope = np.array([slopes.get(name, 0.0) for name in NAMES])
+        deviation = float(np.sqrt(slope @ self.covariance @ slope))
         if not deviation < _SHOWN * float(np.linalg.norm(slope * self.before)):
             return None
         start = float(slope @ self.known) if usual is None else usual
-        return Estimate.of(start + float(slope @ (self.found.x - self.known)), deviation)
+        return Estimate.of(start + float(slope @ (self.x - self.known)), deviation)
 
 
 def _with_memory(found: Solution, period_s: float) -> Problem:

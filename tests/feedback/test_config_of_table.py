@@ -17,7 +17,6 @@ def test_the_drafted_file_gives_the_verdicts_of_the_fit(tmp_path: Path, capsys: 
     assert main(["config", str(TABLE)]) == 0
     config = tmp_path / "plane.toml"
     config.write_text(capsys.readouterr().out)
-    assert {s.calibrated.flights for s in servofd.load_aircraft(config).surfaces.values() if s.calibrated} == {1}
     (drafted,), (fitted,) = servofd.audit(TABLE, config), servofd.audit(TABLE)
     assert {v.status for v in fitted.surfaces} >= {"healthy", "fault"}
     for own, without in zip(drafted.surfaces, fitted.surfaces, strict=True):

@@ -119,9 +119,7 @@ def test_a_chart_tells_values_and_shows_a_part_from_near(browser: Browser, tmp_p
 
     browser.mouse("mouseMoved", across(8.5), middle)
     told = browser.tell("document.querySelector('.readout').textContent")
-    values = {
-        name: float(value) for name, value in re.findall(r"(command|healthy servo|measured) (-?[\d.]+) deg", told)
-    }
+    values = {name: float(value) for name, value in re.findall(r"(asked|healthy servo|measured) (-?[\d.]+) deg", told)}
     assert told.startswith("0:08.5")
     assert values["measured"] == pytest.approx(-0.2, abs=0.3)
     assert values["healthy servo"] == pytest.approx(5.0, abs=0.6)
@@ -164,7 +162,7 @@ def test_a_chart_is_turned_nearer_loses_a_curve_and_gets_a_lane(browser: Browser
     browser.tell(
         "[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'healthy servo').click()"
     )
-    browser.tell("[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'command').click()")
+    browser.tell("[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'asked').click()")
     assert browser.tell("getComputedStyle(document.querySelector('path.simulated')).display") == "none"
     assert viewed()[3] < before
     drawn = len(plots(browser))

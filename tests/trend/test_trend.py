@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from intervals import rows
 
 from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
 from servofd.aircraft.series import Series
@@ -292,13 +291,3 @@ def test_a_servo_that_failed_in_the_last_flight_is_beyond_its_limit_though_no_li
     page = html_page(trend_report(trend_document(seen)))
     assert "friction and play together, full width was beyond its limit in the last flight" in page
     assert not trend_of(logs([*[0.2] * (count - 1), 4.0, 0.2]), PLANE).has_alarm
-
-
-@pytest.mark.slow
-def test_the_intervals_of_a_flight_are_as_wide_as_its_numbers_are_uncertain() -> None:
-    """Of other servos than any constant was chosen on: neither nine in ten only, nor as if nothing was known."""
-    said = [each for seed in range(1, 21, 2) for each in rows("trend", seed)]
-    held = [each.low <= truth <= each.high for _, each, truth in said]
-    far = np.array([(each.value - truth) / each.deviation for _, each, truth in said])
-    assert np.mean(held) >= 0.88
-    assert 0.7 < np.sqrt(np.mean(far**2)) < 1.5
