@@ -68,7 +68,8 @@ says so.
 
     |r(t)| >= tau,    tau = {CONSTANT_DEG:g} deg by default.                                                     (D1)
 
-A threshold that is named in the call (`--threshold-deg`) dismisses nothing: what reaches it is a fault, whatever explains it.
+While a servo runs at its rate limit, what an error of that limit would leave is added. A threshold that is named in the call
+(`--threshold-deg`) dismisses nothing: what reaches it is a fault, whatever explains it.
 
 What it must tolerate is what healthy servos of one type differ by, and that grows with the command. To first order, a servo
 whose gain, delay and bandwidth are off by dk, dt, dw leaves

@@ -251,8 +251,9 @@ class NamedMoving(Moving):
         others_deg = np.ascontiguousarray(moved.slopes[:, :FITTED].T)
         filter_in_place(self._filter, self._lags, time_s, residual_deg, anew, others_deg)
         sigma_deg = self.noise_gain * noise_deg
-        if self.alone:
-            threshold = Threshold("constant", np.full(time_s.size, surface.threshold_deg), sigma_deg, noise_deg)
+        if self.alone:  # and what a servo leaves at its rate limit, if that is lower by its tolerance
+            level_deg = surface.threshold_deg + surface.tolerances.rate * np.abs(others_deg[_RATE])
+            threshold = Threshold("constant", level_deg, sigma_deg, noise_deg)
         else:
             tolerated_deg = np.sqrt(((self._root.T @ others_deg) ** 2).sum(axis=0))
             level_deg = surface.threshold_sigmas * sigma_deg + _TOLERATED * tolerated_deg

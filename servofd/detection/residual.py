@@ -85,6 +85,8 @@ class Threshold:
     @property
     def typical_deg(self) -> float:
         """Median level [deg]; of a constant threshold the level itself."""
+        if self.kind == "constant" and self.level_deg.size:
+            return float(np.min(self.level_deg))
         return float(np.median(self.level_deg)) if self.level_deg.size else float("nan")
 
 
