@@ -215,6 +215,9 @@ then."""
 _START_S = 0.3
 """After a gap: the simulation begins anew from the position."""
 _FIRST_S = 1.0
+_FORGETS_S = 0.16
+"""What a servo that hardly moves at the beginning is ahead of one at rest (0.1 deg) is over after so long: 8 time
+constants of the thesis' filter [s]."""
 _GAP_PERIODS = 2.5
 """Median periods beyond which a command is missing."""
 _SHORTEST_GAP_S = 0.05
@@ -406,6 +409,7 @@ def starts(
         settled_s = begun_s + _FIRST_S
         if asked_deg is not None:
             settled_s = settled_from_s(begun_s, (command_s, asked_deg), time_s, measured_deg)
+            settled_s = max(settled_s, begun_s + _FORGETS_S)
         usable[: np.searchsorted(time_s, settled_s)] = False
     return start_deg, usable
 

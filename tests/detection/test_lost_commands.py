@@ -128,7 +128,7 @@ def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     segment = flown(3, duration_s=40.0)
     whole = watched(KNOWN, Record.of(segment))
     aircraft = plain_aircraft(["x"], "s9254")
-    surface = aircraft.surfaces["x"].model_copy(update={"calibrated": KNOWN})
+    surface = aircraft.surfaces["x"].model_copy(update={"calibrated": KNOWN, "threshold": "interval"})
     pace = Pace(segment.period_s, segment.command_s[:101], segment.sent_period_s)
     stream = healthy_of(surface, aircraft.model("x")).stream(pace)
     pieces = []

@@ -323,7 +323,7 @@ def test_a_program_that_cannot_write_leaves_no_file_open(
     monkeypatch.setattr(cli, "_show_help", _full)
     before = len(list(Path("/dev/fd").iterdir()))
     assert main(["help"]) == 2
-    assert len(list(Path("/dev/fd").iterdir())) == before
+    assert len(list(Path("/dev/fd").iterdir())) <= before  # what earlier tests left open may be closed meanwhile
     assert "No space left" in capsys.readouterr().err
 
 
