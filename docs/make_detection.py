@@ -82,7 +82,7 @@ compares D2 with servos that are simulated with these errors.)
 **Interval.** `threshold = "interval"` is so many standard deviations of what a good servo may leave. The filter passes the
 sensitivities s of the position to the servo's parameters (the terms of D2, play, friction and all others) as it passes the error:
 
-    tau(t) = {DEFAULT_SIGMAS:g} sqrt(sigma_r² + s_r' Sigma s_r),    s_r = Qy s                                       (D3)
+    tau(t) = {DEFAULT_SIGMAS:g} sigma_r + {named._TOLERATED:g} sqrt(s_r' Sigma s_r),    s_r = Qy s                                       (D3)
 
 | in D3 | | default |
 |---|---|---|
