@@ -79,14 +79,14 @@ whose gain, delay and bandwidth are off by dk, dt, dw leaves
 where r0 = Qy ŷ is the healthy deflection as the residual filter sees it, and -a_i are the poles of the servo. (A test
 compares D2 with servos that are simulated with these errors.)
 
-**Interval.** `threshold = "interval"` is so many standard deviations of what a good servo may leave. The filter passes the
-sensitivities s of the position to the servo's parameters (the terms of D2, play, friction and all others) as it passes the error:
+**Interval.** `threshold = "interval"` bounds each term of D2 by its tolerance. The filter passes the sensitivities s of the
+position to gain, bias, delay, bandwidth and largest speed as it passes the error:
 
-    tau(t) = {DEFAULT_SIGMAS:g} sigma_r + {named._TOLERATED:g} sqrt(s_r' Sigma s_r),    s_r = Qy s                                       (D3)
+    tau(t) = {DEFAULT_SIGMAS:g} sigma_r + sum_i tolerance_i |s_r,i|,    s_r = Qy s                                             (D3)
 
 | in D3 | | default |
 |---|---|---|
-| Sigma | a third of the square of each tolerance: of the bias | {tolerance.bias_deg:g} deg |
+| tolerance | of the bias | {tolerance.bias_deg:g} deg |
 | | gain | {tolerance.gain:.0%} |
 | | delay | {1e3 * tolerance.delay_s:g} ms |
 | | bandwidth | {tolerance.bandwidth:.0%} |

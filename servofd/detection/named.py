@@ -48,9 +48,6 @@ _ANYWHERE_DEG: Final = 1e4
 _IN_A_ROW: Final = 3
 """Residuals on one side that make an alarm: a reading may be as old as the interval since the one before it, and so may
 a command, and for as many samples a step of the command contradicts no servo."""
-_TOLERATED: Final = 3.0
-"""Standard deviations of what tolerances leave that count; one tolerance alone reaches the root of 3. Of 30 healthy
-flights of even seed of `benchmarks/fleet.py` the largest residual reaches 0.70 of the threshold (0.82 with two)."""
 _UNIFORM: Final = float(np.sqrt(3.0))
 """A uniform spread within a tolerance has its width over this as standard deviation."""
 _LEAST: Final = 1e-3
@@ -69,6 +66,9 @@ _CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
 _RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
 _GAIN, _DELAY, _BANDWIDTH, _RATE = (NAMES.index(name) for name in ("gain", "delay_s", "ln_bandwidth", "ln_rate"))
+
+_TOLERANCES = [_GAIN, NAMES.index("bias_deg"), _DELAY, _BANDWIDTH, _RATE]
+"""What a file states tolerances of: each term of what they leave (docs/detection.md, D2) is bounded by its own."""
 
 
 @lru_cache(maxsize=64)
@@ -182,7 +182,7 @@ class NamedMoving(Moving):
         self._seen = np.array([np.nan, np.nan, max(tolerance.noise_deg, _SMALLEST_NOISE_DEG), 0.0, np.nan, np.inf])
         self._filter = self.generator.filter_parameters()
         self._lags = FilterMemory.of(self._filter, 1 + FITTED)
-        self._root = np.asarray(np.linalg.cholesky(self.known.covariance), dtype=np.float64)
+        self._bounds = _UNIFORM * np.sqrt(np.diag(self.known.covariance))[_TOLERANCES]
         self._before = np.zeros(0)
         """Residual over threshold of the judged samples before, as many as make an alarm together with one more."""
 
@@ -256,8 +256,8 @@ class NamedMoving(Moving):
             level_deg = surface.threshold_deg + surface.tolerances.rate * np.abs(others_deg[_RATE])
             threshold = Threshold("constant", level_deg, sigma_deg, noise_deg)
         else:
-            tolerated_deg = np.sqrt(((self._root.T @ others_deg) ** 2).sum(axis=0))
-            level_deg = surface.threshold_sigmas * sigma_deg + _TOLERATED * tolerated_deg
+            tolerated_deg = self._bounds @ np.abs(others_deg[_TOLERANCES])
+            level_deg = surface.threshold_sigmas * sigma_deg + tolerated_deg
             threshold = Threshold("interval", level_deg, sigma_deg, noise_deg)
         many = surface.persistence if self.alone else max(surface.persistence, _IN_A_ROW)
         ratios = np.append(self._before, residual_deg[judged] / threshold.level_deg[judged])
