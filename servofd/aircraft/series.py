@@ -27,6 +27,7 @@ from servofd.aircraft.marks import (
     refresh_of,
     unanswered,
 )
+from servofd.aircraft.pace import OUTAGE_S, WARM_UP_STEPS, link_period_s, pace_steps
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import latest, stretches
 from servofd.servo.context import NO_CONTEXT, Context
@@ -61,23 +62,6 @@ SURROUNDINGS: Final[Mapping[str, Mapping[str, float]]] = {
 
 A load is what pushes the shaft from outside, in any unit; what a servo says of its own effort is none.
 """
-OUTAGE_S = 1.0
-"""Longer steps are pauses of a link."""
-_FEWEST_STEPS, _SHORTEST, _WHOLE = 20, 10.0, 1.5
-"""Where more than half is lost, the shortest steps (this percentile) are whole, and most of them are longer."""
-WARM_UP_S, WARM_UP_STEPS = 10.0, 100
-"""A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
-SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
-"""Ratio of two paces that are the same, and intervals that tell the usual one of a long log."""
-
-SLOWEST_RATE_HZ = 8.0
-"""Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for
-5 deg (0.1 s at the slowest of the library), and a jam looks like a delay."""
-SLOWEST_LEFT_HZ = 4.0
-"""The same of a calibrated servo, whose delay is known, where only a link loses what would be more."""
-TOO_MANY_LOST = "more than half of all commands and positions are lost; a servo that is not calibrated cannot be judged"
-
-
 _MOSTLY_FRESH = 0.7
 """A telemetry that writes each answer twice or more leaves less of its rows; single late answers leave more."""
 
@@ -278,94 +262,6 @@ class Series:
         """Usual time between two measurements that have a value [s]; NaN if there are fewer than two."""
         steps_s = pace_steps(self.measured_s[np.isfinite(self.measured_deg)])
         return float(np.median(steps_s)) if steps_s.size else float("nan")
-
-
-def pace_steps(time_s: FloatArray) -> FloatArray:
-    """Intervals that tell the pace of a stream [s], from time stamps [s] of shape (n,).
-
-    Those of the warm-up, so that a monitor in flight works with the same numbers as an audit of the whole log; all of
-    them if the pace changed after that.
-
-    Examples
-    --------
-    >>> pace_steps(np.arange(1000) * 0.5).size, pace_steps(np.arange(1000) * 0.01).size
-    (20, 100)
-    >>> pace_steps(np.concatenate([np.arange(0.0, 10.0, 0.25), np.arange(10.0, 100.0, 0.02)])).size
-    4539
-    >>> pace_steps(np.zeros(4))
-    array([0., 0., 0.])
-    """
-    last = int(np.searchsorted(time_s, time_s[:1] + WARM_UP_S, side="right").sum()) - 1
-    first_s = np.diff(time_s[: 1 + max(1, min(WARM_UP_STEPS, last))])
-    if first_s.size == 0:
-        return first_s
-    every = 1 + (time_s.size - 1) // _STEPS_FOR_PACE
-    early_s, usual_s = float(np.median(first_s)), float(np.median(time_s[1::every] - time_s[:-1:every]))
-    same = early_s <= SAME_PACE * usual_s and usual_s <= SAME_PACE * early_s
-    return first_s if same else np.diff(time_s)
-
-
-def sent_period_s(time_s: FloatArray) -> float | None:
-    """Period of a steady stream of which more than half is lost [s], from stamps of what arrived [s]; None if less is.
-
-    Examples
-    --------
-    >>> sent_s = np.arange(400) * 0.02
-    >>> sent_period_s(sent_s[np.random.default_rng(1).random(400) < 0.25]).__round__(3)
-    0.02
-    >>> sent_period_s(sent_s)
-    """
-    steps_s = np.diff(time_s)
-    steps_s = steps_s[steps_s <= OUTAGE_S]
-    if steps_s.size < _FEWEST_STEPS:
-        return None
-    shortest_s = float(np.percentile(steps_s, _SHORTEST))
-    halves = np.array_split(steps_s, 2)  # a stream whose rate has changed loses nothing
-    return shortest_s if all(np.median(half) > _WHOLE * shortest_s for half in halves) else None
-
-
-def link_period_s(time_s: FloatArray) -> float | None:
-    """Period of what a steady stream brings some of [s], from stamps of what arrived [s]; None if it is none.
-
-    Examples
-    --------
-    >>> sent_s = np.arange(400) * 0.02
-    >>> link_period_s(sent_s[np.random.default_rng(1).random(400) < 0.7]).__round__(3)
-    0.02
-    >>> link_period_s(np.cumsum(np.random.default_rng(1).exponential(0.02, 400)))
-    """
-    steps_s = np.diff(time_s)
-    steps_s = steps_s[steps_s <= OUTAGE_S]
-    if steps_s.size < _FEWEST_STEPS:
-        return None
-    single = steps_s <= _WHOLE * float(np.percentile(steps_s, _SHORTEST))  # nothing was lost in between
-    period_s = float(np.median(steps_s[single]))
-    lasts = all(np.mean(half) >= _SINGLE for half in np.array_split(single, 2))
-    if not (lasts and period_s <= _BRIDGED_S and _is_steady(steps_s, period_s)):
-        return None
-    return period_s / max(int(np.ceil(period_s / _FRAME_S - _NEARLY)), 1)
-
-
-def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
-    """Whether most intervals between commands are whole numbers of periods."""
-    if not period_s > 0.0 or not steps_s.size:
-        return False
-    periods = steps_s / period_s
-    whole = np.abs(periods - np.maximum(np.round(periods), 1.0)) <= _WHOLE_PERIODS
-    return bool(np.mean(whole) >= _STEADY)
-
-
-_FRAME_S: Final = 0.02
-"""An autopilot moves its servos so often or oftener: a link that brings fewer of its commands has lost the others."""
-_NEARLY: Final = 0.3
-"""Share of that period by which a link may be slower, as one of 40 Hz is."""
-_BRIDGED_S: Final = 0.105
-"""Longest period of a stream of which what was lost is put back: the quarter of a second that is bridged holds two
-periods of 10 Hz, whose stamps are not exact."""
-_SINGLE: Final = 0.05
-"""Least share of intervals without a loss in each half of the first ones; a stream whose rate has changed has none."""
-_WHOLE_PERIODS, _STEADY = 0.25, 0.8
-"""Commands are steady if this share of their intervals is a whole number of periods, to within a quarter of one."""
 
 
 def too_far(segment: Series) -> str:

@@ -108,7 +108,7 @@ class CurrentStream(Following):
     def __init__(self, healthy: OfCurrent, period_s: float) -> None:
         super().__init__(period_s)
         self._healthy = healthy
-        self.logged = self.effective = CommandBuffer(int(MEMORY_S / FASTEST_COMMANDS_S))
+        self.logged = CommandBuffer(int(MEMORY_S / FASTEST_COMMANDS_S))
         self._context = NO_CONTEXT
         self._passed_s = -np.inf
         """Time of the latest reading that was evaluated [s]."""

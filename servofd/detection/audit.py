@@ -11,13 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.series import (
-    WARM_UP_STEPS,
-    Series,
-    bus_of,
-    cut,
-    too_far,
-)
+from servofd.aircraft.pace import WARM_UP_STEPS
+from servofd.aircraft.series import Series, bus_of, cut, too_far
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.evidence import reported, status_of

@@ -396,6 +396,20 @@ class OtherMotion(Protocol):
         ...
 
 
+class Asked(NamedTuple):
+    """What acts on a servo in a piece of a flight; arrays of shape (m,) unless said."""
+
+    commands: tuple[FloatArray, FloatArray, FloatArray]
+    """Times, values and slopes of those that are held, shape (n,)."""
+    time_s: FloatArray
+    load: FloatArray
+    """Dynamic pressure over 300 Pa."""
+    power: FloatArray
+    """Supply over the usual one."""
+    start_deg: FloatArray
+    """Where it begins anew; NaN where it goes on."""
+
+
 class Moved(NamedTuple):
     """How a healthy servo moves in a piece of a flight; arrays of shape (m,) unless said."""
 
@@ -443,18 +457,11 @@ class Moving:
         """The oldest commands are no longer held."""
         self._state.forget(commands)
 
-    def moved(
-        self,
-        commands: tuple[FloatArray, FloatArray, FloatArray],
-        time_s: FloatArray,
-        load: FloatArray,
-        power: FloatArray,
-        start_deg: FloatArray,
-    ) -> Moved:
-        """How it moves at the next instants, shape (m,): see `servofd.estimate.family.simulated`."""
-        position_deg, speed_deg_s = simulated(self._table, self._state, commands, time_s, load, power, start_deg)
+    def moved(self, asked: Asked) -> Moved:
+        """How it moves at the next instants."""
+        position_deg, speed_deg_s = simulated(self._table, self._state, *asked)
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, self.known.theta, self.known.reach_deg)
-        return Moved(time_s, reading_deg, slopes, speed_deg_s, start_deg)
+        return Moved(asked.time_s, reading_deg, slopes, speed_deg_s, asked.start_deg)
 
     def noise_deg(self, moved: Moved, measured_deg: FloatArray) -> FloatArray:  # noqa: ARG002 - known from good flights
         """Standard deviation of the noise of the positions (m,), as known at each instant [deg]."""
@@ -545,7 +552,7 @@ def watched(
     has seen more of them than these.
     """
     moving = moving or Moving(known, record.period_s)
-    moved = moving.moved(record.commands, record.time_s, record.load, record.power, record.start_deg)
+    moved = moving.moved(Asked(record.commands, record.time_s, record.load, record.power, record.start_deg))
     error_deg, _ = residual(record.measured_deg, moved.reading_deg, known.reach_deg)
     usable = record.usable & (record.load <= load_at(known.last_judged_m_s))
     if noise_deg is None:

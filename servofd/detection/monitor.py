@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from servofd.aircraft.series import (
+from servofd.aircraft.pace import (
     OUTAGE_S,
     SAME_PACE,
     SLOWEST_RATE_HZ,
@@ -676,7 +676,7 @@ class SurfaceMonitor:
         if alarm is not None:
             from_s = max(from_s, alarm.raised_s - LOOKS_BACK_S)
         residuals, threshold = stream.history.snapshot(self.surface.threshold, from_s, until_s)
-        residuals, commands = replace(residuals, context=self._context), stream.effective.copied(from_s)
+        residuals, commands = replace(residuals, context=self._context), stream.logged.copied(from_s)
         names = alarm.names if alarm is not None else {}
         find = partial(stream.found, Remembered(residuals, threshold, commands), names)
         return Look(float(residuals.time_s[-1]), residuals, threshold, find, stream.doubts_wiring)

@@ -15,13 +15,21 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
+from servofd.aircraft.pace import pace_steps
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
-from servofd.aircraft.series import Series, pace_steps
-from servofd.detection.changes import Moved, Moving, Shown
+from servofd.aircraft.series import Series
+from servofd.detection.changes import Asked, Moved, Moving, Shown
 from servofd.detection.faults import SAME_S, Found, judged
 from servofd.detection.outages import Outage, held
 from servofd.detection.pulse import design_pulse_filter
-from servofd.detection.residual import FilterMemory, ResidualGenerator, Residuals, Threshold, filter_in_place
+from servofd.detection.residual import (
+    CURVATURE_TO_SIGMA,
+    FilterMemory,
+    ResidualGenerator,
+    Residuals,
+    Threshold,
+    filter_in_place,
+)
 from servofd.estimate.fit import fit
 from servofd.estimate.record import Record
 from servofd.servo.context import NO_CONTEXT
@@ -62,8 +70,6 @@ _GLITCH = 5.0
 """Second differences count as no more than this many standard deviations."""
 _SMALLEST_NOISE_DEG = 1e-3
 """Smallest noise of a position [deg]."""
-_CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
-"""Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
 _RESOLUTION_TO_SIGMA = float(1.0 / np.sqrt(12.0))
 _GAIN, _DELAY, _BANDWIDTH, _RATE = (NAMES.index(name) for name in ("gain", "delay_s", "ln_bandwidth", "ln_rate"))
 
@@ -166,10 +172,10 @@ class NamedMoving(Moving):
     def __init__(self, surface: Surface, model: ServoModel, period_s: float, context: Context = NO_CONTEXT) -> None:
         tolerance = surface.tolerances
         super().__init__(named_servo(model, tolerance, period_s), period_s)
-        self.generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
+        generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
         self.alone = surface.threshold == "constant"
         self.own = _Moves(model, context, self.known.theta)
-        design = design_pulse_filter(model.transfer, 0.0, period_s, self.generator.pole_rad_s)
+        design = design_pulse_filter(model.transfer, 0.0, period_s, generator.pole_rad_s)
         self.noise_gain = design.noise_gain
         servo = model.servo(context)
         beside = servo, servo.slower(1.0 + _CHANGE), servo.slower(1.0 - _CHANGE), servo.weaker(tolerance.rate)
@@ -180,7 +186,7 @@ class NamedMoving(Moving):
         self._last = np.array([np.nan, np.nan])
         """Time of the sample before [s], and where the servo was then [deg]."""
         self._seen = np.array([np.nan, np.nan, max(tolerance.noise_deg, _SMALLEST_NOISE_DEG), 0.0, np.nan, np.inf])
-        self._filter = self.generator.filter_parameters()
+        self._filter = generator.filter_parameters()
         self._lags = FilterMemory.of(self._filter, 1 + FITTED)
         self._bounds = _UNIFORM * np.sqrt(np.diag(self.known.covariance))[_TOLERANCES]
         self._before = np.zeros(0)
@@ -196,16 +202,9 @@ class NamedMoving(Moving):
         super().forget(commands)
         self._received = max(self._received - commands, 0)
 
-    def moved(
-        self,
-        commands: tuple[FloatArray, FloatArray, FloatArray],
-        time_s: FloatArray,
-        load: FloatArray,
-        power: FloatArray,
-        start_deg: FloatArray,
-    ) -> Moved:
+    def moved(self, asked: Asked) -> Moved:
         """How it moves at the next instants: as its own model does, with the family's sensitivities beside its own."""
-        moved = super().moved(commands, time_s, load, power, start_deg)
+        moved, (commands, time_s, _, _, start_deg) = super().moved(asked), asked
         if not time_s.size:
             return moved
         effective_s, command_deg, slope_deg_s = commands[0] + self._delay_s, *commands[1:]
@@ -286,7 +285,7 @@ def _follow_noise(
         curvature = error_deg[k] - 2.0 * before + before_that
         if not np.isnan(curvature):
             seen += 1.0
-            shown = min(abs(curvature) * _CURVATURE_TO_SIGMA, _GLITCH * noise)
+            shown = min(abs(curvature) * CURVATURE_TO_SIGMA, _GLITCH * noise)
             noise += max(1.0 / (1.0 + seen / _FASTEST_SAMPLES), 1.0 / _NOISE_MEMORY) * (shown - noise)
             noise = max(noise, _SMALLEST_NOISE_DEG)
         before_that, before = before, error_deg[k]

@@ -169,7 +169,7 @@ class ResidualGenerator:
         return residual_deg
 
 
-_CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
+CURVATURE_TO_SIGMA = float(np.sqrt(np.pi / 2.0 / 6.0))
 """Mean absolute second difference of white noise to its standard deviation. The median would fail on coarse steps."""
 _MOST, _GLITCH = 90.0, 3.0
 """Second differences count as no more than this many times the ninth decile, 5 standard deviations of white noise."""
@@ -182,7 +182,7 @@ def noise_deg(error_deg: FloatArray) -> float:
         return 0.0
     size_deg = np.abs(curvature)
     glitch_deg = _GLITCH * float(np.percentile(size_deg, _MOST))
-    return _CURVATURE_TO_SIGMA * float(np.mean(np.minimum(size_deg, glitch_deg)))
+    return CURVATURE_TO_SIGMA * float(np.mean(np.minimum(size_deg, glitch_deg)))
 
 
 class FilterParameters(NamedTuple):

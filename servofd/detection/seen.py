@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from servofd.aircraft.series import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOST, sent_period_s
+from servofd.aircraft.pace import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOST, sent_period_s
 from servofd.core.errors import ServofdError
 from servofd.detection.changes import Moving, detectable
 from servofd.detection.evidence import passing, too_short

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.pace import Rhythm, gap_s, rhythm
 from servofd.aircraft.series import Series
-from servofd.detection.changes import STATISTICS, Memory, Tests, exceeded, follow, thresholds_of
+from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, exceeded, follow, thresholds_of
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import LONGEST_PAUSE_S
 from servofd.estimate.fit import residual
@@ -21,14 +22,11 @@ from servofd.estimate.record import (
     FINE_S,
     LONGEST_S,
     Commands,
-    Rhythm,
-    gap_s,
     load_at,
     loads,
     new_memory,
     powers,
     put_back,
-    rhythm,
     starts,
     unknown_deg,
 )
@@ -164,8 +162,7 @@ class Following:
     doubts_wiring = False
     """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
     logged: CommandBuffer
-    effective: CommandBuffer
-    """Commands as they came, and as they reach the servo."""
+    """Commands as they came."""
 
     def __init__(self, period_s: float) -> None:
         self.latched = 0
@@ -240,7 +237,6 @@ class Stream(Following):
         self._before = np.zeros(len(STATISTICS))
         fastest_s = FINE_S if surface.command_period_s is not None else FASTEST_COMMANDS_S
         self.logged = CommandBuffer(int(MEMORY_S / fastest_s))
-        self.effective = self.logged
         self._beat = rhythm(command_s) if sent_period_s is None else Rhythm.of_link(sent_period_s)
         loses = surface.command_period_s is None and np.isfinite(self._beat.period_s)
         self._filled = CommandBuffer(int(MEMORY_S / fastest_s)) if loses else self.logged
@@ -335,7 +331,8 @@ class Stream(Following):
         load, power = loads(self._context, time_s, known.airspeed_m_s), powers(self._context, time_s, known.supply_v)
         usable = usable & (load <= load_at(known.last_judged_m_s))
         held = self._filled.commands()
-        moved = moving.moved((held.effective_s, held.command_deg, held.slope_deg_s), time_s, load, power, start_deg)
+        commands = held.effective_s, held.command_deg, held.slope_deg_s
+        moved = moving.moved(Asked(commands, time_s, load, power, start_deg))
         noise_deg = moving.noise_deg(moved, measured_deg)
         if self._filled is not self.logged:
             arrived = self.logged.commands()

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servofd.aircraft.pace import rhythm
 from servofd.discrepancy.known import A_TYPE, Known
-from servofd.estimate.record import Commands, commands_at_servo, rhythm
+from servofd.estimate.record import Commands, commands_at_servo
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
 from servofd.servo.motion import machine_of, received

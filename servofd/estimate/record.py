@@ -12,12 +12,13 @@ the same lag, driven by the standard deviation, bounds that of the position.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from servofd.aircraft.pace import NO_RHYTHM, Rhythm, gap_s, rhythm
 from servofd.aircraft.priors import NAMES
-from servofd.aircraft.series import pace_steps, settled_from_s
+from servofd.aircraft.series import settled_from_s
 from servofd.core.series import latest, subdivided
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.servo.context import AIR_KG_M3
@@ -32,65 +33,10 @@ if TYPE_CHECKING:
 
 LONGEST_S: Final = 0.25
 """Between two commands; in more a servo goes a long way and comes back, and nothing shows it."""
-HOLDS: Final = 1.5
-"""A gap of so many periods holds a lost command."""
 _MIDDLE: Final = np.pi / 8.0
 """Mean of sqrt(s (1 - s)) over the gap."""
 _LATELY_S: Final = 1.0
 _LN_BANDWIDTH, _LN_DAMPING, _DELAY = (NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "delay_s"))
-
-
-_LOST_SAMPLE = (1.5, 1.75)
-"""An interval at least this many times the median holds a lost sample: the more, the more the time stamps jitter."""
-_LOW_QUANTILE, _TRIANGLE = 5.0, 1.0 - 0.1**0.5
-"""Two uniform jitters make a triangular one; its lower 5 % lie beyond this share of its half width."""
-_FEW_INTERVALS = 1.25
-"""A quantile of a hundred intervals scatters by a tenth."""
-_INTERVALS_FOR_PERIOD = 10_000
-"""Intervals between commands from which the period is found at most."""
-_FEWEST_COMMANDS = 3
-"""Commands that have a period."""
-_MOST_KEPT = 60.0
-"""A log that has lost three commands in ten has the right interval in seven of ten, give or take a few."""
-_REGULAR_SPREAD, _UNEVEN_SPREAD, _AT_ONCE = 0.35, 0.45, 0.4
-"""From the lower quarter of all intervals to that quantile within this share of the median: a regular log. In a hundred
-intervals of 10 ms it is 0.18 to 0.43 if stamps are off by up to 3 ms and a fifth is lost (400 draws), but then hardly
-one is shorter than the last share of the median, as some are where commands come as they please."""
-
-
-class Rhythm(NamedTuple):
-    """Period of the commands of a log, and which of them were lost."""
-
-    period_s: float
-    longest_s: float
-    """A longer interval holds a lost command."""
-
-    @classmethod
-    def of_link(cls, period_s: float) -> Rhythm:
-        """Of commands that are sent steadily over a link."""
-        return cls(period_s, HOLDS * period_s)
-
-
-NO_RHYTHM: Final = Rhythm(float("inf"), float("inf"))
-"""Commands come as they please, and no interval is a loss."""
-
-
-def rhythm(command_s: FloatArray) -> Rhythm:
-    """Rhythm of commands with time stamps [s] of shape (n,).
-
-    Infinite where commands come as they please, and no interval is a loss.
-    """
-    if command_s.size < _FEWEST_COMMANDS:
-        return NO_RHYTHM
-    some_s = pace_steps(command_s)
-    some_s = some_s[:: 1 + some_s.size // _INTERVALS_FOR_PERIOD]
-    low_s, quarter_s, period_s, upper_s = np.percentile(some_s, [_LOW_QUANTILE, 25.0, 50.0, _MOST_KEPT]).tolist()
-    most = _UNEVEN_SPREAD if low_s > _AT_ONCE * period_s else _REGULAR_SPREAD
-    if upper_s - quarter_s > most * period_s:
-        return NO_RHYTHM
-    jitter_s = _FEW_INTERVALS * (period_s - low_s) / _TRIANGLE
-    least, most = (share * period_s for share in _LOST_SAMPLE)
-    return Rhythm(period_s, min(max(period_s + jitter_s, least), most))
 
 
 def put_back(
@@ -218,14 +164,6 @@ _FIRST_S = 1.0
 _FORGETS_S = 0.16
 """What a servo that hardly moves at the beginning is ahead of one at rest (0.1 deg) is over after so long: 8 time
 constants of the thesis' filter [s]."""
-_GAP_PERIODS = 2.5
-"""Median periods beyond which a command is missing."""
-_SHORTEST_GAP_S = 0.05
-"""No gap is shorter than this [s]."""
-_RHYTHM = 101
-"""Commands that tell their rhythm: those that a monitor waits for."""
-_RARELY = 0.98
-"""Intervals between commands of which fewer than one in fifty is longer are the rhythm, and no gap."""
 _APART_S = 2.0 * LONGEST_PAUSE_S
 """Between records that are simulated as one [s]: after that pause each begins anew."""
 _LEAST_SUPPLY_V = 2.0
@@ -348,15 +286,6 @@ def straightened(command_s: FloatArray, command_deg: FloatArray, longest_gap_s: 
     step_s = np.diff(command_s)
     pieces = np.where(step_s <= longest_gap_s, np.maximum(np.round(step_s / FINE_S), 1.0), 1.0).astype(int)
     return subdivided(command_s, command_deg, pieces)
-
-
-def gap_s(command_s: FloatArray) -> float:
-    """Longest time between commands that is no gap [s]."""
-    steps_s = np.diff(command_s[:_RHYTHM])
-    if not steps_s.size:
-        return _SHORTEST_GAP_S
-    usual_s = max(_GAP_PERIODS * float(np.median(steps_s)), 1.2 * float(np.quantile(steps_s, _RARELY)))
-    return max(_SHORTEST_GAP_S, min(usual_s, 10.0 * float(np.median(steps_s))))
 
 
 def starts(

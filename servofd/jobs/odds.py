@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.units import S_PER_HOUR
-from servofd.aircraft.series import SLOWEST_RATE_HZ
+from servofd.aircraft.pace import SLOWEST_RATE_HZ
 from servofd.core.errors import ConfigError
 from servofd.detection.probability import Noise, crossings
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s

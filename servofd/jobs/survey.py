@@ -9,8 +9,9 @@ import numpy as np
 
 from servofd.aircraft.current_source import current_sources, read_current
 from servofd.aircraft.outputs import output_of
+from servofd.aircraft.pace import SLOWEST_RATE_HZ
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.series import SLOWEST_RATE_HZ, cut
+from servofd.aircraft.series import cut
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import what_to_log
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of

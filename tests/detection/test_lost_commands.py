@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.calibrated import CalibratedServo
+from servofd.aircraft.pace import Rhythm, link_period_s, sent_period_s
 from servofd.aircraft.priors import PRIORS
 from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.series import Series, link_period_s, sent_period_s
+from servofd.aircraft.series import Series
 from servofd.detection.changes import watched
 from servofd.detection.faults import judged
 from servofd.detection.seen import Pace, healthy_of
 from servofd.estimate.family import new_state, simulated, variants
-from servofd.estimate.record import LONGEST_S, Record, Rhythm, new_memory, put_back, unknown_deg
+from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servofd.aircraft.series import WARM_UP_STEPS
+from servofd.aircraft.pace import WARM_UP_STEPS
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.probability import Noise
 from servofd.detection.pulse import design_pulse_filter

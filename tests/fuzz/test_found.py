@@ -17,8 +17,8 @@ from logparsers.endpoint import parse_endpoint
 from logparsers.errors import LinkError
 from servofd import audit, cli
 from servofd.aircraft.outputs import find_pairs, outputs_of
+from servofd.aircraft.pace import pace_steps
 from servofd.aircraft.schema import load_aircraft, plain_aircraft
-from servofd.aircraft.series import pace_steps
 from servofd.batch.key import Job
 from servofd.cli import main
 from servofd.core.errors import ConfigError, RecordingError

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.pace import rhythm
 from servofd.core.types import FloatArray
 from servofd.discrepancy.record import after_lost_commands
-from servofd.estimate.record import rhythm
 
 PERIOD_S, HOLE_S = 0.01, 0.1
 

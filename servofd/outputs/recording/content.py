@@ -74,7 +74,8 @@ class Trace:
 
     def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Series:
         """What an audit starts from, see `Series`: as of a log, without commands that are no numbers or come again."""
-        from servofd.aircraft.series import WARM_UP_STEPS, Series, link_period_s, marks_of
+        from servofd.aircraft.pace import WARM_UP_STEPS, link_period_s
+        from servofd.aircraft.series import Series, marks_of
 
         given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
         seen = _rising(self.time_s)
