@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,10 +21,11 @@ from servofd.cli.terminal import (
     write_page,
 )
 from servofd.core.errors import ConfigError, needs
-from servofd.core.files import distinct_file_names, make_folder
+from servofd.core.files import beginning, distinct_file_names, make_folder
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
+from servofd.outputs.page import source_tag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,6 +36,9 @@ if TYPE_CHECKING:
 
 _A_FEW = 16
 """Logs up to which each has a table of its own."""
+_PACKED = (".gz", ".zip", ".bz2", ".xz")
+_HEAD_BYTES = 2000
+"""Beginning of a page in which its source is looked for."""
 _SOME = 8
 """Runs that are named in a line."""
 
@@ -48,6 +53,8 @@ def run(options: Options) -> int:
     results = judged_logs(options)
     report = audit_report(results)
     write(options, results, report)
+    if options.output and not options.html:
+        page_of(options, report)
     audits = [result for result in results if not isinstance(result, FailedLog)]
     few = audits if len(audits) <= _A_FEW else []  # of cycles of a bench one table and one sentence
     if audits and options.json != "-":
@@ -125,6 +132,29 @@ def write(options: Options, results: list[LogAudit | FailedLog], report: Documen
         save_recording(audits[0], options.rrd)
     if options.output:
         _write_folder(options, audits, report.data)
+
+
+def page_of(options: Options, report: Document) -> Path | None:
+    """The page, written into ``-o``, else beside the log, else where the user is; None if there is nothing to show."""
+    if not report.parts:
+        return None
+    log = Path(options.logs[0])
+    folder = Path(options.output) if options.output else log.parent if os.access(log.parent, os.W_OK) else Path()
+    bare = Path(log.stem).stem if log.suffix in _PACKED else log.stem
+    for stem in distinct_file_names([bare, log.name, f"{log.name}.servofd"]):
+        target = folder / f"{stem}.html"
+        if not target.exists() or _is_of(target, log.name):
+            break
+    write_page(report, target)
+    return target
+
+
+def _is_of(page: Path, log: str) -> bool:
+    """Whether a page is ours, and of the same log: only then it is overwritten without a question."""
+    try:
+        return source_tag(log).encode() in beginning(page, _HEAD_BYTES)
+    except OSError:
+        return False
 
 
 def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[str, Any]) -> None:

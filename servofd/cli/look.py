@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.cli import audit
-from servofd.cli.terminal import one_line, say, write_page
-from servofd.core.files import beginning, distinct_file_names
+from servofd.cli.terminal import one_line, say
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.audit_report import audit_report
-from servofd.outputs.page import FLEET_PAGE, source_tag
+from servofd.outputs.page import FLEET_PAGE
 from servofd.outputs.sentence import LEAST_CLEARED, answers, whole_sentence, worst
 
 if TYPE_CHECKING:
@@ -21,11 +20,6 @@ if TYPE_CHECKING:
 
     from servofd.cli.options import Options
     from servofd.detection.verdict import LogAudit
-    from servofd.outputs.document import Document
-
-_PACKED = (".gz", ".zip", ".bz2", ".xz")
-_HEAD_BYTES = 2000
-"""Beginning of a page in which its source is looked for."""
 
 
 def run(options: Options) -> int:
@@ -36,7 +30,7 @@ def run(options: Options) -> int:
     results = audit.judged_logs(options)
     report = audit_report(results)
     audit.write(options, results, report)
-    page = Path(options.html) if options.html else _written(options, report)
+    page = Path(options.html) if options.html else audit.page_of(options, report)
     if options.json != "-":
         for line in _closing_lines(results, report.sentence, page):
             say(one_line(line))
@@ -70,29 +64,6 @@ def _closing_lines(results: Sequence[LogAudit | FailedLog], sentence: str, page:
         clear = sum(worst((*audit.surfaces, *audit.axes)) == "healthy" for audit in audits)
         lines.append(f"{clear} of {len(audits)} runs are healthy; this one is the worst.")
     return lines + answers(shown)
-
-
-def _written(options: Options, report: Document) -> Path | None:
-    """Write the page into ``-o``, else beside the log, else where the user is; None if there is nothing to show."""
-    if not report.parts:
-        return None
-    log = Path(options.logs[0])
-    folder = Path(options.output) if options.output else log.parent if os.access(log.parent, os.W_OK) else Path()
-    bare = Path(log.stem).stem if log.suffix in _PACKED else log.stem
-    for stem in distinct_file_names([bare, log.name, f"{log.name}.servofd"]):
-        target = folder / f"{stem}.html"
-        if not target.exists() or _is_of(target, log.name):
-            break
-    write_page(report, target)
-    return target
-
-
-def _is_of(page: Path, log: str) -> bool:
-    """Whether a page is ours, and of the same log: only then it is overwritten without a question."""
-    try:
-        return source_tag(log).encode() in beginning(page, _HEAD_BYTES)
-    except OSError:
-        return False
 
 
 def _open(page: Path | None, options: Options) -> None:

@@ -182,7 +182,7 @@ def test_a_log_too_short_to_judge_goes_into_a_folder(tmp_path: Path, capsys: pyt
     log = tmp_path / "short.csv"
     log.write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n0,1,1\n0.02,1,2\n0.04,1,1\n")
     assert main(["audit", str(log), "-o", str(tmp_path / "out")]) == 2
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"audit.json", "short.rrd"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"audit.json", "short.html", "short.rrd"}
     assert capsys.readouterr().err.count("\n") == 1
 
 

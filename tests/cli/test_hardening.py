@@ -84,7 +84,7 @@ class TestOutputs:
         text.write_text(text.read_text().replace("elevator", odd))
         assert main(["audit", str(text), "-o", str(tmp_path / "out")]) == 0
         names = {path.name for path in (tmp_path / "out").iterdir()}
-        assert names == {"audit.json", "odd.rrd", "odd-_.._a_b_c.png"}
+        assert names == {"audit.json", "odd.html", "odd.rrd", "odd-_.._a_b_c.png"}
 
     @pytest.mark.slow
     def test_a_full_disk_is_told(self) -> None:
