@@ -104,6 +104,10 @@ class Browser:
         button = "left" if buttons or kind == "mouseReleased" else "none"
         self.do("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons, clickCount=1)
 
+    def touch(self, kind: str, *fingers: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(fingers)]
+        self.do("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
     def choose(self, selector: str, files: list[Path]) -> None:
         root = self.do("DOM.getDocument")["root"]["nodeId"]
         node = self.do("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]

@@ -119,7 +119,7 @@ def test_a_chart_tells_values_and_shows_a_part_from_near(browser: Browser, tmp_p
 
     browser.mouse("mouseMoved", across(8.5), middle)
     told = browser.tell("document.querySelector('.readout').textContent")
-    values = {name: float(value) for name, value in re.findall(r"(asked|healthy servo|measured) (-?[\d.]+) deg", told)}
+    values = {name: float(value) for name, value in re.findall(r"(command|healthy servo|measured) (-?[\d.]+) deg", told)}
     assert told.startswith("0:08.5")
     assert values["measured"] == pytest.approx(-0.2, abs=0.3)
     assert values["healthy servo"] == pytest.approx(5.0, abs=0.6)
@@ -162,7 +162,7 @@ def test_a_chart_is_turned_nearer_loses_a_curve_and_gets_a_lane(browser: Browser
     browser.tell(
         "[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'healthy servo').click()"
     )
-    browser.tell("[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'asked').click()")
+    browser.tell("[...document.querySelectorAll('.legend button')].find(b => b.textContent === 'command').click()")
     assert browser.tell("getComputedStyle(document.querySelector('path.simulated')).display") == "none"
     assert viewed()[3] < before
     drawn = len(plots(browser))
@@ -176,6 +176,30 @@ def test_a_chart_is_turned_nearer_loses_a_curve_and_gets_a_lane(browser: Browser
     assert max(shown) <= roll.values.max() + 5.0
     browser.tell("document.querySelector('.legend button.other').click()")
     assert len(plots(browser)) == drawn
+    assert browser.complaints == []
+
+
+def test_two_fingers_show_a_part_from_near(browser: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(audit_text())
+    browser.size(400)
+    browser.do("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+    browser.goto(page.as_uri())
+    browser.tell("document.querySelector('.chart').scrollIntoView()")
+    upper = plots(browser)[0]
+    y = upper["y"] + upper["height"] / 2
+
+    def at(share: float) -> tuple[float, float]:
+        return upper["x"] + share * upper["width"], y
+
+    browser.touch("touchStart", at(0.4), at(0.6))
+    for spread in (0.15, 0.2, 0.3, 0.4):
+        browser.touch("touchMove", at(0.5 - spread), at(0.5 + spread))
+    browser.touch("touchEnd")
+    box = browser.tell("document.querySelector('.chart svg').getAttribute('viewBox')")
+    x, _, width, _ = (float(number) for number in box.split())
+    assert width == pytest.approx(2000.0 / 4, rel=0.1)  # the fingers went four times as far apart
+    assert x + width / 2 == pytest.approx(1000.0, rel=0.1)  # about the middle between them
     assert browser.complaints == []
 
 
