@@ -24,12 +24,14 @@ from servofd.estimate.fit import residual
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import BoolArray, ComplexArray, FloatArray
     from servofd.detection.changes import Watched
 
 WINDOW_S, SHORTEST_WINDOW_S = 20.0, 5.0
 """Longest window that is explained, and the one below which it is not halved any more [s]."""
 _LEAD_S: Final = 1.0
+_IN_FORCE_S: Final = 1.0
+"""For so long before a stretch commands are on their way to the servo, or move it still."""
 _COUNTED: Final = 0.5
 _ALARMED: Final = 3.0
 """Logarithm of how much less likely a good servo is judged here than a faulty one: an alarm was raised."""
@@ -83,6 +85,12 @@ _STRANGE, _UNEXPLAINED = 2.0, 0.55
 """Misfit for each sample, and the share of what a good servo does not do, that no hypothesis may leave."""
 _NOTHING: Final = 0.1
 """A hypothesis that explains less of that is no name, however loud the alarm: readings that jump at random."""
+_SLOWEST_HZ, _QUICKEST_HZ = 0.5, 12.0
+"""Frequencies between which an oscillation is looked for."""
+_LINES: Final = 0.2
+"""Distance of two lines of its spectrum, over the inverse of the window's length."""
+_BETWEEN_LINES = np.linspace(-1.0, 1.0, 17)
+"""Where its frequency is looked for about the strongest line, in distances of two."""
 SWINGS = 1.5
 """Standard deviations that an oscillation is taken to leave."""
 
@@ -123,6 +131,10 @@ class Window:
         self.own, self.ends_deg = watched.own, watched.ends_deg
         self.precision = np.linalg.inv(known.covariance)
         self.noise = watched.noise
+        self.commands = record.commands
+        if self.time_s.size:  # what was commanded long before, or after, moves nothing here
+            span = slice(*np.searchsorted(record.commands[0], (self.time_s[0] - _IN_FORCE_S, self.time_s[-1])).tolist())
+            self.commands = tuple(each[max(span.start - 1, 0) : span.stop + 1] for each in record.commands)
         start_deg = record.start_deg[self.rows].copy()
         good = np.flatnonzero(np.isfinite(self.measured_deg))
         if good.size and not np.isfinite(start_deg[0]):
@@ -142,7 +154,7 @@ class Window:
         table[:, FITTED] = power
         record = self.record
         position_deg, speed_deg_s = simulated(
-            table, new_state(table.shape[0]), held(record.commands, outages), self.time_s, record.load[self.rows],
+            table, new_state(table.shape[0]), held(self.commands, outages), self.time_s, record.load[self.rows],
             record.power[self.rows], self.start_deg,
         )  # fmt: skip
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
@@ -321,13 +333,12 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
     reading_deg, free_slopes = window.reading(free)
     kinds = ((error_deg, slopes), (residual(window.measured_deg, reading_deg, window.known.reach_deg)[0], free_slopes))
     best: Guess | None = None
+    hz = np.arange(_SLOWEST_HZ, min(_QUICKEST_HZ, 0.4 / window.record.period_s), _LINES / span_s)
+    turns = _turns(hz, t[used])
     for left_deg, columns in kinds:
         scaled = (left_deg[used] - np.median(left_deg[used])) / window.total_deg[used]
-        hz = np.arange(0.5, min(12.0, 0.4 / window.record.period_s), 0.2 / span_s)
-        for _ in range(2):
-            power = np.abs(np.exp(-2j * np.pi * np.outer(hz, t[used])) @ scaled)
-            middle = float(hz[np.argmax(power)])
-            hz = middle + np.linspace(-0.2, 0.2, 17) / span_s
+        near_hz = float(hz[np.argmax(np.abs(turns @ scaled))]) + _LINES / span_s * _BETWEEN_LINES
+        middle = float(near_hz[np.argmax(np.abs(_turns(near_hz, t[used]) @ scaled))])
         waves = np.stack([np.cos(2.0 * np.pi * middle * t), np.sin(2.0 * np.pi * middle * t)], axis=1)
         cost, found, covariance = window.reduced(left_deg, columns, waves)
         size = float(np.hypot(*found[FITTED:]))
@@ -342,11 +353,18 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
         yield best
 
 
+def _turns(hz: FloatArray, time_s: FloatArray) -> ComplexArray:
+    """Turning vectors of evenly spaced frequencies (k,) at some times (m,), shape (k, m), each a turn from the last."""
+    turns = np.empty((hz.size, time_s.size), dtype=complex)
+    turns[0], turns[1:] = np.exp(-2j * np.pi * hz[0] * time_s), np.exp(-2j * np.pi * (hz[1] - hz[0]) * time_s)
+    return np.cumprod(turns, axis=0)
+
+
 def _intermittent(window: Window, error_deg: FloatArray) -> Iterator[Guess]:
     """A servo that gets no command for some moments."""
     used = np.flatnonzero(window.used | (window.time_s < window.time_s[0] + _LEAD_S))
     used = used[np.isfinite(window.measured_deg[used])]
-    command_s, command_deg, _ = window.record.commands
+    command_s, command_deg, _ = window.commands
     theta = window.theta
     found = outages_in(
         window.time_s[used], window.measured_deg[used], error_deg[used], window.total_deg[used],
