@@ -110,7 +110,7 @@ def new_bus(servos: int) -> FloatArray:
     (4, 17)
     """
     memory = np.zeros((servos, _MEMORY))
-    memory[:, [_NEWEST, _CHANGED]] = -np.inf
+    memory[:, [_NEWEST, _CHANGED, _STIRRED]] = -np.inf
     memory[:, [_THEN, _BEFORE, _LAG, _ASKED]] = np.nan
     memory[:, [_STEP, _OWING]] = np.inf
     return memory
@@ -123,7 +123,8 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
         m[_LAG] = m[_ASKED] = asked_deg
     else:
         m[_LAG] += (1.0 - np.exp(-max(time_s - m[_NEWEST], 0.0) / _LATELY_S)) * (m[_ASKED] - m[_LAG])
-    m[_STIRRED] += asked_deg != m[_ASKED]
+    if asked_deg != m[_ASKED]:
+        m[_STIRRED] = time_s
     m[_ASKED], m[_NEWEST] = asked_deg, time_s
     rests = abs(m[_ASKED] - m[_LAG]) <= ASKED_DEG
     m[_RESTS] += rests
@@ -137,7 +138,7 @@ def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, othe
         if rests and not m[_STOOD]:
             m[_RUNS] += m[_REPEATS]
             m[_SQUARES] += m[_REPEATS] ** 2
-        m[_STOOD], m[_STIRRED], m[_OWING] = 0.0, 0.0, np.inf
+        m[_STOOD], m[_OWING] = 0.0, np.inf
         m[_CHANGED], m[_REPEATS], m[_THEN], m[_BEFORE] = time_s, 0.0, asked_deg, m[_LAG]
         if moved_deg > TINY_DEG:
             m[_STEP] = min(m[_STEP], moved_deg)
@@ -187,8 +188,10 @@ def _all_stand(memory: FloatArray, time_s: float) -> tuple[bool, bool]:
                 return False, False
             continue
         reporting += 1
-        stirred = stirred or m[_STIRRED] > 0.0 or m[_OWING] < np.inf
-        evidence += _ASKED_TELLS if _is_asked(m, time_s) else min(_flickers(m), _MOST_EVIDENCE)
+        # What it was asked, and did not do, while another reading still changed tells nothing of a bus.
+        stirred = stirred or m[_STIRRED] > latest_s or latest_s <= m[_OWING] < np.inf
+        is_asked = m[_OWING] > latest_s - DUPLICATE_S and _is_asked(m, time_s)
+        evidence += _ASKED_TELLS if is_asked else min(_flickers(m), _MOST_EVIDENCE)
     return reporting >= 2 and evidence >= _ENOUGH_EVIDENCE and time_s - latest_s >= FROZEN_S - TINY_DEG, stirred
 
 
