@@ -86,6 +86,9 @@ class CalibratedServo(BaseModel):
     noise: CalibratedNoise
     reach_deg: tuple[_Finite, _Finite]
     """Deflections that the flights showed."""
+    middle_deg: _Finite = 0.0
+    """Deflection about which the gain acts, and where the bias is that of the parameters: 0 but for a servo that never
+    comes near it."""
     supply_v: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     """Usual supply; 0 where it was not logged."""
     airspeed_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
@@ -121,6 +124,11 @@ class CalibratedServo(BaseModel):
     def theta(self) -> FloatArray:
         """Parameters in order, shape (13,)."""
         return np.array([self.parameters[name] for name in NAMES])
+
+    @property
+    def offset_deg(self) -> float:
+        """Position at a command of 0 [deg]."""
+        return self.parameters["bias_deg"] + self.middle_deg * (1.0 - self.parameters["gain"])
 
     @property
     def covariance(self) -> FloatArray:

@@ -73,7 +73,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     airspeed_m_s = usual_airspeed_m_s([flight.segment.context for flight in flights])
     records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in flights]
     first = fit(records)
-    gain, offset_deg = first.theta[0], first.theta[1]
+    gain, offset_deg = first.theta[0], first.offset_deg
     refuse_unlike(name, first, records, flights, (supply_v, airspeed_m_s))
     measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)
     scale, shift_deg = float(f"{measured.correction[0]:.6g}"), round(measured.correction[1], 4)

@@ -446,7 +446,7 @@ class Moving:
 
     def __init__(self, known: CalibratedServo, period_s: float) -> None:
         self.known, self._limit = known, thresholds_of(known)[0]
-        self._table = variants(known.theta)
+        self._table = variants(known.theta, middle_deg=known.middle_deg)
         self._state = new_state(self._table.shape[0])
         self._noise, self._peak = known.noise.noise.at(period_s), np.array([0.0, np.nan])
 

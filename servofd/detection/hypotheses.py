@@ -150,7 +150,7 @@ class Window:
         self, theta: FloatArray, power: float = 0.0, *, behind: bool = False, outages: tuple[Outage, ...] = ()
     ) -> tuple[FloatArray, FloatArray]:
         """Reading and sensitivities of a servo, shapes (m,) and (m, 13)."""
-        table = variants(theta, patterns=False)
+        table = variants(theta, patterns=False, middle_deg=self.known.middle_deg)
         table[:, FITTED] = power
         record = self.record
         position_deg, speed_deg_s = simulated(
@@ -369,7 +369,7 @@ def _intermittent(window: Window, error_deg: FloatArray) -> Iterator[Guess]:
     found = outages_in(
         window.time_s[used], window.measured_deg[used], error_deg[used], window.total_deg[used],
         _MOVING * float(np.hypot(window.known.noise.still_deg, _LEAST_STILL_DEG)),
-        (command_s, theta[0] * command_deg + theta[1]), theta[NAMES.index("delay_s")],
+        (command_s, theta[0] * command_deg + window.known.offset_deg), theta[NAMES.index("delay_s")],
     )  # fmt: skip
     if len(found) < _FEWEST_OUTAGES:
         return

@@ -19,6 +19,7 @@ from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, asked_deg, cropped
 from servofd.detection.verdict import describe
 from servofd.detection.wiring import ENOUGH_MOTION_DEG
+from servofd.estimate.family import middle_of
 from servofd.estimate.fit import fit, predicted, reach_of, residual
 from servofd.estimate.record import Record
 from servofd.servo.library import Servo
@@ -94,6 +95,7 @@ def known_servo(
             period_s=float(f"{noise.period_s:.6g}"),
         ),
         reach_deg=(round(fitted.reach_deg[0], 3), round(fitted.reach_deg[1], 3)),
+        middle_deg=middle_of(fitted.reach_deg),
         supply_v=round(supply_v, 3),
         airspeed_m_s=round(airspeed_m_s, 2),
         fastest_m_s=round(fastest_m_s, 2),

@@ -65,8 +65,21 @@ _USUAL = np.append([prior.value for prior in PRIORS], 0.0)
 _TRACKS: Final = 1 + len(_SIMULATED)
 
 
-def variants(theta: FloatArray, *, patterns: bool = True) -> FloatArray:
+def middle_of(reach_deg: tuple[float, float]) -> float:
+    """Deflection about which a servo's gain and bends act: zero, or the end of its reach that is nearest to it [deg].
+
+    Examples
+    --------
+    >>> middle_of((-20.0, 25.0)), middle_of((171.0, 189.0))
+    (0.0, 171.0)
+    """
+    return min(max(reach_deg[0], 0.0), reach_deg[1])
+
+
+def variants(theta: FloatArray, *, patterns: bool = True, middle_deg: float = 0.0) -> FloatArray:
     """Servos to be simulated side by side, shape (V, 14): the servo itself, one per sensitivity, one per pattern.
+
+    Their gains act about `middle_deg`; the table holds their offsets at a command of 0.
 
     Examples
     --------
@@ -82,7 +95,9 @@ def variants(theta: FloatArray, *, patterns: bool = True) -> FloatArray:
         rows.append(row)
     if patterns:
         rows += patterns_of(base)
-    return np.array(rows)
+    table = np.array(rows)
+    table[:, _BIAS] += middle_deg * (1.0 - table[:, _GAIN])
+    return table
 
 
 def patterns_of(base: FloatArray) -> list[FloatArray]:
@@ -188,7 +203,7 @@ def bent(position_deg: FloatArray, theta: FloatArray, reach_deg: tuple[float, fl
     is nearest to it.
     """
     low, high = reach_deg
-    middle = min(max(low, 0.0), high)
+    middle = middle_of(reach_deg)
     share = (np.clip(position_deg, low, high) - middle) / max(REACH_DEG, high - middle, middle - low)
     shapes = np.stack([share**2, share**3 - share], axis=-1)
     added: FloatArray = shapes @ theta[_BEND2 : _BEND3 + 1]

@@ -13,7 +13,7 @@ from servofd.core.fitting import Noise as Scatter
 from servofd.core.fitting import Problem, Solution
 from servofd.core.fitting import fit as minimum
 from servofd.core.statistics import MAD_TO_SIGMA, Estimate
-from servofd.estimate.family import bent, new_state, sensitivities, simulated, variants
+from servofd.estimate.family import bent, middle_of, new_state, sensitivities, simulated, variants
 from servofd.estimate.record import joined
 from servofd.servo.loops import compiled
 
@@ -72,7 +72,7 @@ def predicted(
     theta: FloatArray, record: Record, reach_deg: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """How well parameters predict a record: reading (m,) [deg], sensitivities (m, 13), largest speed (m,) [deg/s]."""
-    table = variants(theta, patterns=False)
+    table = variants(theta, patterns=False, middle_deg=middle_of(reach_deg))
     state = new_state(table.shape[0])
     position_deg, speed_deg_s = simulated(
         table, state, record.commands, record.time_s, record.load, record.power, record.start_deg
@@ -121,6 +121,12 @@ class Fit:
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
     halves: FloatArray
     """By how much the parameters of one half of the flights differ from those of the other, shape (13,)."""
+
+    @property
+    def offset_deg(self) -> float:
+        """Position at a command of 0 [deg]."""
+        gain, bias_deg = self.theta[:2].tolist()
+        return float(bias_deg + middle_of(self.reach_deg) * (1.0 - gain))
 
     @property
     def bandwidth_rad_s(self) -> Estimate:
@@ -244,7 +250,7 @@ def _best(problem: Problem, begins: Sequence[FloatArray], steps: int = _STEPS) -
 
 def reading(theta: FloatArray, record: Record, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Reading of one servo (m,) [deg], and its speeds (m, 2) [deg/s]."""
-    table = variants(theta, patterns=False)[:1]
+    table = variants(theta, patterns=False, middle_deg=middle_of(reach_deg))[:1]
     position_deg, speed_deg_s = simulated(
         table, new_state(1), record.commands, record.time_s, record.load, record.power, record.start_deg
     )

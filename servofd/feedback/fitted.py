@@ -84,7 +84,7 @@ def found_in(
     if not isinstance(own, OwnServo):
         return Found(Line(), own)
     if free_scale:
-        gain, offset_deg = own.known.theta[:2].tolist()
+        gain, offset_deg = own.known.parameters["gain"], own.known.offset_deg
         return Found(Line(gain * line.gain, gain * line.offset_deg + offset_deg), own.with_own_scale())
     what = "sign" if line.gain < 0.0 else "scale"
     doubt = f"its position is {line.gain:.2f}x the command throughout: check the {what} of the calibration"

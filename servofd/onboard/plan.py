@@ -217,7 +217,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         known = named_servo(model, surface.tolerances, period_s)
         named = model.with_physics(physics._replace(bias_deg=0.0))
     else:
-        gain, bias_deg = gain * known.parameters["gain"], bias_deg + known.parameters["bias_deg"]
+        gain, bias_deg = gain * known.parameters["gain"], bias_deg + known.offset_deg
     modes = _modes(model, gain)
     if sum(map(math.hypot, modes[2::_MODE_NUMBERS], modes[3::_MODE_NUMBERS])) > _MOST_CANCELLATION * abs(gain):
         raise DesignError("its servo model loses all digits of a 32-bit number: use a model of lower order")
@@ -395,14 +395,14 @@ def _doubt(known: CalibratedServo, on_board: ServoModel, named: ServoModel | Non
     command_deg = 0.5 * (low_deg + high_deg) + 0.5 * (high_deg - low_deg) * share
     moved_deg, slow_deg = (each.simulate(time_s, command_deg, time_s) for each in (on_board, on_board.weaker(_SLOWER)))
     theta, one = known.theta, np.ones(time_s.size)
-    table, start_deg = variants(theta, patterns=False), np.full(time_s.size, np.nan)
+    table, start_deg = variants(theta, patterns=False, middle_deg=known.middle_deg), np.full(time_s.size, np.nan)
     start_deg[0] = moved_deg[0]
     load = load_at(known.airspeed_m_s) if known.airspeed_m_s else 1.0
     position_deg, speed_deg_s = simulated(
         table, new_state(len(table)), (time_s, command_deg, 0.0 * one), time_s, load * one, one, start_deg
     )
     reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, known.reach_deg)
-    reading_deg -= known.parameters["bias_deg"]
+    reading_deg -= known.offset_deg
     if named is not None:
         reading_deg = named.simulate(time_s, command_deg, time_s)
     left_deg = np.column_stack([slopes @ np.linalg.cholesky(known.covariance), reading_deg - moved_deg])
