@@ -18,7 +18,15 @@ from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.evidence import reported, status_of
 from servofd.detection.known import crude_line
 from servofd.detection.seen import TooShortError, healthy_of, too_few
-from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, LogAudit, Statistics, SurfaceAudit, describe
+from servofd.detection.verdict import (
+    SERVO_OR_SENSOR,
+    CommonCause,
+    LogAudit,
+    Statistics,
+    SurfaceAudit,
+    describe,
+    two_digits,
+)
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -233,7 +241,7 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
     record = "record a minute of full and free control movements with this surface, fast and slow"
     share = surface.model.explained_share
     if asked_deg < _HARDLY_ASKED_DEG:
-        return f"its command stays within {asked_deg:.2g} deg, too little motion to tell how it would follow: {record}"
+        return f"its command stays within {two_digits(asked_deg)} deg, too little motion to tell how it would follow: {record}"
     if moved_deg < _HARDLY_MOVED * asked_deg:
         line = crude_line(Record.of(segment))
         if line is not None:
@@ -242,14 +250,14 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
                 "unit (radians are 0.017 times degrees)"
             )
         return (
-            f"its position stays within {moved_deg:.2g} deg while its command moves by {asked_deg:.2g} deg: jammed "
+            f"its position stays within {two_digits(moved_deg)} deg while its command moves by {two_digits(asked_deg)} deg: jammed "
             "from the beginning, or no reading of this surface"
         )
     if share is None:
-        seen = f"{segment.duration_s:.0f} s in which the command stays within {asked_deg:.2g} deg"
+        seen = f"{segment.duration_s:.0f} s in which the command stays within {two_digits(asked_deg)} deg"
         return f"too little motion to fit a servo to ({seen}): {record}"
     return (
-        f"no servo predicts this surface from its command, which stays within {asked_deg:.2g} deg (a fitted one "
+        f"no servo predicts this surface from its command, which stays within {two_digits(asked_deg)} deg (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
     )
 

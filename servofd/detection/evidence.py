@@ -15,7 +15,7 @@ import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.series import outline
-from servofd.detection.verdict import SERVO_OR_SENSOR, describe
+from servofd.detection.verdict import SERVO_OR_SENSOR, describe, two_digits
 from servofd.servo.loops import compiled, play
 
 if TYPE_CHECKING:
@@ -57,11 +57,11 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
     wanted_deg = max(3.0 * _MARGIN * level_deg, _MARGIN * reach_deg)
     if wanted_deg > max(_FARTHEST_DEG, _MARGIN * reach_deg):
         return (
-            f"too little motion for so wide a threshold ({level_deg:.2g} deg): even {unseen} might not have shown; fly "
+            f"too little motion for so wide a threshold ({two_digits(level_deg)} deg): even {unseen} might not have shown; fly "
             "or bench-test slow movements beside fast ones, or calibrate on a good flight"
         )
     return (
-        f"too little motion: even {unseen} might not have shown (threshold {level_deg:.2g} deg); fly or bench-test "
+        f"too little motion: even {unseen} might not have shown (threshold {two_digits(level_deg)} deg); fly or bench-test "
         f"several movements of ±{wanted_deg:.0f} deg or more, or calibrate on a good flight"
     )
 

@@ -21,6 +21,7 @@ from servofd.detection.named import NamedMoving, found_of, with_hold
 from servofd.detection.probability import Noise
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.stream import Following, Stream
+from servofd.detection.verdict import two_digits
 from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import load_at
 
@@ -305,13 +306,11 @@ class OfModel:
         notes = (*notes, *_reservations(model, segment, surface))
         level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
         if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
-            within = f"the threshold of {level_deg:.2g} deg lies within the residual's noise of {sigma_deg:.2g} deg"
+            within = f"the threshold of {two_digits(level_deg)} deg lies within the residual's noise of {two_digits(sigma_deg)} deg"
             notes = (within, *notes)
         above = (np.abs(residuals.residual_deg[rows]) > threshold.level_deg[rows]).any()
         passed = ", which single readings passed" if above else ""
-        like = (
-            f"followed its command as its servo should, within {{largest}} deg (threshold {level_deg:.2g} deg{passed})"
-        )
+        like = f"followed its command as its servo should, within {{largest}} deg (threshold {two_digits(level_deg)} deg{passed})"
         against = wiring_problem(residuals) if found.faults or found.suspicions else ""
         level = None
         if flight.alone and not surface.tells_small_faults:

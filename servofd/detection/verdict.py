@@ -251,6 +251,17 @@ EXPLAINED = "the tolerances of a working servo explain it"
 """Why an alarm is taken back."""
 
 
+def two_digits(value: float) -> str:
+    """A size with as many digits as are of use, and no exponent.
+
+    Examples
+    --------
+    >>> two_digits(0.0312), two_digits(246.4)
+    ('0.031', '250')
+    """
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def describe(fault: Fault) -> str:
     """One clause: what, since when, until when, how sure.
 

@@ -74,7 +74,8 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
         witness = (
             ", by its current" if by_current and len(suspect) == 1 else ", by their currents" if by_current else ""
         )
-        return f"{_surfaces(suspect).upper()} SUSPECT{witness}: look at it before the next flight."
+        them = "it" if len(suspect) == 1 else "them"
+        return f"{_surfaces(suspect).upper()} SUSPECT{witness}: look at {them} before the next flight."
     return _cleared(healthy, [s for s in surfaces if s.expected and not s.is_judged])
 
 

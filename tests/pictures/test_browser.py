@@ -119,7 +119,8 @@ def test_a_chart_tells_values_and_shows_a_part_from_near(browser: Browser, tmp_p
 
     browser.mouse("mouseMoved", across(8.5), middle)
     told = browser.tell("document.querySelector('.readout').textContent")
-    values = {name: float(value) for name, value in re.findall(r"(command|healthy servo|measured) (-?[\d.]+) deg", told)}
+    found = re.findall(r"(command|healthy servo|measured) (-?[\d.]+) deg", told)
+    values = {name: float(value) for name, value in found}
     assert told.startswith("0:08.5")
     assert values["measured"] == pytest.approx(-0.2, abs=0.3)
     assert values["healthy servo"] == pytest.approx(5.0, abs=0.6)
