@@ -239,9 +239,9 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
     """Why no servo could be fitted to this log, and what to record."""
     moved_deg = float(np.nanmax(segment.measured_deg) - np.nanmin(segment.measured_deg))
     record = "record a minute of full and free control movements with this surface, fast and slow"
-    share = surface.model.explained_share
+    share, asked = surface.model.explained_share, f"{two_digits(asked_deg)} deg"
     if asked_deg < _HARDLY_ASKED_DEG:
-        return f"its command stays within {two_digits(asked_deg)} deg, too little motion to tell how it would follow: {record}"
+        return f"its command stays within {asked}, too little motion to tell how it would follow: {record}"
     if moved_deg < _HARDLY_MOVED * asked_deg:
         line = crude_line(Record.of(segment))
         if line is not None:
@@ -250,14 +250,14 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
                 "unit (radians are 0.017 times degrees)"
             )
         return (
-            f"its position stays within {two_digits(moved_deg)} deg while its command moves by {two_digits(asked_deg)} deg: jammed "
+            f"its position stays within {two_digits(moved_deg)} deg while its command moves by {asked}: jammed "
             "from the beginning, or no reading of this surface"
         )
     if share is None:
-        seen = f"{segment.duration_s:.0f} s in which the command stays within {two_digits(asked_deg)} deg"
+        seen = f"{segment.duration_s:.0f} s in which the command stays within {asked}"
         return f"too little motion to fit a servo to ({seen}): {record}"
     return (
-        f"no servo predicts this surface from its command, which stays within {two_digits(asked_deg)} deg (a fitted one "
+        f"no servo predicts this surface from its command, which stays within {asked} (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
     )
 

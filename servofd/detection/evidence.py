@@ -55,13 +55,14 @@ def why_not_cleared(residuals: Residuals, shown: Detectable, level_deg: float) -
     reach_deg = float(np.ptp(moved)) / 2.0 if moved.size else 0.0
     unseen = "a jam" if shown.loss_share is None else f"the loss of {shown.loss_share:.0%} of its travel"
     wanted_deg = max(3.0 * _MARGIN * level_deg, _MARGIN * reach_deg)
+    level = f"{two_digits(level_deg)} deg"
     if wanted_deg > max(_FARTHEST_DEG, _MARGIN * reach_deg):
         return (
-            f"too little motion for so wide a threshold ({two_digits(level_deg)} deg): even {unseen} might not have shown; fly "
+            f"too little motion for so wide a threshold ({level}): even {unseen} might not have shown; fly "
             "or bench-test slow movements beside fast ones, or calibrate on a good flight"
         )
     return (
-        f"too little motion: even {unseen} might not have shown (threshold {two_digits(level_deg)} deg); fly or bench-test "
+        f"too little motion: even {unseen} might not have shown (threshold {level}); fly or bench-test "
         f"several movements of ±{wanted_deg:.0f} deg or more, or calibrate on a good flight"
     )
 
