@@ -37,11 +37,8 @@ def runs_of(path: Path) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArra
     """Name, times [s], commands [deg] and positions [deg] of each servo in each run of a table."""
     table = pd.read_csv(path)
     time = "time_s" if "time_s" in table else "t_s"
-    pairs = (
-        {"cmd": "meas"}
-        if "cmd" in table
-        else {name: name.replace("_cmd_deg", "_pos_deg") for name in table if name.endswith("_cmd_deg")}
-    )
+    names = [str(name).removesuffix("_cmd_deg") for name in table if str(name).endswith("_cmd_deg")]
+    pairs = {"cmd": "meas"} if "cmd" in table else {f"{name}_cmd_deg": f"{name}_pos_deg" for name in names}
     for run, rows in table.groupby("run") if "run" in table else [("", table)]:
         for command, position in pairs.items():
             known = rows[[time, command, position]].drop_duplicates(time).to_numpy(float)

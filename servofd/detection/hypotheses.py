@@ -131,10 +131,12 @@ class Window:
         self.own, self.ends_deg = watched.own, watched.ends_deg
         self.precision = np.linalg.inv(known.covariance)
         self.noise = watched.noise
-        self.commands = record.commands
+        command_s, command_deg, slope_deg_s = record.commands
+        span = slice(None)
         if self.time_s.size:  # what was commanded long before, or after, moves nothing here
-            span = slice(*np.searchsorted(record.commands[0], (self.time_s[0] - _IN_FORCE_S, self.time_s[-1])).tolist())
-            self.commands = tuple(each[max(span.start - 1, 0) : span.stop + 1] for each in record.commands)
+            begin, end = np.searchsorted(command_s, (self.time_s[0] - _IN_FORCE_S, self.time_s[-1])).tolist()
+            span = slice(max(begin - 1, 0), end + 1)
+        self.commands = command_s[span], command_deg[span], slope_deg_s[span]
         start_deg = record.start_deg[self.rows].copy()
         good = np.flatnonzero(np.isfinite(self.measured_deg))
         if good.size and not np.isfinite(start_deg[0]):
@@ -357,7 +359,8 @@ def _turns(hz: FloatArray, time_s: FloatArray) -> ComplexArray:
     """Turning vectors of evenly spaced frequencies (k,) at some times (m,), shape (k, m), each a turn from the last."""
     turns = np.empty((hz.size, time_s.size), dtype=complex)
     turns[0], turns[1:] = np.exp(-2j * np.pi * hz[0] * time_s), np.exp(-2j * np.pi * (hz[1] - hz[0]) * time_s)
-    return np.cumprod(turns, axis=0)
+    every: ComplexArray = np.multiply.accumulate(turns, axis=0)
+    return every
 
 
 def _intermittent(window: Window, error_deg: FloatArray) -> Iterator[Guess]:

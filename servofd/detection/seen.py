@@ -305,12 +305,13 @@ class OfModel:
         found = as_raised(flight, found_of(flight, surface, asked=self.asked), look)
         notes = (*notes, *_reservations(model, segment, surface))
         level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
+        limit, noise = (f"{two_digits(each)} deg" for each in (level_deg, sigma_deg))
         if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
-            within = f"the threshold of {two_digits(level_deg)} deg lies within the residual's noise of {two_digits(sigma_deg)} deg"
+            within = f"the threshold of {limit} lies within the residual's noise of {noise}"
             notes = (within, *notes)
         above = (np.abs(residuals.residual_deg[rows]) > threshold.level_deg[rows]).any()
         passed = ", which single readings passed" if above else ""
-        like = f"followed its command as its servo should, within {{largest}} deg (threshold {two_digits(level_deg)} deg{passed})"
+        like = f"followed its command as its servo should, within {{largest}} deg (threshold {limit}{passed})"
         against = wiring_problem(residuals) if found.faults or found.suspicions else ""
         level = None
         if flight.alone and not surface.tells_small_faults:
