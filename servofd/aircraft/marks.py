@@ -81,9 +81,9 @@ _SILENT_S: Final = 1.0
 """A servo that has sent no row for so long does not report."""
 _FEWEST_RESTS: Final = 50
 """Rows at rest that tell for how long a reading usually stays the same: a second at 50 Hz."""
-_ASKED_TELLS, _MOST_EVIDENCE, _ENOUGH_EVIDENCE = 6.0, 8.0, 12.0
+_ASKED_TELLS, _MOST_EVIDENCE, _ENOUGH_EVIDENCE = 6.0, 8.0, 10.0
 """Minus the logarithm of the chance that readings stay the same while telemetry lives: that of a servo that is asked to
-move (it may be jammed), the most that one servo adds, and what all together need: 6e-6, and no servo alone."""
+move (it may be jammed), the most that one servo adds, and what all together need: 5e-5, and no servo alone."""
 _FEWEST_ROWS: Final = 200
 """Rows that tell for how long voltage and current of a servo may stay the same: four seconds at 50 Hz."""
 _OWED_BESIDE, _FEWEST_REPEATS = 10.0, 3.0
