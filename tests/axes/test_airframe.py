@@ -51,7 +51,7 @@ def flown(seed: int, day: int, **how: Any) -> Motion:
     return replace(motion_of_autopilot(logparsers.read(io.BytesIO(content))), day=f"day {day}")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_aerobatic_flight_among_those_of_calibration_hides_no_half_of_an_elevator() -> None:
     days = [flown(1000 + day, day, turbulence=0.6 + 0.2 * (day % 4)) for day in range(6)]
     wild = flown(1100, 9, manoeuvres=2.4)

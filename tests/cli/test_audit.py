@@ -79,7 +79,7 @@ def test_a_noise_free_table_comes_back_to_the_nanodegree(tmp_path: Path, capsys:
     assert document["logs"][0]["surfaces"]["elevator"]["residual"]["max_abs_deg"] < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(tmp_path / "fast.csv")
     main(["simulate", "-o", path, "--servo", "s9254", "--command", "steps"])

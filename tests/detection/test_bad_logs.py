@@ -82,10 +82,14 @@ def test_one_surface_alone_is_judged_as_among_others() -> None:
     ("change", "told"),
     [
         (lambda asked, seen: (asked, 3.0 + noise_deg(seen)), "jammed from the beginning, or no reading"),
-        (lambda asked, seen: (asked, 20.0 * np.sin(0.01 * np.arange(seen.size))), "no servo predicts this surface"),
-        (lambda asked, seen: (asked, -seen), "check the sign"),
+        pytest.param(
+            lambda asked, seen: (asked, 20.0 * np.sin(0.01 * np.arange(seen.size))),
+            "no servo predicts this surface",
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(lambda asked, seen: (asked, -seen), "check the sign", marks=pytest.mark.nightly),
         (lambda asked, seen: (asked, np.deg2rad(seen)), "x the command throughout: check the scale"),
-        (lambda asked, seen: (asked, 0.4 * seen), "times its command"),
+        pytest.param(lambda asked, seen: (asked, 0.4 * seen), "times its command", marks=pytest.mark.nightly),
     ],
     ids=["jammed", "floating", "reversed", "radians", "weak"],
 )
@@ -171,7 +175,7 @@ def test_three_rows_of_any_form_are_no_flight(form: str, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["bin", "tlog"])
+@pytest.mark.parametrize("suffix", ["bin", pytest.param("tlog", marks=pytest.mark.nightly)])
 def test_servos_of_an_autopilot_that_are_jammed_from_the_beginning(
     tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

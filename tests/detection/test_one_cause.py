@@ -63,7 +63,7 @@ def test_a_jam_is_its_own_whatever_the_others_do(silent_s: tuple[float, float]) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.33, 0.5])
+@pytest.mark.parametrize("share", [pytest.param(0.33, marks=pytest.mark.nightly), 0.5])
 def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float) -> None:
     """Six servos of which nobody knows anything but what this log shows."""
     time_s = np.arange(0.0, 90.0, 0.02)

@@ -16,7 +16,12 @@ from servofd.detection.seen import healthy_of
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0
-KINDS = ("stuck", "hardover", "floating", "bias", "loss", "slow", "deadband")
+KINDS = (
+    "stuck",
+    "bias",
+    "slow",
+    *(pytest.param(kind, marks=pytest.mark.nightly) for kind in ("hardover", "floating", "loss", "deadband")),
+)
 
 
 def faulty(kind: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -80,6 +80,7 @@ def test_no_play_is_no_play() -> None:
         explain(DATA / "bench" / "smart_servo_no_play.csv")
 
 
+@pytest.mark.nightly
 def test_smart_servo_with_a_weight() -> None:
     """A linear servo fitted by itself takes up much of the weight; what is left of it is more than halved."""
     found = explain(DATA / "bench" / "smart_servo_gravity_load.csv").explanation

@@ -49,7 +49,7 @@ def test_the_good_part_calibrates_and_the_whole_shows_both_jams(config: Path, tm
     assert 133.4 <= elevator.alarm_s <= 143.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_whole_flight_is_refused_and_both_jams_are_named(
     config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,7 +23,11 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("suffix", "aileron", "elevator"), [("bin", "aileron_1", "elevator_10"), ("tlog", "servo_1", "servo_10")]
+    ("suffix", "aileron", "elevator"),
+    [
+        ("bin", "aileron_1", "elevator_10"),
+        pytest.param("tlog", "servo_1", "servo_10", marks=pytest.mark.nightly),
+    ],
 )
 def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevator: str) -> None:
     (result,) = servofd.audit(LOGS / f"ardupilot_sitl_feedback.{suffix}")
@@ -43,13 +47,8 @@ def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevato
     assert verdicts[elevator].faults[0].alarm_s <= 144.5
 
 
-@pytest.mark.parametrize(
-    "ends_mb",
-    [
-        pytest.param((1.4, 8.5, 13.0), marks=pytest.mark.slow),
-        pytest.param((2.5, 4.0, 5.5, 7.0, 10.0, 11.5, 13.0), marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("ends_mb", [(1.4, 8.5, 13.0), (2.5, 4.0, 5.5, 7.0, 10.0, 11.5, 13.0)])
 def test_no_beginning_of_the_log_accuses_a_servo_that_is_well(ends_mb: tuple[float, ...], tmp_path: Path) -> None:
     """Of 1.4 to 13 MB, cut anywhere: only what has jammed by then is at fault, and both jams are before the end."""
     content = (LOGS / "ardupilot_sitl_feedback.bin").read_bytes()
@@ -64,7 +63,7 @@ def test_no_beginning_of_the_log_accuses_a_servo_that_is_well(ends_mb: tuple[flo
     assert set(faults) == set(jammed_s)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_drafted_file_gives_the_same_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = str(LOGS / "ardupilot_sitl_feedback.bin")
     assert main(["config", log]) == 0
@@ -94,7 +93,7 @@ def test_info_tells_what_is_there_and_what_is_missing(
     assert expected in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not (LOGS / "vehicles").is_dir(), reason="no logs of vehicles")
 def test_a_jam_with_hardly_any_current_is_no_fault_of_the_sensor() -> None:
     """An elevon that is held draws 0.24 A while the healthy one would draw 2.7 A."""

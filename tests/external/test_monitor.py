@@ -37,7 +37,7 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     return load_aircraft(calibrated)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_both_frozen_servos_are_alarmed_and_named_and_the_others_stay_quiet(aircraft: Aircraft) -> None:
     session, events, stepped_s, now_s = Session(Codec(0, 191), {0: aircraft}), [], 0.0, 0.0
     for now_s, frame in replayed(LOG):

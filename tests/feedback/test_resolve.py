@@ -61,7 +61,10 @@ def test_the_log_of_an_autopilot_tells_airspeed_and_supply(suffix: str, supply: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("drafted", "judged"), [("tlog", "bin"), ("bin", "tlog"), ("bin", "ulg")])
+@pytest.mark.parametrize(
+    ("drafted", "judged"),
+    [("tlog", "bin"), *(pytest.param("bin", suffix, marks=pytest.mark.nightly) for suffix in ("tlog", "ulg"))],
+)
 def test_an_aircraft_drafted_from_one_kind_of_log_judges_the_others(
     drafted: str, judged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,7 +40,7 @@ def test_what_is_saved_is_what_was_shown_with_its_effects(effect: str, tmp_path:
     assert result.surfaces[0].status == "healthy"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_file_saved_for_one_surface_of_an_unknown_servo_serves_the_whole_log(tmp_path: Path) -> None:
     """Nobody knows these servos: the one that was explained is as it was shown, the others fit themselves."""
     run, saved, shown = str(tmp_path / "run.csv"), str(tmp_path / "one.toml"), tmp_path / "shown.json"

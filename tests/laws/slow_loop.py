@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
@@ -22,17 +22,31 @@ _STEP_S = 1e-4
 _STRIBECK_DEG_S, _PUSH_PER_PA_S = 10.0, 25.0 / 300.0
 
 
+class Sizes:
+    """Those of a servo, which looks each up anew when it is asked: here that is fifty times in each step."""
+
+    def __init__(self, physics: Physics) -> None:
+        self.of = physics
+
+    def __getattr__(self, name: str) -> float:
+        value: float = getattr(self.of, name)
+        setattr(self, name, value)
+        return value
+
+
 @dataclass
 class SlowLoop:
     """At rest where its command wants it, whose deflection is read at `start_deg`."""
 
     denominator: tuple[float, ...]
-    physics: Physics
+    of: InitVar[Physics]
     start_deg: float
+    physics: Sizes = field(init=False)
     state: list[float] = field(init=False)
     """Position, speed and torque of the shaft."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, of: Physics) -> None:
+        self.physics = Sizes(of)
         shaft = (self.start_deg - self.physics.bias_deg) / self.physics.gain
         self.state = [shaft, 0.0, 0.0]
         self.moved = self.followed = self.tip = self.played = shaft

@@ -68,10 +68,13 @@ TROUBLES: dict[str, tuple[Trouble, ...]] = {
     "a trim and a direction": (Edit(18.0, "SERVO2_TRIM", 1560.0), Edit(21.0, "SERVO4_REVERSED", 1.0)),
     "travel": (Edit(18.0, "SERVO1_MIN", 1200.0), Edit(19.0, "SERVO1_MAX", 1800.0)),
 }
+OFTEN = ("none", "a frozen bus", "numbers that jump")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trouble", TROUBLES)
+@pytest.mark.parametrize(
+    "trouble", [pytest.param(each, marks=() if each in OFTEN else pytest.mark.nightly) for each in TROUBLES]
+)
 def test_the_jam_alone_is_told(aircraft: Aircraft, trouble: str) -> None:
     _, events = watched(aircraft, *TROUBLES[trouble])
     assert [surface for surface, _ in kinds(events, "alarm")] == ["elevator"]

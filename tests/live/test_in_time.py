@@ -88,7 +88,13 @@ class Flown:
     loud_s: list[float]
 
 
-@pytest.fixture(scope="module", params=FAULTS, ids=[fault.kind for fault in FAULTS])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(fault, id=fault.kind, marks=() if fault.kind in ("stuck", "slow") else pytest.mark.nightly)
+        for fault in FAULTS
+    ],
+)
 def twice(request: pytest.FixtureRequest, aircraft: Aircraft) -> Flown:
     loud_s: list[float] = []
     standing, _ = told(aircraft, replace(request.param, end_s=math.inf), loud_s=loud_s)

@@ -69,9 +69,9 @@ def told(events: list[Published]) -> list[tuple[str, str, str, float]]:
 @pytest.mark.parametrize(
     ("delay", "sentences"),
     [
-        pytest.param(lambda at_s: 1.1 * (at_s > 9.0), ["link 1 s late"], id="1.1 s"),
-        pytest.param(lambda at_s: 4.0 * (at_s > 9.0), ["link 4 s late"], id="4 s"),
-        pytest.param(lambda at_s: 10.0 * (at_s > 9.0), ["link 10 s late"], id="10 s"),
+        pytest.param(lambda at_s: 1.1 * (at_s > 9.0), ["link 1 s late"], id="1.1 s", marks=pytest.mark.nightly),
+        pytest.param(lambda at_s: 4.0 * (at_s > 9.0), ["link 4 s late"], id="4 s", marks=pytest.mark.nightly),
+        pytest.param(lambda at_s: 10.0 * (at_s > 9.0), ["link 10 s late"], id="10 s", marks=pytest.mark.nightly),
         pytest.param(lambda at_s: max(0.0, min(15.0 - at_s, 6.0)) * (at_s > 9.0), [], id="a burst after 6 s"),
         pytest.param(lambda at_s: 1.5 * (at_s % 3.0 < 1.0), [], id="hiccups"),
     ],

@@ -166,10 +166,10 @@ class TestBadLinks:
     @pytest.mark.parametrize(
         ("link", "most_lost"),
         [
-            (BadLink(loss=0.05, seed=1), 0.1),
+            pytest.param(BadLink(loss=0.05, seed=1), 0.1, marks=pytest.mark.nightly),
             (BadLink(loss=0.3, seed=2), 0.4),
             (BadLink(duplicate=0.2, reorder=0.1, seed=3), 0.05),
-            (BadLink(corrupt=0.05, seed=4), 0.1),
+            pytest.param(BadLink(corrupt=0.05, seed=4), 0.1, marks=pytest.mark.nightly),
         ],
         ids=["5 %", "30 %", "order", "corrupt"],
     )

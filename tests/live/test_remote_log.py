@@ -80,7 +80,7 @@ def watching(aircraft: Aircraft, **options: BadLink) -> tuple[Field, bytearray]:
     return Field.of({0: aircraft}, store=stored.extend, remote_log=True, **options), stored
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_goes_on_after_a_silence_in_which_it_was_given_up(aircraft: Aircraft) -> None:
     """Fifteen seconds without a word in either direction: the autopilot forgets whoever asked, and begins anew."""
     gone = ((6.0, 21.0),)
@@ -95,7 +95,7 @@ def test_it_goes_on_after_a_silence_in_which_it_was_given_up(aircraft: Aircraft)
     assert {s.surface: [(f.kind, f.alarm_s) for f in s.faults] for s in audit.surfaces} == found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_goes_on_after_the_vehicle_has_started_again(aircraft: Aircraft) -> None:
     field, stored = watching(aircraft)
     field.fly(vehicle(lively(duration_s=12.0)))

@@ -505,25 +505,27 @@ HOSTILE = {
     "zeros": b"\0",
     "cut_records": b"\xa3\x95\x80\x81\x03\xa3\x95",
 }
+DAMAGED = ("headers", "one_bad_byte_each", "cut_records")
+"""Damaged everywhere: 300 kB have three times the thousand places that are kept, or more."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_hostile_files_take_bounded_time_and_memory(kind: str) -> None:
     pattern = HOSTILE[kind]
-    size = 3_000_000
+    size = 300_000 if kind in DAMAGED else 3_000_000
     if pattern is None:
         names = [b"%04X" % i for i in range(size // 89)]
         body = b"".join(b"\xa3\x95\x80\x82\x0b" + n + b"Q".ljust(16, b"\0") + b"TimeUS".ljust(64, b"\0") for n in names)
     else:
         body = pattern * (size // len(pattern))
-    begin = time.perf_counter()
+    begin = time.process_time()
     with contextlib.suppress(LogError):
         log = DataFlashFile.open(HEADERS + body)
         use_up(log)
         assert len(log.stretches) <= 1000
         assert len(log.damage) <= 3001
-    assert time.perf_counter() - begin < 60.0  # twenty microseconds for each byte
+    assert time.process_time() - begin < 20e-6 * size
 
 
 def test_useless_files_are_refused_with_a_reason(tmp_path: Path) -> None:

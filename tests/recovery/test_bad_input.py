@@ -80,7 +80,7 @@ def test_runs_of_a_fifth_of_a_second(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "at least 1 s are needed" in refused(table(tmp_path / "log.csv", runs=20), capsys)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("error")
 def test_one_such_run_among_others_a_load_that_never_changes_and_a_current_without_noise(tmp_path: Path) -> None:
     path = table(tmp_path / "log.csv", runs=RUN, load_g=200, servo_current_a=0.5)
@@ -116,11 +116,11 @@ def test_swapped_columns(options: tuple[str, ...], tmp_path: Path, capsys: pytes
     assert "columns swapped" in refused(path, capsys, *options)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("load", "note"),
     [
-        pytest.param(["none", "light", "heavy", "heavy"], "'none' is not a number", marks=pytest.mark.nightly),
+        (["none", "light", "heavy", "heavy"], "'none' is not a number"),
         (["0 g", "100 g", "200 g", "300 g"], "'0 g' is not a number"),
     ],
     ids=["words", "with units"],
@@ -131,7 +131,7 @@ def test_loads_that_tell_nothing(load: object, note: str, tmp_path: Path) -> Non
     assert any(note in each for each in found["notes"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_percent_for_degrees(tmp_path: Path) -> None:
     """What is called a degree is one: sizes come out in its unit."""
     found = said(table(tmp_path / "log.csv", gains=(12.5, 12.5)))

@@ -56,7 +56,7 @@ def test_runs_held_out_whole_are_predicted_by_the_others() -> None:
         assert each.nominal_rms_deg > 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_poles_that_nobody_knows_are_found_beside_the_effects() -> None:
     """Of third order in truth, so that sizes come out off by the order that lacks, and the motion hardly."""
     effects: Effects = {"gravity_load": {"droop_deg": 15.0}}

@@ -121,9 +121,9 @@ def test_hidden_numbers_are_found() -> None:
     ("effect", "width_deg", "key"),
     [
         (effect_of("backlash", {"width_deg": 0.3}), 0.3, "play_deg"),
-        (effect_of("backlash", {"width_deg": 1.0}), 1.0, "play_deg"),
+        pytest.param(effect_of("backlash", {"width_deg": 1.0}), 1.0, "play_deg", marks=pytest.mark.nightly),
         (effect_of("deadband", {"width_deg": 0.4}), 0.4, "deadband_deg"),
-        (effect_of("deadband", {"width_deg": 1.0}), 1.0, "deadband_deg"),
+        pytest.param(effect_of("deadband", {"width_deg": 1.0}), 1.0, "deadband_deg", marks=pytest.mark.nightly),
         (effect_of("friction", {"friction_deg": 0.8}), 1.6, "friction_deg"),
     ],
 )
@@ -276,7 +276,7 @@ def test_no_false_alarm_in_fresh_flights(style: str, number: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.nightly)])
 def test_motors_with_friction_play_and_load_are_quiet_and_their_faults_are_named(seed: int) -> None:
     """Good and cheap servos of an aircraft that shares no physics with the model."""
     aircraft = stranger(seed)
@@ -327,7 +327,7 @@ def test_an_overbalanced_surface_stays_a_number() -> None:
     assert np.abs(position_deg).max() <= 400.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_stream_finds_what_an_audit_finds() -> None:
     aircraft = stranger(3)
     known = calibrated(of_stranger(aircraft, 1, "mixed", "rudder")).aircraft

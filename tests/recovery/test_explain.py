@@ -133,15 +133,15 @@ def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
     ("servo", "name", "value", "within"),
     [
         (FineServo(delay_s=0.03), "delay", 0.03, 4e-4),
-        (FineServo(slow=0.75), "slow_dynamics", 0.75, 0.01),
+        pytest.param(FineServo(slow=0.75), "slow_dynamics", 0.75, 0.01, marks=pytest.mark.nightly),
         (FineServo(deadband_deg=1.2), "deadband", 1.2, 0.05),
         (FineServo(backlash_deg=0.8), "backlash", 0.8, 0.03),
         (FineServo(friction_deg=0.5), "friction", 0.5, 0.03),
         (FineServo(gain=0.9), "gain", 0.9, 0.005),
-        (FineServo(bias_deg=0.5), "bias", 0.5, 0.02),
-        (FineServo(airload=8e-4), "airload", 8e-4, 5e-5),
-        (FineServo(deg_s_per_v=7.0), "voltage_rate", 7.0, 0.15),
-        (FineServo(lag_s=0.025), "sensor_lag", 0.025, 1.5e-3),
+        pytest.param(FineServo(bias_deg=0.5), "bias", 0.5, 0.02, marks=pytest.mark.nightly),
+        pytest.param(FineServo(airload=8e-4), "airload", 8e-4, 5e-5, marks=pytest.mark.nightly),
+        pytest.param(FineServo(deg_s_per_v=7.0), "voltage_rate", 7.0, 0.15, marks=pytest.mark.nightly),
+        pytest.param(FineServo(lag_s=0.025), "sensor_lag", 0.025, 1.5e-3, marks=pytest.mark.nightly),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -223,7 +223,15 @@ def jammed(log: Hidden, from_s: float, until_s: float) -> Hidden:
 @pytest.mark.parametrize(
     "command", ["gusty", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("doublets", "chirp"))]
 )
-@pytest.mark.parametrize(("noise_deg", "step_deg"), [(0.02, 0.3), (0.05, 0.3), (0.05, 0.8), (0.2, 2.0)])
+@pytest.mark.parametrize(
+    ("noise_deg", "step_deg"),
+    [
+        pytest.param(0.02, 0.3, marks=pytest.mark.nightly),
+        (0.05, 0.3),
+        pytest.param(0.05, 0.8, marks=pytest.mark.nightly),
+        (0.2, 2.0),
+    ],
+)
 def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: float, step_deg: float) -> None:
     """At rest for most of the time, fast, fine or swamped by noise: the comb of the readings is the proof."""
     time_s = np.arange(0.0, 60.0, 0.01)

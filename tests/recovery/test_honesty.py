@@ -136,7 +136,7 @@ def test_a_servo_off_by_as_much_as_its_type_differs_lacks_nothing() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", [BEFORE, AFTER])
+@pytest.mark.parametrize("place", [BEFORE, pytest.param(AFTER, marks=pytest.mark.nightly)])
 def test_the_place_of_the_slow_pole_decides_which_effect_it_is(place: float) -> None:
     """A dead band behind a slow filter, or ahead of one, is friction to a model that has its poles in the loop."""
     record = flown((), [], 3, duration_s=50.0)

@@ -71,8 +71,8 @@ def test_the_servo_of_eq_3_1_from_its_chirp(quality: tuple[float, int], seed: in
         assert result.normalized_errors()[0][inside].max() < 0.37  # thesis 3.4
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("quality", [FINE, pytest.param(COARSE, marks=pytest.mark.nightly)], ids=["fine", "coarse"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("quality", TARGETS, ids=["fine", "coarse"])
 @pytest.mark.parametrize("name", TRUTHS)
 def test_intervals_hold_the_truth_in_nine_of_ten_runs(quality: tuple[float, int], name: str) -> None:
     value = TRUTHS[name](truth_of(HS225))

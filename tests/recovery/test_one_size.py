@@ -37,7 +37,7 @@ def explained(command_deg: FloatArray, fastest_deg_s: float) -> Explanation:
     return explain_gap(segment, ServoModel.of(UNKNOWN_SERVO), known=NOTHING)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_limit_in_steps_of_one_size_may_be_slow_poles() -> None:
     found = explained(_ONE, 60.0)
     assert found.selection.ties == (("rate_limit", "slow_dynamics"),)

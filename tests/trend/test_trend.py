@@ -278,7 +278,7 @@ def test_a_swap_is_recognised_and_is_no_wear() -> None:
     assert [(event.kind, event.first) for event in seen.surfaces[0].events] == [("swap", 26)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_healthy_fleets_raise_no_alarm() -> None:
     """Two here; a hundred in benchmarks/trend_fleets.py."""
     assert not any(healthy_fleet(seed, servos=2, flights=12, duration_s=12.0).has_alarm for seed in range(2))
