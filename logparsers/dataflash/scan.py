@@ -87,12 +87,14 @@ def hidden(data: memoryview, at: int, end: int, size: int, length: Ints) -> int:
 
 def next_header(data: memoryview, at: int, size: int, length: Ints) -> int:
     """Find where a known message type begins behind `at`; the end of the log if nowhere."""
-    found = _header_of(bytes(kind for kind in range(256) if length[kind] > 0)).search(data, at + 1)
+    found = _header_of(length.tobytes()).search(data, at + 1)
     return found.start() if found else size
 
 
 @lru_cache(maxsize=512)
-def _header_of(known: bytes) -> re.Pattern[bytes]:
+def _header_of(lengths: bytes) -> re.Pattern[bytes]:
+    width = len(lengths) // 256
+    known = bytes(kind for kind in range(256) if any(lengths[width * kind : width * (kind + 1)]))
     return re.compile(b"\xa3\x95[" + re.escape(known) + b"]")
 
 
