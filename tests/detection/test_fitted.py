@@ -12,8 +12,11 @@ import pytest
 from strangers import Failure, Flight, draw_failure, fly, stranger
 
 import servofd
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
+    from servofd.core.types import FloatArray
     from servofd.detection.verdict import SurfaceAudit
 
 
@@ -208,3 +211,30 @@ def test_what_was_not_tried_does_not_keep_the_others_from_being_cleared(resting:
     assert bool(result.not_judged) == (resting == 3)
     if resting == 1:
         assert result.sentence == "All 2 surfaces that could be judged followed their commands. Flap0 was not tried."
+
+
+def bench(rate_hz: float, about_deg: float, fault: str = "") -> dict[str, FloatArray]:
+    """A servo without a name that is sent about some angle in steps, and jams or slips after 25 s."""
+    rng, model = np.random.default_rng(3), ServoModel.of(servo_named("hs225bb-eq31"))
+    time_s = np.arange(0.0, 35.0, 1.0 / rate_hz)
+    asked_deg = 9.0 * np.array([0.0, 1.0, -1.0, 0.5, 1.0, -0.5])[(time_s // 1.3).astype(int) % 6]
+    moved_deg = 0.96 * model.simulate(time_s, asked_deg, time_s)
+    late = time_s > 25.0
+    if fault == "jam":
+        moved_deg[late] = moved_deg[late][0]
+    elif fault == "offset":
+        moved_deg[late] += 3.0
+    moved_deg += 0.1 * rng.standard_normal(time_s.size)
+    return {"time_s": time_s, "arm_cmd_deg": about_deg + asked_deg, "arm_pos_deg": about_deg + moved_deg}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate_hz", "about_deg"), [(1000.0, 0.0), (50.0, 180.0)])
+@pytest.mark.parametrize(("fault", "status"), [("", "healthy"), ("jam", "fault"), ("offset", "fault")])
+def test_a_bench_at_1_khz_and_a_servo_far_from_zero_are_judged_as_any_other(
+    rate_hz: float, about_deg: float, fault: str, status: str
+) -> None:
+    (audit,) = servofd.audit(bench(rate_hz, about_deg, fault))
+    verdict = audit.surfaces[0]
+    assert verdict.status == status, verdict.reason
+    assert not verdict.faults or abs(verdict.faults[0].start_s - 25.0) < 1.5

@@ -207,6 +207,23 @@ def test_one_servo_that_stands_still_alone_is_jammed_and_not_frozen(tmp_path: Pa
     assert not (cut(log, "rudder", plain_aircraft(["rudder", "elevator"])).why == Why.FROZEN).any()
 
 
+def test_servos_that_come_to_rest_together_are_not_frozen(tmp_path: Path) -> None:
+    """An arm that is let go: no command changes any more, and one joint never reached what it was asked."""
+    rng, rests = np.random.default_rng(4), TIME_S >= 20.0
+    columns = {"time_s": TIME_S}
+    for k, name in enumerate(("rudder", "aileron", "elevator")):
+        asked_deg = np.where(rests, ASKED_DEG[999], ASKED_DEG + 0.1 * np.round(rng.standard_normal(TIME_S.size)))
+        position_deg = followed(rng) if k < 2 else np.where(TIME_S < 5.0, followed(rng), 2.0)
+        position_deg[TIME_S >= 20.4] = position_deg[1019]
+        columns |= {f"{name}_cmd_deg": asked_deg, f"{name}_pos_deg": position_deg}
+    log = one_log(table(tmp_path / "a.csv", columns))
+    aircraft = plain_aircraft(["rudder", "aileron", "elevator"])
+    for name in aircraft.surfaces:
+        series = cut(log, name, aircraft)
+        assert not series.frozen_to_end, name
+        assert not (series.why[TIME_S > 21.0] == Why.FROZEN).any(), name
+
+
 def test_a_command_that_was_never_sent_is_left_out(tmp_path: Path) -> None:
     asked_deg = ASKED_DEG.copy()
     asked_deg[[600, 601]] = 60.0
