@@ -16,7 +16,8 @@ from servofd.aircraft.series import Series, bus_of, cut, too_far
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
 from servofd.detection.evidence import reported, status_of
-from servofd.detection.known import crude_line
+from servofd.detection.flights import Flight
+from servofd.detection.known import crude_line, hardly_moved
 from servofd.detection.seen import TooShortError, healthy_of, too_few
 from servofd.detection.verdict import (
     SERVO_OR_SENSOR,
@@ -254,8 +255,8 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
             "from the beginning, or no reading of this surface"
         )
     if share is None:
-        seen = f"{segment.duration_s:.0f} s in which the command stays within {asked}"
-        return f"too little motion to fit a servo to ({seen}): {record}"
+        lacking = hardly_moved([Flight("", segment)]) or f"{segment.duration_s:.0f} s of it were not enough"
+        return f"no servo can be fitted to this log: {lacking}; {record}"
     return (
         f"no servo predicts this surface from its command, which stays within {asked} (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"

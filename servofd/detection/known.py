@@ -210,16 +210,16 @@ them with another reason), of 36 with a medium one 24; of 188 good ones none."""
 
 
 def hardly_moved(flights: Sequence[Flight]) -> str:
-    """Say what these flights lack for a calibration; nothing if they may do."""
+    """Say what these flights lack for a fit; nothing if they may do."""
     seconds = sum(flight.segment.duration_s for flight in flights)
     if seconds < _SHORTEST_S:
-        return f"only {seconds:.1f} s of flight; a calibration needs {_SHORTEST_S:g} s or more"
+        return f"only {seconds:.1f} s of motion; a fit needs {_SHORTEST_S:g} s or more"
     motion_deg = max(float(np.ptp(asked_deg(flight.segment))) for flight in flights)
     if motion_deg < ENOUGH_MOTION_DEG:
-        return f"the command moves by {motion_deg:.2g} deg only; a calibration needs {ENOUGH_MOTION_DEG:g} deg or more"
+        return f"the command moves by {motion_deg:.2g} deg only; a fit needs {ENOUGH_MOTION_DEG:g} deg or more"
     count = sum(int(np.count_nonzero(Record.of(flight.segment).usable)) for flight in flights)
     if count < _FEWEST:
-        return f"only {count} positions with commands around them; a calibration needs {_FEWEST}"
+        return f"only {count} positions with commands around them; a fit needs {_FEWEST}"
     return ""
 
 
