@@ -255,7 +255,8 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
             "from the beginning, or no reading of this surface"
         )
     if share is None:
-        lacking = hardly_moved([Flight("", segment)]) or f"{segment.duration_s:.0f} s of it were not enough"
+        counting = segment.at(np.isfinite(segment.measured_deg))
+        lacking = hardly_moved([Flight("", counting)]) or f"{counting.duration_s:.0f} s of it were not enough"
         return f"no servo can be fitted to this log: {lacking}; {record}"
     return (
         f"no servo predicts this surface from its command, which stays within {asked} (a fitted one "
