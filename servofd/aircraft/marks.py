@@ -79,6 +79,9 @@ _UNDER_WAY_S: Final = 1.0
 crosses its travel within it."""
 _SILENT_S: Final = 1.0
 """A servo that has sent no row for so long does not report."""
+_LATE_AFTER_S: Final = 0.15
+"""A bus that stood brings commands late as well: for so long after it the servos catch up (80 ms late after a freeze of
+0.2 s, an ArduPlane's six Volz servos, software in the loop)."""
 _FEWEST_RESTS: Final = 50
 """Rows at rest that tell for how long a reading usually stays the same: a second at 50 Hz."""
 _ASKED_TELLS, _MOST_EVIDENCE, _ENOUGH_EVIDENCE = 6.0, 8.0, 10.0
@@ -95,10 +98,10 @@ TINY_DEG: Final = 1e-6
 """Smaller differences are rounding of text and of single precision."""
 
 
-_MEMORY: Final = 17
-"""Numbers that `standing` remembers of a servo; their places follow."""
+_MEMORY: Final = 18
+"""Numbers that `standing` remembers of a servo; their places follow, the last of the bus, with the first servo."""
 _NEWEST, _CHANGED, _REPEATS, _THEN, _BEFORE, _LAG, _ASKED, _STEP, _STIRRED = range(9)
-_RESTS, _RUNS, _SQUARES, _SAME, _SAME_ROWS, _SAME_LONGEST, _STOOD, _OWING = range(9, _MEMORY)
+_RESTS, _RUNS, _SQUARES, _SAME, _SAME_ROWS, _SAME_LONGEST, _STOOD, _OWING, _LAST_STOOD = range(9, _MEMORY)
 
 
 def new_bus(servos: int) -> FloatArray:
@@ -107,10 +110,10 @@ def new_bus(servos: int) -> FloatArray:
     Examples
     --------
     >>> new_bus(4).shape
-    (4, 17)
+    (4, 18)
     """
     memory = np.zeros((servos, _MEMORY))
-    memory[:, [_NEWEST, _CHANGED, _STIRRED]] = -np.inf
+    memory[:, [_NEWEST, _CHANGED, _STIRRED, _LAST_STOOD]] = -np.inf
     memory[:, [_THEN, _BEFORE, _LAG, _ASKED]] = np.nan
     memory[:, [_STEP, _OWING]] = np.inf
     return memory
@@ -209,6 +212,7 @@ def standing(
     for k in range(time_s.size):
         m = memory[who[k]]
         _take(m, time_s[k], moved_deg[k], asked_deg[k], other[k])
+        stands[k] = time_s[k] - memory[0, _LAST_STOOD] <= _LATE_AFTER_S
         if m[_REPEATS] < 2.0:
             continue
         if (
@@ -222,6 +226,8 @@ def standing(
         all_stand, stirred = _all_stand(memory, time_s[k])
         if all_stand:
             stands[k], m[_STOOD] = stirred, 1.0
+            if stirred:
+                memory[0, _LAST_STOOD] = time_s[k]
 
 
 class Rows(NamedTuple):
@@ -292,6 +298,7 @@ def _repeats(rows: Rows, why: Marks) -> int:
     time_s, size = rows.time_s, rows.time_s.size
     moved_deg = moved(rows.position_deg)
     same = (moved_deg == 0.0) & (rows.other <= 0)
+    why[~same & (rows.stands > 0)] = Why.FROZEN  # of a bus that stood until then
     if not same[max(rows.decided - 1, 0) :].any():  # a run that is over tells of nothing that follows it
         return size
     firsts = np.flatnonzero(~same)
@@ -611,7 +618,7 @@ def bus_stands(servos: Sequence[Reported]) -> list[Marks]:
     ...     return Reported(time_s, position_deg, time_s, 9.0 * np.sin(2.0 * time_s + phase + 0.1), none)
     >>> rows, _ = bus_stands([servo(0.0), servo(1.0)])
     >>> float(time_s[rows == 1].min()) < 3.2, float(time_s[rows == 1].max())
-    (True, 3.48)
+    (True, 3.62)
     """
     sizes = [servo.time_s.size for servo in servos]
     result = [np.zeros(size, dtype=np.int8) for size in sizes]
