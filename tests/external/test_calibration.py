@@ -83,7 +83,13 @@ def bench(threshold_deg: float) -> Aircraft:
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "bench").is_dir(), reason="no bench data: set SERVOFD_EXTERNAL_DATA")
 @pytest.mark.parametrize(
-    ("name", "run"), [*(("gravity_load", run) for run in "03"), *(("no_play", run) for run in "1234"), ("play", "4")]
+    ("name", "run"),
+    [
+        *(("gravity_load", run) for run in "03"),
+        *(("no_play", run) for run in "1234"),
+        ("play", "4"),
+        pytest.param("play", "3", marks=pytest.mark.xfail(strict=True, reason="run 2, which a hand pulls, is slow")),
+    ],
 )
 def test_a_smart_servo_calibrated_on_one_run_is_at_fault_in_no_other(name: str, run: str) -> None:
     """Loaded, or pulled by a hand: around 180 deg, at 10 Hz, for 20 s to 60 s."""
