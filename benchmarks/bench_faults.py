@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     options = parser.parse_args()
     tally: dict[str, Counter[str]] = {kind: Counter() for kind in ("as it is", "jam", "offset")}
-    for path in sorted((*options.folder.glob("*.csv"), *options.folder.glob("ram/*.csv.gz"))):
+    for path in sorted(options.folder.glob("*.csv")):
         for name, time_s, command_deg, position_deg in runs_of(path):
             found = {}
             for kind, counts in tally.items():
