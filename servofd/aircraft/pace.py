@@ -88,9 +88,8 @@ def sent_period_s(time_s: FloatArray) -> float | None:
     0.02
     >>> sent_period_s(sent_s)
     """
-    steps_s = np.diff(time_s)
-    steps_s = steps_s[steps_s <= OUTAGE_S]
-    if steps_s.size < _FEWEST_STEPS:
+    steps_s = _unbroken(time_s)
+    if not steps_s.size:
         return None
     shortest_s = float(np.percentile(steps_s, _SHORTEST))
     halves = np.array_split(steps_s, 2)  # a stream whose rate has changed loses nothing
@@ -107,9 +106,8 @@ def link_period_s(time_s: FloatArray) -> float | None:
     0.02
     >>> link_period_s(np.cumsum(np.random.default_rng(1).exponential(0.02, 400)))
     """
-    steps_s = np.diff(time_s)
-    steps_s = steps_s[steps_s <= OUTAGE_S]
-    if steps_s.size < _FEWEST_STEPS:
+    steps_s = _unbroken(time_s)
+    if not steps_s.size:
         return None
     single = steps_s <= _WHOLE * float(np.percentile(steps_s, _SHORTEST))  # nothing was lost in between
     period_s = float(np.median(steps_s[single]))
@@ -117,6 +115,13 @@ def link_period_s(time_s: FloatArray) -> float | None:
     if not (lasts and period_s <= _BRIDGED_S and _is_steady(steps_s, period_s)):
         return None
     return period_s / max(int(np.ceil(period_s / _FRAME_S - _NEARLY)), 1)
+
+
+def _unbroken(time_s: FloatArray) -> FloatArray:
+    """Intervals of a stream without its pauses [s]; none where they are too few to tell its period."""
+    steps_s = np.diff(time_s)
+    steps_s = steps_s[steps_s <= OUTAGE_S]
+    return steps_s if steps_s.size >= _FEWEST_STEPS else steps_s[:0]
 
 
 def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
