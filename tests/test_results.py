@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import pickle
 import re
 from pathlib import Path
@@ -177,6 +178,7 @@ def test_columns_say_what_a_table_holds_whether_it_is_a_file_or_not(tmp_path: Pa
         (lambda table: pd.concat({"a": table}, axis=1), "2 levels of names"),
         (lambda table: table.T, "name the columns"),
         (lambda table: renamed(table, time_s="when"), r"is the time; say which: columns=\{'when': 'time_s'\}"),
+        (lambda table: renamed(table, time_s="when")[["rudder_cmd_deg", "when"]], r"columns=\{'when': 'time_s'\}"),
         (lambda table: table.assign(t=0, time_ms=0).drop(columns="time_s"), "t and time_ms may be the time"),
         (lambda _: {"time_s": [0, 1], "rudder_cmd_deg": [1]}, "one array for each column, all of one length"),
         (lambda _: pd.DataFrame(), "it has none"),
@@ -205,6 +207,9 @@ def test_columns_that_say_nothing_are_refused(columns: dict[str, str], says: str
 def test_errors_are_in_words_of_python(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"a level in degrees is threshold_deg=0\.5"):
         servofd.audit(STUCK, threshold=0.5)  # type: ignore[arg-type]
+    for level in (-1.0, 0.0, math.nan, math.inf):
+        with pytest.raises(ConfigError, match="threshold_deg is a positive number of degrees"):
+            servofd.audit(STUCK, threshold_deg=level)
     with pytest.raises(UnknownName, match=r"^fault=rudder:stick@3: .* did you mean stuck"):
         servofd.simulate(fault="rudder:stick@3")
     with pytest.raises(NoMeasurement, match=r"an aircraft file \(aircraft=\)"):

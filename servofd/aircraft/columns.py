@@ -65,7 +65,7 @@ def aircraft_of_columns(columns: Mapping[str, str]) -> Aircraft:
         if "cmd" not in parts:
             raise ConfigError(f"columns: {name} has a position and no command; name its {name}_cmd_deg")
     if not surfaces:
-        raise ConfigError(f"columns: none is a command; they may be {_FORMS}")
+        raise ConfigError(f"columns: none is a command; say of each column that counts what it is: {_FORMS}")
     try:
         return Aircraft(
             surfaces={

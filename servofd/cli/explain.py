@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servofd.cli.terminal import check_targets, complain, one_line, progress, show
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
+from servofd.discrepancy.explanation import KEEP
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.explain_recording import save_explanation
 from servofd.outputs.explain_report import explain_report
@@ -44,7 +46,9 @@ def run(options: Options) -> int:
         names = ", ".join(Path(log).name for log in options.logs)  # what leaves the machine tells nothing of it
         if options.rrd:
             save_explanation(found.explanations[0], options.rrd, names)
-        show(explain_report(found.explanations, names, found.failures), json=options.json, html=options.html)
+        report = explain_report(found.explanations, names, found.failures)
+        report = replace(report, sentence=report.sentence.replace(KEEP, f"{KEEP} with --save"))
+        show(report, json=options.json, html=options.html)
     for failure in found.failures:
         complain(failure)
     if found.explanations and options.save:

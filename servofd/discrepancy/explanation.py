@@ -567,6 +567,10 @@ def _is_mostly_left(found: Explanation) -> bool:
     return bool(found.selection.adequacy.reasons) and after**2 > _MOSTLY * before**2
 
 
+KEEP = "keep the model"
+"""Advice where the model that was found may be used by an audit."""
+
+
 def _advice(found: Explanation) -> list[str]:
     """What to do next."""
     steps, is_unknown = found.selection.steps, bool(found.record.known.starts)
@@ -577,9 +581,9 @@ def _advice(found: Explanation) -> list[str]:
     if found.fault_s is None and found.selection.adequacy.reasons and (not steps or _is_mostly_left(found)):
         advice.append(_TELLING)
     if found.separating and (manoeuvre := found.separating[0].manoeuvre):
-        advice.append(f"record {manoeuvre}, which tells {' from '.join(found.separating[0].effects)}")
+        advice.append(f"record {manoeuvre}, which tells {' from '.join(found.separating[0].effects).replace('_', ' ')}")
     if steps and found.is_simulated_by_audit and found.record.side is None and found.fault_s is None:
-        advice.append("keep the model with --save")
+        advice.append(KEEP)
     return advice
 
 

@@ -121,7 +121,7 @@ class Separation:
     @property
     def sentence(self) -> str:
         """In words."""
-        one, two = self.effects
+        one, two = (name.replace("_", " ") for name in self.effects)
         if self.manoeuvre is None:
             return f"no manoeuvre tells {one} from {two} by command and position alone"
         return f"{self.manoeuvre} tells {one} from {two} (differs by {self.sigmas:.0f} sigma)"

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _CLOCK = re.compile(r"(?:time|t)(?:[ _]?[\[(]?(s|ms|us|ns)[\])]?)?", re.IGNORECASE)
 """Names of a column that is a clock, and its unit; seconds if it has none."""
+_MOTION = re.compile("_(?:cmd|pos)_")
+"""Within the name of a command or a position, which is no clock."""
 _LOG = "a log is a path, a folder, an open file, a DataFrame or a dict of arrays"
 
 
@@ -134,7 +136,8 @@ def with_clock(table: pd.DataFrame) -> pd.DataFrame:
     if len(times) != 1:
         lacking = f"none of its columns ({_some(names)}) is the time"
         found = f"{' and '.join(times)} may be the time" if times else lacking
-        raise ConfigError(f"DataFrame: {found}; say which: columns={{{(times or names or ['t'])[0]!r}: 'time_s'}}")
+        likely = times or [name for name in names if not _MOTION.search(name)] or ["t"]
+        raise ConfigError(f"DataFrame: {found}; say which: columns={{{likely[0]!r}: 'time_s'}}, or make it the index")
     return _first(table.drop(columns=times[0]), table[times[0]], times[0])
 
 
@@ -158,8 +161,10 @@ def _seconds(clock: pd.Series[Any]) -> pd.Series[Any] | None:
     if not _is_time(clock.dtype):
         if not isinstance(clock.dtype, pd.StringDtype):
             return None
+        if pd.to_numeric(clock, errors="coerce").notna().any():
+            return None  # numbers as text, which the reader reads
         try:
-            clock = pd.to_datetime(clock)
+            clock = pd.to_datetime(clock, format="mixed")
         except (ValueError, TypeError):
             return None
     elapsed: Any = clock - clock.iloc[0] if clock.dtype.kind == "M" and clock.size else clock

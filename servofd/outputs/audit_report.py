@@ -92,8 +92,7 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     measured = any(not isinstance(one, FailedLog) and one.surfaces for one in results) or not moved
     drawn = any(s.current is not None for one in results if not isinstance(one, FailedLog) for s in one.surfaces)
     methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_CURRENT, drawn))
-    said = [Words(text) for text, is_used in methods if is_used]
-    method = Section("How this was found", said, folded=True)
+    method = Section("How this was found", [Words(text) for text, is_used in methods if is_used], folded=True)
     if len(logs) == 1:
         return replace(logs[0], evidence=[method], data=data)
     logs.sort(key=lambda log: ("fault", "suspect", log.status).index(log.status))
@@ -102,15 +101,18 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     others = f"; {suspect} {'is' if suspect == 1 else 'are'} suspect" if suspect else ""
     dark = sum(log.status in ("unknown", "no_data") for log in logs)
     others += f"; no verdict on {dark}" if dark else ""
+    runs = len({one.path if isinstance(one, FailedLog) else str(one.log.source) for one in results}) == 1
+    count = f"{len(logs)} {'runs' if runs else 'logs'}"
+    said = f"{faulty or 'None'} of {count} show{'s' * (faulty <= 1)} a fault{others}."
     index = [
         (Cell(log.title, link=f"#log-{k}"), Cell(status=log.status), log.sentence) for k, log in enumerate(logs, 1)
     ]
     return Document(
-        title=", ".join(log.title for log in logs),
+        title=f"{logs[0].log}, {count}" if runs else ", ".join(log.title for log in logs),
         status=next((status for status in LEAST_CLEARED if status in known), "no_data"),
-        sentence=f"{faulty or 'None'} of {len(logs)} logs show{'s' * (faulty <= 1)} a fault{others}.",
+        sentence=f"No verdict on any of {count}." if dark == len(logs) else said,
         parts=[
-            Table("All logs", ("log", "worst", "verdict"), index),
+            Table("All runs" if runs else "All logs", ("run" if runs else "log", "worst", "verdict"), index),
             *(
                 Section(
                     log.title,

@@ -28,13 +28,13 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
     sizes = []
     for one in found.surfaces:
         known = ((getattr(one.detectable, kind), form) for kind, form in _KINDS.items())
-        sizes.append([one.surface, *("none" if size is None else format(size, form) for size, form in known)])
+        sizes.append([spoken(one.surface), *("none" if size is None else format(size, form) for size, form in known)])
     fitted = [_row(one) for one in found.surfaces]
     notes = []
     for one in found.surfaces:
-        notes.append(f"{one.surface}: {', '.join(one.effects) or 'no effect beyond a linear servo pays'}")
-        notes += [f"{one.surface}: note: {note}" for note in (*one.notes, one.sharper)]
-    notes += [f"{name}: not calibrated: {reason}" for name, reason in found.kept.items()]
+        notes.append(f"{spoken(one.surface)}: {', '.join(one.effects) or 'no effect beyond a linear servo pays'}")
+        notes += [f"{spoken(one.surface)}: note: {note}" for note in (*one.notes, one.sharper)]
+    notes += [f"{spoken(name)}: not calibrated: {reason}" for name, reason in found.kept.items()]
     per_hour = found.false_alarms_per_hour
     of = "this surface" if len(found.surfaces) == 1 else f"these {len(found.surfaces)} surfaces"
     rate = f"false alarms to expect: about {per_hour:.2g} an hour of {of}, as measured on simulated aircraft"
@@ -73,7 +73,7 @@ def _current(found: Calibration, name: str) -> CalibratedCurrent | None:
 def _drawn(name: str, current: CalibratedCurrent) -> list[str]:
     wear = current.wear
     return [
-        name,
+        spoken(name),
         f"{current.parameters['idle']:.3g}",
         f"{current.most_a:.3g}",
         f"{current.noise.still_a:.2g}",
@@ -86,7 +86,7 @@ def _drawn(name: str, current: CalibratedCurrent) -> list[str]:
 def _row(one: CalibratedSurface) -> list[str]:
     delay, rate = one.estimates["delay_s"], one.estimates["ln_rate"]
     return [
-        one.surface,
+        spoken(one.surface),
         _interval(1e3 * x for x in delay),
         _interval(one.bandwidth_rad_s),
         _interval(exp(x) for x in rate) if rate.deviation < _NOT_REACHED else "not reached",

@@ -127,7 +127,7 @@ def flight_row(
     name: str, status: str, flight: Mapping[str, Any], page: str, rank: int | None = None
 ) -> tuple[str | Cell, ...]:
     """Cells under `FLIGHTS_HEAD`."""
-    duration_s = flight["duration_s"] or 0.0
+    duration_s = flight["duration_s"]
     return (
         Cell(name, link=page),
         Cell(status=status, order=rank),

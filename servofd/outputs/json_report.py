@@ -31,10 +31,16 @@ def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
 
 
 def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
-    """Surface or axis of a log that came nearest to its threshold, or went furthest over it, and its outline."""
+    """The worst surface or axis of a log, of several the nearest to its threshold or furthest over it; its outline."""
+    entries = document["surfaces"] | document.get("axes", {})
     outlines = {name: (entry["residual"] or {}).get("outline") or [] for name, entry in document["surfaces"].items()}
     outlines |= {name: entry["outline"] for name, entry in document.get("axes", {}).items()}
-    name = max(outlines, key=lambda one: max((share or 0.0 for share in outlines[one]), default=-1.0), default="")
+
+    def gravity(name: str) -> tuple[int, float]:
+        most = max((share or 0.0 for share in outlines[name]), default=-1.0)
+        return {"fault": 2, "suspect": 1}.get(entries[name]["status"], 0) * bool(outlines[name]), most
+
+    name = max(outlines, key=gravity, default="")
     return (name, outlines[name]) if outlines.get(name) else ("", [])
 
 

@@ -23,6 +23,7 @@ from servofd.outputs.compare_report import charts, compare_report
 from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
+from servofd.outputs.sentence import LEAST_CLEARED
 from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
 from servofd.serve.forms import fields_of, files_in, refused
 from servofd.serve.guard import Guard
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
 _COMPARED = 2
+_STATUSES = (*LEAST_CLEARED, "not_a_log")
+"""Of flights in the list, the one to look at first."""
 _ICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 16 16"><circle cx="8" cy="8" r="7" fill="#1f5f8b"/>'
     '<path d="M2 9h3l2-5 2 8 2-4h3" fill="none" stroke="#fff" stroke-width="1.5"/></svg>'
@@ -82,7 +85,8 @@ async def _said(_request: Request, error: Exception) -> Response:
     status, text = HTTPStatus.INTERNAL_SERVER_ERROR, ""
     if isinstance(error, HTTPException):
         status, text = HTTPStatus(error.status_code), error.detail
-    return _page(Document("Nothing here", "unknown", text or "Not found."), status)
+    title = "Not done" if status == HTTPStatus.BAD_REQUEST else "Nothing here"
+    return _page(Document(title, "unknown", text or "Not found."), status)
 
 
 async def _failed(_request: Request, _error: Exception) -> Response:
@@ -107,14 +111,17 @@ class _Routes:
         asked, status = request.query_params.get("q", ""), request.query_params.get("status", "")
         every = [self._row(flight) for flight in self._flights.all()]
         rows = []
-        for rank, one in enumerate(every):
+        for one in every:
             shown = one["status"] if one["state"] == "done" else one["state"]
             if asked.lower() not in f"{one['name']} {one['sentence']}".lower() or status not in ("", shown):
                 continue
+            rank = _STATUSES.index(shown) if shown in _STATUSES else None
             name, _, *cells = flight_row(one["name"], one["status"], one, f"/flights/{one['id']}", rank)
             state = Cell(status=shown, order=rank) if one["state"] == "done" else shown
             rows.append((name, state, *cells, Cell(choice=one["id"], soft=one["name"])))
         caption = "Flights by their date, the latest first; those without one at the end"
+        if not rows:
+            caption = f"None of the {len(every)} flights is like that" if every else "No flight is here yet"
         flights = Table(caption, (*FLIGHTS_HEAD, "tick"), rows, long=True, id="flights")
         done = [
             (Cell(task.title, link=f"/tasks/{task.id}"), _state(task), task.sentence) for task in self._flights.tasks()
@@ -128,7 +135,7 @@ class _Routes:
             hidden=len(every) - len(rows),
             asked=asked,
             verdict=status,
-            statuses=("fault", "suspect", "healthy", "unknown", "no_data", "not_a_log"),
+            statuses=_STATUSES,
             aircraft=[*self._flights.aircraft(), *SHIPPED],
             preparing=not is_prepared(),
         )
@@ -200,11 +207,13 @@ class _Routes:
         form = await fields_of(request)
         verb, aircraft = form.get("do", ""), form.get("aircraft", "")
         ticked = form.getlist("flight")
-        if verb == "delete":
+        if verb in ("delete", "restore"):
             if not ticked:
                 raise refused("Tick the flights to delete first.")
-            said = [await run_in_threadpool(self._flights.remove, one) for one in ticked]
-            return _page(Document("Deleted", "no_data", " ".join(said)))
+            act = self._flights.remove if verb == "delete" else self._flights.restore
+            said = [await run_in_threadpool(act, one) for one in ticked]
+            title = "Deleted" if verb == "delete" else "Taken back"
+            return _page(Document(title, "no_data", " ".join(said)), deleted=ticked if verb == "delete" else ())
         flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
         if verb not in ("calibrate", "trend", "explain"):
             raise refused("There is nothing of that name to do.")
@@ -248,6 +257,7 @@ class _Routes:
             "run": next((c for c, m in columns.items() if m == "run"), ""),
             "units": UNITS,
             "time_units": TIME_UNITS,
+            "tasks": [task for task in self._flights.tasks() if flight.id in task.flights],
         }
         try:
             found = (folder / PAGE).read_text(encoding="utf-8") if flight.state == "done" else ""
@@ -287,7 +297,8 @@ class _Routes:
             found = ""
         if found:
             return HTMLResponse(_within(found, Document(task.title, "", ""), "task_tools.html", {"task": task}))
-        soon = task.sentence or f"It is {task.state}; this page shows the result as soon as there is one."
+        at_work = task.state == "at work" and progress_in(self._flights.task_folder(task.id))
+        soon = task.sentence or f"{at_work or 'It waits.'} This page shows the result as soon as there is one."
         return _page(Document(task.title, task.status or "no_data", task.title, soon), template="task.html", task=task)
 
     async def compare(self, request: Request) -> Response:
@@ -364,7 +375,7 @@ _VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "expla
 
 
 def _state(task: Task) -> str | Cell:
-    return Cell(status=task.status) if task.state == "done" else task.state
+    return Cell(status=task.status) if task.state == "done" and task.verb == "trend" else task.state
 
 
 def _within(found: str, document: Document, template: str, values: Mapping[str, Any]) -> str:

@@ -26,6 +26,7 @@ from servofd.batch.key import Job, content_key
 from servofd.batch.local import cores, interrupts_wait, processes
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import distinct_file_names, make_folder, write_whole
+from servofd.outputs.sentence import spoken
 from servofd.serve.judge import Summary, judge
 from servofd.serve.tasks import Task, Verb, do
 
@@ -213,6 +214,13 @@ class Flights:
             _moved(flight.log, self.folder / RESULTS / BIN, flight.name)
         return f"{flight.name} is in the bin (the folder {RESULTS}/{BIN})."
 
+    def restore(self, flight_id: str) -> str:
+        """Take the log of a flight out of the bin again; gives what to say of it."""
+        for path in (self.folder / RESULTS / BIN).glob("*"):
+            if content_key(str(path)) == flight_id:
+                return f"{self.add(_moved(path, self.folder, path.name), flight_id).name} is in the list again."
+        return "It is not in the bin any more." if self.get(flight_id) is None else "This flight is in the list."
+
     def aircraft(self) -> list[str]:
         """Aircraft files of the folder."""
         return sorted(path.name for path in self.folder.glob("*.toml") if path.is_file())
@@ -266,7 +274,8 @@ class Flights:
         known = self.job_of(choice).aircraft
         names = ", ".join(one.name for one in flights)
         titles = {"calibrate": f"Calibration from {names}", "trend": f"Trend of {names}"}
-        task = Task(secrets.token_hex(16), verb, titles.get(verb, f"Explanation of {surface}, {names}"))
+        task = Task(secrets.token_hex(16), verb, titles.get(verb, f"Explanation of {spoken(surface)}, {names}"))
+        task = replace(task, flights=tuple(one.id for one in flights))
         output = self._free_name(Path(aircraft).stem or "aircraft") if verb == "calibrate" else Path()
         call = partial(
             do, task, str(self.task_folder(task.id)), [str(f.log) for f in flights], known, surface, str(output)

@@ -6,7 +6,6 @@ import io
 import json
 import zipfile
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -24,11 +23,13 @@ from servofd.outputs.sentence import LEAST_CLEARED, spoken, whole_sentence, wors
 from servofd.serve.preview import preview, what_it_is
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from servofd.detection.verdict import LogAudit
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
 """What the folder of a flight holds; the summary is written last."""
-_PROGRESS, _CURVES = "progress.txt", "curves.npz"
+PROGRESS, _CURVES = "progress.txt", "curves.npz"
 _POINTS = 2400
 """Of the curves of a surface that two flights are compared by: twice what a page draws."""
 _NAMED = 6
@@ -72,9 +73,9 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     """Judge a log, and write what was found; what is wrong with the log is part of the result."""
     target = Path(folder)
     make_folder(target)
-    tell = partial(_tell, target / _PROGRESS, [])
-    tell("")
-    results = list(judged(log, job, threads=1, progress=tell))  # flights are judged side by side already
+    results = list(
+        judged(log, job, threads=1, progress=so_far(target, "Judged"))
+    )  # flights are judged side by side already
     report = audit_report(results)
     document = json.loads(to_json(report.data).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1]))
     audits = [result for result in results if not isinstance(result, FailedLog)]
@@ -83,7 +84,7 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     if not audits:
         summary = _unread(Path(log), results, summary)
         if summary.table or summary.status == "not_a_log":
-            report = replace(report, sentence=summary.sentence)
+            report = replace(report, sentence=summary.sentence, facts=Path(log).name)
     elif document["logs"][0]["format"] == "table":
         summary = replace(summary, table=True)
     write_whole(target / AUDIT, (json.dumps(document, indent=2) + "\n").encode())
@@ -95,7 +96,7 @@ def judge(log: str, folder: str, job: Job) -> Summary:
 
         save_recording(audits[0], target / RECORDING)
     write_whole(target / SUMMARY, json.dumps(asdict(summary)).encode())
-    (target / _PROGRESS).unlink(missing_ok=True)
+    (target / PROGRESS).unlink(missing_ok=True)
     return summary
 
 
@@ -123,17 +124,23 @@ def curves_in(folder: Path) -> dict[str, Track]:
 
 
 def progress_in(folder: Path) -> str:
-    """How far the judging of a flight is, in words; empty if not known."""
+    """How far the work in a folder is, in words; empty if not known."""
     try:
-        return (folder / _PROGRESS).read_text(encoding="utf-8")
+        return (folder / PROGRESS).read_text(encoding="utf-8")
     except OSError:
         return ""
 
 
-def _tell(path: Path, done: list[str], surface: str) -> None:
-    """Leave word of the surfaces that are judged."""
-    done += [spoken(surface)] if surface else []
-    write_whole(path, (f"Judged so far: {', '.join(done)}." if done else "Being read.").encode())
+def so_far(folder: Path, words: str) -> Callable[[str], None]:
+    """Something to call with the name of what is done, which leaves word of it in a folder."""
+    done: list[str] = []
+    write_whole(folder / PROGRESS, b"Being read.")
+
+    def tell(one: str) -> None:
+        done.append(spoken(one))
+        write_whole(folder / PROGRESS, f"{words} so far: {', '.join(dict.fromkeys(done))}.".encode())
+
+    return tell
 
 
 def _positions(audit: LogAudit) -> int:
@@ -148,8 +155,9 @@ def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) ->
         return replace(summary, sentence=said, table=True)
     failure, what = results[0], what_it_is(log)
     if isinstance(failure, FailedLog) and failure.log is None and (what or not failure.is_log):
-        why = what or failure.error.partition(": ")[2]
-        return replace(summary, status="not_a_log", sentence=f"Not a log: {why}".rstrip(".?") + ".")
+        why = what or failure.error.partition(": ")[2].rstrip(".")
+        why = f"it {why}" if why.startswith("is ") else why
+        return replace(summary, status="not_a_log", sentence=f"Not a log: {why}{'' if why.endswith('?') else '.'}")
     return summary
 
 

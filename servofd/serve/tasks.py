@@ -19,8 +19,11 @@ from servofd.outputs.document import Document
 from servofd.outputs.explain_report import explain_report
 from servofd.outputs.page import html_page
 from servofd.outputs.trend_report import trend_report
+from servofd.serve.judge import so_far
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from servofd.aircraft.schema import Aircraft
 
 Verb = Literal["calibrate", "trend", "explain"]
@@ -39,12 +42,15 @@ class Task:
     sentence: str = ""
     wrote: str = ""
     """Aircraft file of the folder that a calibration wrote."""
+    flights: tuple[str, ...] = ()
+    """Digests of the logs."""
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
         """The one that left this folder; None if there is none that can be read."""
-        with suppress(OSError, ValueError, TypeError):
-            return cls(**json.loads((folder / TASK).read_text(encoding="utf-8")))
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            known = json.loads((folder / TASK).read_text(encoding="utf-8"))
+            return cls(**known | {"flights": tuple(known["flights"])})
         return None
 
 
@@ -57,11 +63,12 @@ def do(task: Task, folder: str, logs: list[str], aircraft: Aircraft | None, surf
     wrote = ""
     try:
         if task.verb == "calibrate":
-            report, wrote = _calibrated(logs, aircraft, Path(output))
+            report, wrote = _calibrated(logs, aircraft, Path(output), so_far(target, "Calibrated"))
         elif task.verb == "trend":
-            report = _trend(logs, aircraft)
+            pages = {Path(log).name: f"/flights/{flight}" for log, flight in zip(logs, task.flights, strict=True)}
+            report = _trend(logs, aircraft, pages)
         else:
-            report = _explained(logs, aircraft, surface)
+            report = _explained(logs, aircraft, surface, so_far(target, "Tried"))
     except (LogError, ServofdError) as error:
         text = str(error)
         for log in logs:
@@ -74,12 +81,14 @@ def do(task: Task, folder: str, logs: list[str], aircraft: Aircraft | None, surf
     return done
 
 
-def _calibrated(logs: list[str], aircraft: Aircraft | None, output: Path) -> tuple[Document, str]:
+def _calibrated(
+    logs: list[str], aircraft: Aircraft | None, output: Path, progress: Callable[[str], None]
+) -> tuple[Document, str]:
     """An aircraft from good flights; of flights without feedback from its motion."""
     from servofd.aircraft.axes import motion_to_toml
 
     try:
-        found = calibrate(logs, aircraft)
+        found = calibrate(logs, aircraft, progress=progress)
     except NoMeasurement:
         model = calibrate_axes(logs)
         text, report = f'name = "{output.stem}"\n\n{motion_to_toml(model)}', motion_report(model)
@@ -89,17 +98,18 @@ def _calibrated(logs: list[str], aircraft: Aircraft | None, output: Path) -> tup
     return report, output.name
 
 
-def _trend(logs: list[str], aircraft: Aircraft | None) -> Document:
+def _trend(logs: list[str], aircraft: Aircraft | None, pages: Mapping[str, str]) -> Document:
     from servofd.wear.trend import trend_document, trend_logs
 
     if aircraft is None:
         raise NoMeasurement("a trend follows one aircraft: choose its file, or calibrate one from good flights first")
     found: dict[str, Any] = trend_document(trend_logs(logs, aircraft, workers=0))
-    return trend_report(found)
+    return trend_report(found, pages)
 
 
-def _explained(logs: list[str], aircraft: Aircraft | None, surface: str) -> Document:
-    found = explain_logs(logs, aircraft, surfaces=(surface,) if surface else (), alone=bool(surface))
+def _explained(logs: list[str], aircraft: Aircraft | None, surface: str, progress: Callable[[str], None]) -> Document:
+    surfaces = (surface,) if surface else ()
+    found = explain_logs(logs, aircraft, surfaces=surfaces, alone=bool(surface), progress=progress)
     if not found.explanations:
         raise NoMeasurement("; ".join(found.failures))
     return explain_report(found.explanations, ", ".join(Path(log).name for log in logs), found.failures)

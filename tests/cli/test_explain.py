@@ -162,7 +162,7 @@ def test_the_model_is_judged_on_other_flights(told: Told) -> None:
     assert also["nominal_rms_deg"] > 2.0 * also["extended_rms_deg"]
     assert also["extended_rms_deg"] == pytest.approx(0.1, abs=0.01)
     assert document["separating"][0]["sentence"] == (
-        "no manoeuvre tells delay from clock_offset by command and position alone"
+        "no manoeuvre tells delay from clock offset by command and position alone"
     )
 
 

@@ -180,6 +180,47 @@ def test_a_chart_is_turned_nearer_loses_a_curve_and_gets_a_lane(browser: Browser
     assert browser.complaints == []
 
 
+def test_what_stands_still_is_in_view_and_a_name_hides_its_own_curve(browser: Browser, tmp_path: Path) -> None:
+    """A jammed surface has two points in a picture, its beginning and its end, and neither is near its middle."""
+    time_s = np.arange(0.0, 60.0, 0.02)
+    command_deg = 8.0 * np.sin(1.3 * time_s) - 20.0
+    position_deg = np.where(time_s < 20.0, np.interp(time_s - 0.05, time_s, command_deg), 5.0)
+    current_a = 0.1 + 0.02 * np.abs(np.gradient(position_deg, time_s))
+    log = {
+        "time_s": time_s,
+        "rudder_cmd_deg": command_deg,
+        "rudder_pos_deg": position_deg,
+        "rudder_current_a": current_a,
+    }
+    found = servofd.audit(log)
+    assert isinstance(found, servofd.Audit)
+    browser.size(1280)
+    browser.goto(found.save_html(tmp_path / "page.html").as_uri())
+    last = "[...document.querySelectorAll('.chart')].at(-1)"
+    browser.tell(f"{last}.querySelector('.plots').focus()")
+    upper = browser.tell(f"{last}.querySelector('.plot').getBoundingClientRect().toJSON()")
+    first_s, last_s = (float(browser.tell(f"{last}.dataset.{end}")) for end in ("first", "last"))
+    browser.mouse("mouseMoved", upper["x"] + upper["width"] * (40.0 - first_s) / (last_s - first_s), upper["y"] + 5)
+    browser.tell(f"{last}.scrollIntoView()")
+    for _ in range(3):
+        browser.key("+")
+    told = browser.tell(f"{last}.querySelector('.readout').textContent")
+    shown = [
+        float(text)
+        for text in browser.tell(
+            f"[...{last}.querySelector('.plot').querySelectorAll('.tick.nearer')].map(t => t.textContent)"
+        )
+    ]
+    assert max(shown) >= 0.0 > min(shown), (told, shown)
+    # Curves of two names may have one colour.
+    names = browser.tell(f"[...{last}.querySelectorAll('.legend .simulated')].map(b => b.textContent)")
+    assert len(names) == len(set(names)) == 2
+    browser.tell(f"[...{last}.querySelectorAll('.legend .simulated')].at(-1).click()")
+    hidden = f"[...{last}.querySelectorAll('path.simulated')].filter(p => p.style.display).map(p => p.dataset.name)"
+    assert browser.tell(hidden) == names[1:]
+    assert browser.complaints == []
+
+
 def test_two_fingers_show_a_part_from_near(browser: Browser, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text(audit_text())

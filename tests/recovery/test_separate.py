@@ -76,7 +76,7 @@ def test_what_nothing_tells_apart_is_said(record: Record) -> None:
     (found,) = separations(tied(record, *fits))
     assert found.manoeuvre is None
     assert found.difference_deg < 1e-6
-    assert "no manoeuvre tells delay from clock_offset" in found.sentence
+    assert "no manoeuvre tells delay from clock offset" in found.sentence
 
 
 def test_manoeuvres_stay_within_what_a_surface_can_do() -> None:

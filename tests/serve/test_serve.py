@@ -161,10 +161,10 @@ def test_a_dropped_log_gets_its_verdict_page_json_and_recording(tmp_path: Path) 
 @pytest.mark.slow
 def test_what_is_not_a_log_says_so_and_tells_no_folder(tmp_path: Path) -> None:
     for name, content, says in (
-        ("empty.bin", b"", "Not a log: the file is empty (0 bytes)"),
+        ("empty.bin", b"", "Not a log: the file is empty (0 bytes); was the log copied completely?"),
         ("shopping.txt", b"milk\neggs\nbread 2 pieces\n", "Not a log: text that begins with “milk”, and not a table"),
         ("names.csv", b"name,age\nJo,x\n", "Not a log: text that begins with “name,age”"),
-        ("picture.png", b"\x89PNG\r\n\x1a\n0000", "Not a log: is a PNG image"),
+        ("picture.png", b"\x89PNG\r\n\x1a\n0000", "Not a log: it is a PNG image"),
         ("<img src=x onerror=alert(1)>.csv", b"\x00\xff" * 400, "Not a log: its first bytes"),
     ):
         log = tmp_path / name
@@ -410,6 +410,10 @@ def test_what_two_browsers_delete_is_in_the_bin_once(tmp_path: Path) -> None:
             second = client.ask("POST", "/do", ticked("delete", said["id"]), **FORM)
             assert "a.csv is in the bin (the folder servofd/bin)." in first.text
             assert "This flight is gone already." in second.text
+            back = client.ask("POST", "/do", ticked("restore", said["id"]), **FORM)
+            assert re.search(r"a(~2)?\.csv is in the list again\.", back.text)
+            assert [one["id"] for one in client.get("/flights").json()] == [said["id"]]
+            client.ask("POST", "/do", ticked("delete", said["id"]), **FORM)
         assert client.get("/flights").json() == []
         assert client.get(f"/flights/{said['id']}").status == 404
         assert client.ask("POST", "/do", ticked("delete"), **FORM).status == 400
@@ -502,8 +506,14 @@ def test_good_flights_are_calibrated_followed_and_explained_at_a_click(tmp_path:
         assert client.ask("POST", "/do", ticked("trend", *ids), **FORM).status == 400
         assert "aircraft-1.toml" in told(ticked("calibrate", *ids))
         assert "aircraft-1.toml" in client.get("/").text
-        assert "over its flights" in told(ticked("trend", *ids, aircraft="aircraft-1.toml"))
-        assert "What the model lacks" in told(ticked("explain", ids[0], surface="elevator"))
+        trend = told(ticked("trend", *ids, aircraft="aircraft-1.toml"))
+        assert "over its flights" in trend
+        assert {f'<a href="/flights/{one}">' in trend for one in ids} == {True}
+        explained = told(ticked("explain", ids[0], surface="elevator"))
+        assert "What the model lacks" in explained
+        assert "--save" not in explained
+        alone = client.get(f"/flights/{ids[1]}").text  # the way back
+        assert re.findall(r">(Calibration|Trend|Explanation) ", alone) == ["Trend", "Calibration"]
         fields = urlencode({"by": "aircraft", "aircraft": "aircraft-1.toml"}).encode()
         assert client.ask("POST", f"/flights/{ids[0]}/choose", fields, **FORM).status == 303
         done(flights, ids[0])
@@ -549,6 +559,7 @@ def test_the_list_is_searched_and_two_flights_are_asked_for(tmp_path: Path) -> N
         found = client.get("/?q=ALPHA").text
         assert ("alpha.csv" in found, "beta.csv" in found) == (True, False)
         assert "1 more" in found
+        assert "None of the 2 flights is like that" in client.get("/?q=zzz").text
         asks = client.get(f"/compare?flight={flights.all()[0].id}")
         assert (asks.status, "Which two flights?" in asks.text) == (200, True)
 

@@ -25,8 +25,10 @@ for (const chart of document.querySelectorAll(".chart")) {
     near ||= "first" in plot.dataset;
     let top = 0, bottom = HEIGHT;
     if (near) {
-      const seen = [...plot.querySelectorAll("path[data-name]")].filter(shownBy).flatMap(path => points(path).flat())
-        .filter(([at]) => at >= x && at <= x + w).map(([, y]) => y);
+      // A curve that stands still has no point in view: what it is at both ends counts as well.
+      const seen = [...plot.querySelectorAll("path[data-name]")].filter(shownBy).flatMap(path => [
+        ...points(path).flat().filter(([at]) => at >= x && at <= x + w).map(([, y]) => y), value(path, x), value(path, x + w)])
+        .filter(y => y !== null);
       if (seen.length) {
         top = Math.min(...seen); bottom = Math.max(...seen);
         const room = Math.max(.08 * (bottom - top), 8);
@@ -184,16 +186,20 @@ for (const chart of document.querySelectorAll(".chart")) {
     band.className = "band"; band.setAttribute("aria-hidden", "true");
     ticks.before(band); lay();
   }
-  // A name of the legend hides its curve.
+  // A name of the legend hides its curve, and what is drawn to it without a name: the other side of a threshold, bars.
+  const nameOf = (path, role) => {
+    while (path && !(path.dataset.name && path.classList.contains(role))) path = path.previousElementSibling;
+    return path?.dataset.name;
+  };
   const legend = chart.querySelector(".legend");
   legend.removeAttribute("aria-hidden");
   for (const entry of legend.querySelectorAll("span")) {
-    const button = document.createElement("button"), role = entry.className;
+    const button = document.createElement("button"), role = entry.className, name = entry.textContent;
     button.type = "button"; button.className = role; button.append(...entry.childNodes); button.setAttribute("aria-pressed", "true");
     button.addEventListener("click", () => {
       const shown = button.getAttribute("aria-pressed") !== "true";
       button.setAttribute("aria-pressed", shown);
-      for (const path of area.querySelectorAll(`path.${role}`)) path.style.display = shown ? "" : "none";
+      for (const path of area.querySelectorAll(`path.${role}`)) if ((nameOf(path, role) ?? name) === name) path.style.display = shown ? "" : "none";
       show(from, to);
     });
     entry.replaceWith(button);

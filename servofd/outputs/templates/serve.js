@@ -60,6 +60,7 @@ const show = page => {
   for (const gone of known.values()) gone.remove();
   if (sorted) rows.append(...fresh.filter(row => !row.isConnected));
   else if (fresh.some((row, k) => rows.rows[k] !== row)) rows.replaceChildren(...fresh);
+  document.querySelector("#flights caption").textContent = page.querySelector("#flights caption").textContent;
   if (!page.getElementById("preparing")) document.getElementById("preparing")?.remove();
 };
 const ask = async () => {
