@@ -128,7 +128,8 @@ def calibrated(seed: int, rate_hz: float) -> Aircraft:
     """An aircraft file of the link at a rate, from a clean flight."""
     with tempfile.TemporaryDirectory() as folder:
         path = fly(_craft(seed, rate_hz), 100, "mixed", duration_s=_GOOD_S).write(Path(folder) / "good.tlog")
-        return servofd.calibrate(path).aircraft
+        known: Aircraft = servofd.calibrate(path).aircraft
+        return known
 
 
 def flown(seed: int, rate_hz: float, number: int, failure: Failure | None) -> tuple[Frames, list[Truth]]:

@@ -18,6 +18,8 @@ import servofd
 from logparsers import LogError
 from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName
+from servofd.simulation.airframe import fly_airframe
+from servofd.simulation.airframe_log import airframe_log
 
 ROOT = Path(__file__).parent.parent
 STUCK = ROOT / "sample_logs" / "faser_stuck_flight.mat"
@@ -316,3 +318,24 @@ def test_a_calibration_tells_what_it_would_show(tmp_path: Path) -> None:
     assert table.smallest_bias_deg.between(0.1, 3.0).all()
     assert table.bandwidth_rad_s.between(10.0, 200.0).all()
     assert "Smallest faults that flights like these show" in found.to_html()
+
+
+@pytest.mark.slow
+def test_an_aircraft_without_feedback_is_calibrated_and_judged_by_its_axes(tmp_path: Path) -> None:
+    days = [tmp_path / f"2026-05-0{k + 1}.bin" for k in range(3)]
+    for k, day in enumerate(days):
+        day.write_bytes(airframe_log(fly_airframe(k, day=k, duration_s=90.0)))
+    with pytest.raises(servofd.ServofdError, match=r"`servofd\.calibrate\(days\)\.save") as raised:
+        servofd.audit(days[0])
+    assert " -" not in str(raised.value)
+    found = servofd.calibrate(days)
+    assert found.sentence == "Calibrated by the motion of the aircraft: roll, pitch, side"
+    for aircraft in (found.aircraft, found.save(tmp_path / "plane.toml")):
+        judged = servofd.audit(days[1], aircraft)
+        assert judged._ipython_key_completions_() == ["roll", "pitch", "side"]
+        assert list(judged["pitch"].series()) == ["expected", "shown", "share", "judged"]
+
+
+def test_only_two_results_are_compared() -> None:
+    with pytest.raises(TypeError, match="and not one of type PosixPath"):
+        servofd.compare(STUCK, STUCK)  # type: ignore[arg-type]

@@ -33,10 +33,9 @@ if TYPE_CHECKING:
     from servofd.core.types import Marks
     from servofd.servo.library import Servo
 
-_MOTION = (
-    "healthy flights of four days show what each axis loses: `servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, "
-    "then `servofd FLIGHT -c plane.toml`; for a verdict on each servo "
-)
+BY_DAYS = "`servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, then `servofd FLIGHT -c plane.toml`"
+"""How an aircraft without feedback is judged, in words of the command line."""
+_MOTION = f"healthy flights of four days show what each axis loses: {BY_DAYS}; for a verdict on each servo "
 
 
 def what_to_log(log: FlightLog) -> str:

@@ -149,4 +149,11 @@ def motion_report(model: MotionModel) -> Document:
     notes += [f"left out: {why}" for why in model.left_out]
     flights = "1 flight" if model.flights == 1 else f"{model.flights} flights"
     facts = f"{flights}, {model.hours:.2f} h, {days}"
-    return Document("Calibration of motion", "healthy", "", facts, [Table("Axes", _AXES, rows), Bullets(notes)])
+    said = f"Calibrated by the motion of the aircraft: {', '.join(model.axes) or 'nothing'}"
+    return Document(
+        "Calibration of motion",
+        "healthy" if model.axes else "unknown",
+        said,
+        facts,
+        [Table("Axes", _AXES, rows), Bullets(notes)],
+    )

@@ -186,7 +186,10 @@ class Audit(LogAudit, Shown):
 
     def __sub__(self, other: Audit) -> Comparison:
         """Both beside each other."""
-        return compare(self, other)
+        return compare(self, other) if isinstance(other, Audit) else NotImplemented
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._named())
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _audit_of, (plain_log(self.log, {}), self.aircraft, self.surfaces, self.axes, self.common_causes)
@@ -478,6 +481,9 @@ def compare(first: Audit, second: Audit) -> Comparison:
     >>> compare(*(audit(log, surfaces=("elevator",)) for log in flights)).sentence
     'Elevator differs.'
     """
+    for one in (first, second):
+        if not isinstance(one, Audit):
+            raise TypeError(f"two results of servofd.audit are compared, and not one of type {type(one).__name__}")
     return Comparison(first, second)
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from logparsers import FlightLog
 from logparsers.units import MS_PER_S
+from servofd.aircraft.axes import motion_to_toml
+from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
 from servofd.core.errors import NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
@@ -15,7 +18,7 @@ from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
 from servofd.jobs.explaining import explain_logs
-from servofd.outputs.calibrate_report import calibrate_report
+from servofd.outputs.calibrate_report import calibrate_report, motion_report
 from servofd.outputs.document import Table
 from servofd.outputs.explain_report import explain_charts, explain_report
 from servofd.outputs.figure import chart_figure
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from servofd.aircraft.schema import Aircraft
+    from servofd.aircraft.axes import MotionModel
     from servofd.discrepancy.explanation import Explanation
     from servofd.feedback.flown import Log
     from servofd.outputs.document import Document
@@ -177,7 +180,47 @@ class Calibrated(Calibration, Shown):
         ]
 
 
-calibrate = shown("calibrate", workflow.calibrate, Calibrated)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CalibratedAxes(Shown):
+    """What the motion of an aircraft without feedback tells of its axes, from good flights."""
+
+    motion: MotionModel
+
+    @property
+    def aircraft(self) -> Aircraft:
+        """As `servofd.audit` takes it."""
+        return Aircraft(motion=self.motion)
+
+    def to_toml(self) -> str:
+        """The aircraft file."""
+        return f'name = "aircraft"\n\n{motion_to_toml(self.motion)}'
+
+    def save(self, path: str | Path) -> Path:
+        """Write the aircraft file, and give the path."""
+        write_whole(path, self.to_toml().encode())
+        return Path(path)
+
+    def report(self) -> Document:
+        """Table of the axes."""
+        return motion_report(self.motion)
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {"axis": name, "explained": round(axis.explained, 3), "delay_s": round(axis.delay_s, 3)}
+            for name, axis in self.motion.axes.items()
+        ]
+
+
+@wraps(workflow.calibrate)
+@in_words_of_python
+def calibrate(*args: Any, **options: Any) -> Any:  # noqa: ANN401 - by what the flights hold
+    """As `servofd.jobs.workflow.calibrate`; of flights without feedback, what motion tells of the axes."""
+    try:
+        return Calibrated._of(workflow.calibrate(*args, **options))
+    except NoMeasurement:
+        if len(args) != 1 or options.get("aircraft") is not None:
+            raise
+        return CalibratedAxes(workflow.calibrate_axes(args[0], spans=options.get("spans", ())))
 
 
 class Trend(AircraftTrend, Shown):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 from logparsers import FlightLog, LogError
 from servofd.core.errors import ServofdError, needs
 from servofd.core.files import write_whole
+from servofd.feedback.draft import BY_DAYS
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import spoken
@@ -108,6 +109,7 @@ Result = TypeVar("Result", bound=Extending)
 
 _OPTION = re.compile(r"(?<![\w-])(?:-(?P<short>[cs])|--(?P<long>[a-z][a-z-]*))(?![\w-])(?: (?P<value>[A-Za-z0-9.]+))?")
 _DISORDER = ("split the log there", "sort it by its time, or number the flights in a column run")
+_BY_DAYS = "`servofd.calibrate(days).save('plane.toml')`, then `servofd.audit(flight, 'plane.toml')`"
 _TABLES = ("DataFrame:", "dict:")
 _KEYWORDS = {"c": "aircraft", "s": "surface", "config": "aircraft", "duration": "duration_s"}
 
@@ -121,7 +123,8 @@ def in_words_of_python(verb: Callable[P, Given]) -> Callable[P, Given]:
             return verb(*args, **options)
         except (LogError, ServofdError) as error:
             text = str(error).replace(*_DISORDER) if str(error).startswith(_TABLES) else str(error)
-            error.args = (_OPTION.sub(_keyword, text), *error.args[1:])
+            said = re.split("(`.*?`)", text.replace(BY_DAYS, _BY_DAYS))  # a command to be typed stays as it is
+            error.args = ("".join(s if s[:1] == "`" else _OPTION.sub(_keyword, s) for s in said), *error.args[1:])
             raise
 
     return call

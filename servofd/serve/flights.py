@@ -315,11 +315,11 @@ class Flights:
         return ""
 
     def _find(self) -> None:
-        """Logs that lie in the folder already, and what was dropped and judged before and is no log."""
+        """Logs that lie in the folder already, and what was dropped before and is no log."""
         found: list[str] = []
         with suppress(ConfigError):  # there are none
             found = [source.path for source in find_logs([str(self.folder)]).logs]
-        others = [path for path in self.folder.iterdir() if path.is_file() and path.suffix != ".toml"]
+        others = [path for path in self.folder.iterdir() if path.is_file()]
         for path in (*map(Path, found), *others):
             try:
                 flight_id = content_key(str(path))
@@ -456,6 +456,7 @@ class Upload:
                 target = _moved(path.with_suffix(".toml"), self._flights.folder, self._name)
                 return Taken(None, f"{target.name} is an aircraft file: choose it on the page of a flight.")
             path = path.with_suffix(".toml")
+        make_folder(self._flights.results(flight_id))  # by which a server that begins again knows that it was dropped
         target = _moved(path, self._flights.folder, self._name)
         flight = self._flights.add(target, flight_id)
         if flight.log != target:  # the same bytes came twice at once

@@ -68,7 +68,8 @@ def link(flight: Flown) -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def by_its_card() -> Aircraft:
     """Calibrated on the card's log of one good flight."""
-    return servofd.calibrate(card(flown(1))).aircraft
+    known: Aircraft = servofd.calibrate(card(flown(1))).aircraft
+    return known
 
 
 @pytest.fixture(scope="module")

@@ -421,6 +421,15 @@ def test_what_two_browsers_delete_is_in_the_bin_once(tmp_path: Path) -> None:
     assert list(tmp_path.glob("*.csv")) == []
 
 
+def test_what_was_dropped_is_in_the_list_though_the_server_was_killed_before_it_was_judged(tmp_path: Path) -> None:
+    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)  # whose workers never begin
+    with client_of(flights) as client:
+        for name, content in (("notes.pdf", b"%PDF-1.4 x"), ("broken.toml", b"name ="), ("flight.csv", b"a,b\n1,2\n")):
+            client.put(f"/flights?name={name}", content)
+    with flights_of(tmp_path) as again:
+        until(lambda: {one.name for one in again.all()} == {"notes.pdf", "broken.toml", "flight.csv"})
+
+
 def test_what_a_killed_server_left_is_removed(tmp_path: Path) -> None:
     make_folder(tmp_path / RESULTS)
     (tmp_path / RESULTS / ".upload-1a2b").write_bytes(b"half of it")
