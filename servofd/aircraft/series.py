@@ -358,13 +358,12 @@ def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, Marks]:
         if surface.measured is None or surface.measured.channel not in log.channels:
             continue
         measured = log[surface.measured.channel]
-        known = np.isfinite(measured.values)
+        reading = replace(measured, values=_uncorrected(surface.measured).to_deg(measured.values))
+        known = np.isfinite(reading.values)
         commands = _commands(log, surface.command)
         if known.any() and not measured.is_constant:
-            position_deg = _uncorrected(surface.measured).to_deg(measured.values[known])
-            reported[name] = Reported(
-                measured.time_s[known], position_deg, *commands, _others(log, surface.alive, measured)
-            )
+            others = _others(log, surface.alive, reading)
+            reported[name] = Reported(reading.time_s[known], reading.values[known], *commands, others)
     return dict(zip(reported, bus_stands(list(reported.values())), strict=True))
 
 
@@ -418,7 +417,7 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
     reading_deg = _uncorrected(surface.measured).to_deg(measured.values)
     stands = (bus if bus is not None else bus_of(log, aircraft)).get(name)
     rows, why, never_sent = _marks(log, name, surface, replace(measured, values=reading_deg), stands)
-    if is_mostly_echo(rows, why[np.isfinite(measured.values)]):
+    if is_mostly_echo(rows, why[np.isfinite(reading_deg)]):
         raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
     if np.count_nonzero((why <= LAST_WITH_VALUE) & np.isfinite(measured_deg)) < 2:
         frozen = bool(np.any(why == Why.FROZEN))

@@ -43,7 +43,7 @@ def log_file(log: Any) -> LogFile:  # noqa: ANN401 - whatever a user has
         return log
     if isinstance(log, io.TextIOBase):
         return _named(log.read().encode(), str(getattr(log, "name", "text")))
-    if hasattr(log, "read"):
+    if hasattr(log, "read") and not is_table(log):  # a table may have a column of that name
         file: LogFile = log
         return file
     table = frame_of(log)

@@ -402,6 +402,8 @@ def _columns(form: Mapping[str, str], log: Path) -> dict[str, str]:
     meant = [(form.get("time", ""), f"time_{form.get('time_unit', 's')}"), (form.get("run", ""), "run")]
     for k in range(_PAIRS + 1):
         name = form.get(f"surface{k}", "").strip() or (f"surface {k + 1}" if form.get(f"cmd{k}") else "")
+        if form.get(f"cmd{k}") and not form.get(f"pos{k}"):
+            raise ConfigError(f"choose the position of {name} as well: without it nothing can be judged")
         units = {what: form.get(f"{what}_unit{k}", "deg") for what in ("cmd", "pos")}
         meant += [(form.get(f"{what}{k}", ""), f"{name}_{what}_{unit}") for what, unit in units.items()]
     chosen = [(column, meaning) for column, meaning in meant if column]

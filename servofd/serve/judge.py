@@ -73,9 +73,9 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     """Judge a log, and write what was found; what is wrong with the log is part of the result."""
     target = Path(folder)
     make_folder(target)
-    results = list(
-        judged(log, job, threads=1, progress=so_far(target, "Judged"))
-    )  # flights are judged side by side already
+    (target / PAGE).unlink(missing_ok=True)  # of an earlier choice, if this one cannot be judged
+    # Flights are judged side by side already.
+    results = list(judged(log, job, threads=1, progress=so_far(target, "Judged")))
     report = audit_report(results)
     document = json.loads(to_json(report.data).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1]))
     audits = [result for result in results if not isinstance(result, FailedLog)]

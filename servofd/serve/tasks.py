@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 Verb = Literal["calibrate", "trend", "explain"]
 TASK, PAGE = "task.json", "page.html"
+_OPTION = re.compile(r" \(--?[a-z][a-z-]*\)")
+"""Of the command line, in a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,7 @@ def do(task: Task, folder: str, logs: list[str], aircraft: Aircraft | None, surf
         else:
             report = _explained(logs, aircraft, surface, so_far(target, "Tried"))
     except (LogError, ServofdError) as error:
-        text = str(error)
+        text = _OPTION.sub("", str(error))
         for log in logs:
             text = text.replace(log, Path(log).name)
         report = Document(task.title, "unknown", f"Could not {task.verb}.", text)

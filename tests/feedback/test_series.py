@@ -377,3 +377,14 @@ def test_a_verdict_says_what_it_leaves_out_and_does_not_miss_positions_that_are_
     assert rudder.status == "unknown"
     assert "no position that counts after 30.0 s although commands go on for 30.0 s" in rudder.reason
     assert "left out: the command itself (50% of its readings), spikes (5%)" in rudder.reason
+
+
+def test_positions_in_microseconds_of_which_some_are_no_pulse_are_cut() -> None:
+    """A pulse of 0 us is none: such a row has no position, for the bus as for the servo."""
+    time_s = 0.1 * np.arange(600)
+    asked_us = 1500.0 + 150.0 * np.sin(time_s)
+    read_us = np.where(np.arange(600) % 7 == 3, 0.0, np.roll(asked_us, 1))
+    table = {"t": time_s, "asked": asked_us, "read": read_us}
+    found = servofd.audit(table, columns={"t": "time_s", "asked": "fin_cmd_us", "read": "fin_pos_us"})
+    why = found.fin.segment.why
+    assert np.all(why[read_us == 0.0] == Why.MISSING)

@@ -455,6 +455,23 @@ def test_a_disk_that_fills_is_said_and_leaves_nothing(tmp_path: Path) -> None:
     assert flights.all() == []
 
 
+def test_the_page_of_an_earlier_choice_is_not_shown_for_a_later_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "flight.csv"
+    log.write_text("time_s,rudder_cmd_deg,rudder_pos_deg\n0,0,0\n1,1,1\n")
+    judge(str(log), str(tmp_path / "results"), Job())
+    assert (tmp_path / "results" / "page.html").is_file()
+
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("servofd.serve.judge.judged", fails)
+    with pytest.raises(ZeroDivisionError):
+        judge(str(log), str(tmp_path / "results"), Job())
+    assert not (tmp_path / "results" / "page.html").exists()
+
+
 @pytest.mark.slow
 def test_columns_and_aircraft_are_chosen_on_the_page(tmp_path: Path) -> None:
     table = (SAMPLES / "table_three_faults.csv").read_text()
@@ -480,6 +497,7 @@ def test_columns_and_aircraft_are_chosen_on_the_page(tmp_path: Path) -> None:
             ({"time": ""}, "choose the column of the time"),
             ({"pos0": "note"}, "column &#39;note&#39; holds no numbers"),
             ({"cmd0": ""}, "has a position and no command"),
+            ({"pos0": ""}, "choose the position of fin as well"),
             ({"by": "aircraft", "aircraft": "../plane.toml"}, "there is no such aircraft file"),
         ):
             answer = client.ask("POST", f"{place}/choose", urlencode(fields | change).encode(), **FORM)
