@@ -316,6 +316,17 @@ def test_logs_are_dropped_and_judged_with_the_keyboard_alone(width: int, browser
         browser.key("Enter", text="\r")
         wait_for(lambda: browser.tell("document.querySelector('caption')?.textContent.includes('two flights')"))
         assert browser.tell("document.documentElement.scrollWidth <= innerWidth")
+        # The first rows of a table of many columns scroll by themselves.
+        wide = tmp_path / "wide.csv"
+        rows = [[f"column_{k}" for k in range(40)], *([f"{n + k}" for k in range(40)] for n in range(9))]
+        wide.write_text("\n".join(",".join(row) for row in rows))
+        browser.goto(link)
+        browser.choose("#files", [wide])
+        wait_for(lambda: browser.tell("document.querySelectorAll('#flights .badge').length === 3"))
+        browser.tell("[...document.querySelectorAll('#flights a')].find(a => a.textContent === 'wide.csv').click()")
+        wait_for(lambda: browser.tell("document.querySelector('.wide') !== null"))
+        assert browser.tell("(wide => wide.scrollWidth > wide.clientWidth)(document.querySelector('.wide'))")
+        assert browser.tell("document.documentElement.scrollWidth <= innerWidth")
     assert browser.complaints == []
     assert all(address.startswith(link) for address in browser.requested)
 
