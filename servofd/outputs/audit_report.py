@@ -152,12 +152,11 @@ def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     if flight.motion is not None:
         motion, axes = flight.motion, flight.axes
         parts.append(Figures(lambda: [_alone_chart(motion, axes)]))
-    sentence, rest = flight.sentence, flight.sentence
+    sentence, rest = flight.sentence, ""
     if any(check.status == "look" for check in flight.checks):  # what to look at heads the page; the rest follows
         sentence, _, rest = flight.sentence.partition("; ")
-    return Document(
-        name, "unknown", f"{sentence[:1].upper()}{sentence[1:]}.", facts.replace(flight.sentence, rest), parts, log=name
-    )
+    facts = facts.replace(f"{flight.sentence}; ", f"{rest}; " if rest else "").replace(flight.sentence, rest)
+    return Document(name, "unknown", f"{sentence[:1].upper()}{sentence[1:]}.", facts, parts, log=name)
 
 
 _DIARY = "Its flight modes and messages"

@@ -13,7 +13,7 @@ from servofd.discrepancy.locate import SHOWN_SHARE, binned, maps, spectrum
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
-from servofd.outputs.sentence import known_digits, spoken
+from servofd.outputs.sentence import LEAST_CLEARED, known_digits, spoken
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -158,23 +158,31 @@ _METHOD = (
 def explain_report(found: Sequence[Explanation], source: str, failures: Sequence[str] = ()) -> Document:
     """What the model of each surface lacks, the gap before and after, and why other surfaces were not explained."""
     sections = [_surface(one, f"surface-{k}") for k, one in enumerate(found, start=1)]
+    sections.sort(key=lambda one: LEAST_CLEARED.index(one.status))
     documents = {one.surface: one.document() for one in found}
     first, alone = found[0], len(found) == 1
     parts = sections[0].parts[1:] if alone else sections  # whose verdict is the sentence of the whole
     return Document(
         title=f"What the model lacks: {source}",
         status=sections[0].status,
-        sentence=f"{spoken(first.surface)}: {first.answer}" if alone else f"{len(found)} surfaces were explained.",
+        sentence=f"{spoken(first.surface)}: {first.answer}" if alone else _together(found),
         facts=source,
         parts=parts,
         evidence=[
             *([Section("Not explained", [Bullets(failures)])] if failures else []),
-            Section("Method", [Words(_METHOD)], folded=True),
+            Section("How this was found", [Words(_METHOD)], folded=True),
         ],
         data=documents[first.surface]
         if alone and not failures
         else {"schema": "servofd.explain/1", "surfaces": documents},
     )
+
+
+def _together(found: Sequence[Explanation]) -> str:
+    """How well several surfaces are explained, the worst first."""
+    kinds = {kind: [spoken(one.surface) for one in found if one.conclusion == kind] for kind in reversed(_STATUS)}
+    said = "; ".join(f"{spoken(kind)}: {', '.join(names)}" for kind, names in kinds.items() if names)
+    return f"{said[:1].upper()}{said[1:]}."
 
 
 def _surface(found: Explanation, anchor: str) -> Section:
@@ -206,7 +214,7 @@ def _surface(found: Explanation, anchor: str) -> Section:
     said = [*document["where"], *ties, *(one.sentence for one in found.separating), *document["notes"]]
     on_others = "On other flights and runs, to which nothing was fitted [deg rms]"
     return Section(
-        found.surface,
+        spoken(found.surface),
         [
             Words(found.answer, style="verdict"),
             Section("Where model and measurement disagree", [Bullets(said)]),

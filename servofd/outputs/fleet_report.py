@@ -70,7 +70,9 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
     ]
     return Document(
         title="Many flights",
-        status=next((s for s in ("fault", "suspect", "healthy") if s in known), "unknown"),
+        status=next(
+            (s for s in ("fault", "suspect", "not_judged", "unknown", "healthy") if s in known), "unknown"
+        ).replace("not_judged", "unknown"),
         sentence=", ".join(said) + "." if judged else "No log was judged.",
         facts=f"{document['logs']} logs, {flown} of flight",
         parts=[

@@ -69,7 +69,7 @@ def trend_report(document: dict[str, Any], pages: Mapping[str, str] = MappingPro
         evidence=[
             *([] if axes else [flown]),
             *([Section("Not used", [Bullets(document["problems"])])] if document["problems"] else []),
-            Section("Method", [*method, Words(_LINES)]),
+            Section("How this was found", [*method, Words(_LINES)], folded=True),
         ],
         data=document,
     )

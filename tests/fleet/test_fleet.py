@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -21,7 +22,6 @@ from servofd.fleets.store import FleetStore, locked, read_logs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
 KEYS = ["path", "run", "surface"]
 
@@ -332,3 +332,15 @@ time.sleep(600)
         other.kill()
         other.wait(timeout=30)
     locked(tmp_path).close()
+
+
+@pytest.mark.slow
+def test_a_fleet_with_a_log_that_was_not_judged_is_not_green(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    shutil.copy(Path(__file__).parents[2] / "sample_logs" / "faser_healthy_flight.mat", logs)
+    (logs / "broken.csv").write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n0,x,0\n")
+    assert main(["audit", str(logs), "-o", str(tmp_path / "results")]) == 2
+    page = (tmp_path / "results" / "fleet.html").read_text()
+    assert '<header class="banner unknown">' in page
+    assert "None of 1 judged logs shows a fault, 1 more could not be judged." in page

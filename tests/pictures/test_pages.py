@@ -235,3 +235,14 @@ def test_an_hour_of_eight_surfaces_stays_small(tmp_path: Path) -> None:
     page = html_page(audit_report([audit]))
     assert len(page.encode()) < 1_200_000
     assert "S0 JAMMED at 30:00 (+2.0 deg). Do not fly." in page
+
+
+@pytest.mark.slow
+def test_of_several_surfaces_the_one_that_is_explained_worst_heads_the_page() -> None:
+    log = SAMPLES / "table_three_faults.csv"
+    found = [servofd.explain(log, surface=name).explanation for name in ("aileron", "elevator")]
+    report = explain_report(found, log.name)
+    assert (report.status, report.sentence) == ("fault", "Unexplained: elevator; nothing missing: aileron.")
+    page = html_page(report)
+    assert '<header class="banner fault">' in page
+    assert page.index("<h2>elevator ") < page.index("<h2>aileron ")
