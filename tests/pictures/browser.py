@@ -54,7 +54,7 @@ class Browser:
 
     def _port(self) -> str:
         known = self._profile / "DevToolsActivePort"
-        return known.read_text().splitlines()[0] if known.exists() else ""
+        return next(iter(known.read_text().splitlines()), "") if known.exists() else ""  # it is written in two steps
 
     async def _sent(self, message: dict[str, Any]) -> None:
         await self._socket.write_message(json.dumps(message))
