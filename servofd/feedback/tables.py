@@ -134,11 +134,16 @@ def with_clock(table: pd.DataFrame) -> pd.DataFrame:
     times = [name for name in names if _is_time(table[name].dtype)] if table.columns.is_unique else []
     times = times or [name for name in names if _CLOCK.fullmatch(name)]
     if len(times) != 1:
-        lacking = f"none of its columns ({_some(names)}) is the time"
-        found = f"{' and '.join(times)} may be the time" if times else lacking
-        likely = times or [name for name in names if not _MOTION.search(name)] or ["t"]
-        raise ConfigError(f"DataFrame: {found}; say which: columns={{{likely[0]!r}: 'time_s'}}, or make it the index")
+        raise _without_clock(names, times)
     return _first(table.drop(columns=times[0]), table[times[0]], times[0])
+
+
+def _without_clock(names: list[str], times: list[str]) -> ConfigError:
+    found = f"{' and '.join(times)} may be" if times else f"none of its columns ({_some(names)}) is"
+    likely = times or [name for name in names if not _MOTION.search(name)] or ["t"]
+    return ConfigError(
+        f"DataFrame: {found} the time; say which: columns={{{likely[0]!r}: 'time_s'}}, or make it the index"
+    )
 
 
 def _first(table: pd.DataFrame, clock: pd.Series[Any], name: str) -> pd.DataFrame:
