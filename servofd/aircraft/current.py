@@ -35,20 +35,24 @@ FEATURES: Final = ("more_up", "more_down", "spread_up", "spread_down", "rough_up
 spread and of its steps from reading to reading."""
 
 
+AMPERES: Final = {"A": 1.0, "mA": 1e-3, "cA": 1e-2}
+"""Amperes for each unit of a current; MAVLink counts those of batteries in hundredths."""
+
+
 class CurrentSource(BaseModel):
     """A channel that holds a current, and the one that holds the supply beside it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     channel: Annotated[str, Field(min_length=1)]
-    unit: Literal["A", "mA"]
+    unit: Literal["A", "mA", "cA"]
     voltage: str = ""
     """Channel of the supply [V]; left out, what the log holds for all servos."""
 
     @property
     def scale(self) -> float:
         """Amperes for each unit."""
-        return 1.0 if self.unit == "A" else 1e-3
+        return AMPERES[self.unit]
 
 
 class CurrentNoise(BaseModel):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.current import CurrentSource
+from servofd.aircraft.current import AMPERES, CurrentSource
 from servofd.aircraft.marks import refresh_of
 from servofd.aircraft.outputs import output_of
 from servofd.core.errors import NoMeasurement
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import BoolArray, FloatArray
 
+_VOLTS: Final = {"mV": 1e-3, "cV": 1e-2}
+"""Volts for each unit in which MAVLink reports batteries and rails."""
 _BESIDE = {"CSRV": ("A", "V"), "VOLZ": ("pc", "pv"), "CVOL": ("Cur", "V"), "UMSV": ("Curr", "")}
 """Fields of the messages with which servos report themselves: current [A] and supply [V]."""
 _HUB = re.compile(r"CSRV\[(\d+)\]\.A")
@@ -138,6 +140,11 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     if source.channel not in log.channels:
         raise NoMeasurement(f"no current: the log has no channel {source.channel!r}")
     channel = log[source.channel]
+    if channel.unit in AMPERES and channel.unit != source.unit:
+        raise NoMeasurement(
+            f"current channel {source.channel!r} is in {channel.unit} by its log, and in {source.unit} by the aircraft "
+            "file: one of them is wrong"
+        )
     good = np.isfinite(channel.values)
     if np.count_nonzero(good) < 2:
         raise NoMeasurement(f"current channel {source.channel!r} holds no value")
@@ -163,7 +170,7 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     if source.voltage and source.voltage in log.channels:
         volts = log[source.voltage]
         known = np.isfinite(volts.values)
-        volts_s, volts_v = volts.time_s[known], volts.values[known]
+        volts_s, volts_v = volts.time_s[known], _VOLTS.get(volts.unit, 1.0) * volts.values[known]
     return CurrentChannel(time_s, current_a, volts_s, volts_v, tuple(notes))
 
 

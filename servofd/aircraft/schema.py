@@ -248,6 +248,13 @@ class Aircraft(_Entry):
                 raise ValueError(f"surfaces.{name}.effects: {error}") from None
         return self
 
+    @property
+    def sharing_current(self) -> frozenset[str]:
+        """Surfaces whose current is read together with that of others."""
+        channels = [one.current.channel for one in self.surfaces.values() if one.current is not None]
+        shared = {channel for channel in channels if channels.count(channel) > 1}
+        return frozenset(n for n, one in self.surfaces.items() if one.current and one.current.channel in shared)
+
     def servo(self, surface: str) -> Servo:
         """Servo of a surface; the aircraft's own definitions come before the library's.
 

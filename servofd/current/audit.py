@@ -10,9 +10,10 @@ import numpy as np
 from servofd.aircraft.current_source import current_sources, read_current
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
-from servofd.current.judge import judge_current, largest_of, limits_of, pushed, tells_motion
+from servofd.current.judge import judge_current, largest_of, limits_of, pushed, tells_motion, verdict_of
 from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
 from servofd.current.own import own_current
+from servofd.current.shared import faults_of_wire, own_currents, parted
 from servofd.current.stream import motion_model
 from servofd.current.wear import features_of, wear_of
 from servofd.detection.audit import with_common_causes
@@ -21,7 +22,7 @@ from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, CurrentAudit
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from logparsers.records import FlightLog
     from servofd.aircraft.current import CalibratedCurrent, CurrentSource
@@ -52,24 +53,52 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
         name = next(s.surface for s in audit.surfaces if f"column {s.surface}_current " in str(error))
         found = {name: CurrentAudit("unknown", str(error))}
         return replace(audit, surfaces=tuple(_joined(s, found.get(s.surface)) for s in audit.surfaces))
-    shared = [source.channel for source in sources.values()]
-    surfaces = []
-    for surface in audit.surfaces:
-        source = sources.get(surface.surface)
-        current = None
-        if source is not None and shared.count(source.channel) > 1:
-            current = CurrentAudit(
-                "unknown",
-                f"channel {source.channel!r} is the current of several surfaces: it shows none of them alone",
-            )
-        elif source is not None:
-            current = _judged(log, aircraft, surface, source, cycles.setdefault(surface.surface, []))
-        surfaces.append(_joined(surface, current))
+    by_channel: dict[str, list[str]] = {}
+    for name, source in sources.items():
+        by_channel.setdefault(source.channel, []).append(name)
+    verdicts = {surface.surface: surface for surface in audit.surfaces}
+    currents: dict[str, CurrentAudit] = {}
+    events: tuple[CommonCause, ...] = ()
+    for names in by_channel.values():
+        if len(names) > 1:
+            told, new = _together(log, aircraft, verdicts, sources, names)
+            currents, events = currents | told, events + new
+        elif names[0] in verdicts:
+            name = names[0]
+            currents[name] = _judged(log, aircraft, verdicts[name], sources[name], cycles.setdefault(name, []))
+    surfaces = [_joined(surface, currents.get(surface.surface)) for surface in audit.surfaces]
     common, causes = tuple(surfaces), audit.common_causes
     if any(fault.kind == "unpowered" for s in surfaces if s.current for fault in s.current.faults):
         common, new = with_common_causes(surfaces)
         causes = (*(one for one in causes if all(abs(one.since_s - other.since_s) > _AGREE_S for other in new)), *new)
-    return replace(audit, surfaces=common, common_causes=tuple(_with_supply(one, log) for one in causes))
+    causes = (*(_with_supply(one, log) for one in causes), *events)
+    return replace(audit, surfaces=common, common_causes=causes)
+
+
+def _together(
+    log: FlightLog,
+    aircraft: Aircraft,
+    verdicts: Mapping[str, SurfaceAudit],
+    sources: Mapping[str, CurrentSource],
+    names: Sequence[str],
+) -> tuple[dict[str, CurrentAudit], tuple[CommonCause, ...]]:
+    """What one current tells of several servos."""
+    known = {name: aircraft.surfaces[name].healthy_current for name in names}
+    calibrated = {name: one for name, one in known.items() if one is not None}
+    if len(calibrated) < len(names):
+        channel = sources[names[0]].channel
+        reason = (
+            f"channel {channel!r} is the current of {', '.join(names)} together: calibrate all of them on good flights"
+        )
+        return dict.fromkeys(names, CurrentAudit("unknown", f"{reason} to tell them apart")), ()
+    try:
+        series = {name: current_series(log, name, aircraft, sources[name]) for name in names}
+    except NoMeasurement as error:
+        return dict.fromkeys(names, CurrentAudit("unknown", str(error))), ()
+    seen = {name: see(one, calibrated[name]) for name, one in own_currents(series, calibrated).items()}
+    followed = {name for name, verdict in verdicts.items() if verdict.status == "healthy"}
+    faults, events = faults_of_wire(seen, followed)
+    return {name: verdict_of(seen[name], faults[name]) for name in names}, events
 
 
 def _with_supply(cause: CommonCause, log: FlightLog) -> CommonCause:
@@ -97,17 +126,29 @@ def healthy_currents(
     spans : sequence of (from_s, to_s)
         Which parts of each log are good [s]; all of it if empty.
     """
-    parts: dict[str, list[CurrentSeries]] = {}
+    wires: dict[tuple[str, ...], list[dict[str, CurrentSeries]]] = {}
     reasons: dict[str, str] = {}
     for log, known in flown:
+        by_channel: dict[str, dict[str, CurrentSeries]] = {}
         for name, source in current_sources(log, known).items():
             try:
-                whole = current_series(log, name, known, source)
+                by_channel.setdefault(source.channel, {})[name] = current_series(log, name, known, source)
             except NoMeasurement as error:
                 reasons[name] = str(error)
-                continue
-            pieces = [whole.within(*span) for span in spans] or [whole]
-            parts.setdefault(name, []).extend(piece for piece in pieces if piece.time_s.size > 1)
+        for wire in by_channel.values():
+            pieces = [{name: one.within(*span) for name, one in wire.items()} for span in spans] or [wire]
+            wires.setdefault(tuple(wire), []).extend(
+                piece for piece in pieces if all(one.time_s.size > 1 for one in piece.values())
+            )
+    parts: dict[str, list[CurrentSeries]] = {}
+    for names, together in wires.items():
+        try:
+            own = parted(together) if len(names) > 1 and together else together
+        except CalibrationError as error:
+            reasons |= dict.fromkeys(names, str(error))
+            continue
+        for name in names:
+            parts.setdefault(name, []).extend(flight[name] for flight in own)
     found = {}
     for name, flights in parts.items():
         try:
@@ -121,7 +162,8 @@ def healthy_currents(
             update={"moving_a": round(largest_of([see(each, current) for each in flights]), 4)}
         )
         seen = [see(each, current) for each in flights]
-        wear = wear_of([features_of(each) for each in seen], usual_a)
+        alone = all(name not in names for names in wires if len(names) > 1)  # spread is of nobody's where several draw
+        wear = wear_of([features_of(each) for each in seen], usual_a) if alone else None
         found[name] = current.model_copy(update={"wear": wear, "limits": limits_of(seen, _MARGIN)})
     return found, {name: reason for name, reason in reasons.items() if name not in found}
 

@@ -39,7 +39,7 @@ _OFTEN_S, _SELDOM_S, _OFTEN = 0.5, 2.5, 30
 """While an alarm stands it is looked into so often, the first so many times, and more seldom after that."""
 _ALIKE_S: Final = 0.1
 """What a model lacks lasts as long as a movement: readings that are closer say it once."""
-_SURE: Final = 9.0
+SURE_NATS: Final = 9.0
 """Nats by which a fault must be likelier than every healthy servo: one look in 8000 by chance."""
 _FREEDOM: Final = 4.0
 """Of Student's law, which readings of current follow: starts and gusts are spikes."""
@@ -57,6 +57,8 @@ _BINDS_S: Final = LOOKS_S[-1]
 """A servo that binds does so in one manoeuvre after the other; some seconds of hard work are the air's."""
 _MOST: Final = 6
 """Faults of one flight at most."""
+_ROUNDS: Final = 3
+"""Of weighted least squares, after which the weights of Student's law hardly change any more."""
 _FLAT: Final = 1e-6
 """Information about an unknown size before the data [1/A2]: hardly any."""
 _ENDED: Final = 25.0
@@ -91,7 +93,12 @@ _ALWAYS: Final = 0.35
 def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Sequence[FloatArray] = ()) -> CurrentAudit:
     """Judge one surface by its current; wear with what `features_of` tells of cycles `before` it."""
     seen = see(series, known)
-    found = tuple(faults_of(seen)) if is_witness(known) else ()
+    return verdict_of(seen, tuple(faults_of(seen)), before)
+
+
+def verdict_of(seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] = ()) -> CurrentAudit:
+    """What is said of one surface by its current, and the faults that it shows."""
+    series, known = seen.series, seen.known
     faults = tuple(fault for fault in found if fault.level == "fault")
     suspicions = tuple(fault for fault in found if fault.level == "suspect") or (() if faults else worn(seen, before))
     rows = seen.usable & (seen.moving > 0.5)
@@ -140,7 +147,7 @@ def tells_motion(series: CurrentSeries, known: CalibratedCurrent, from_s: float,
     if not _OF_MOTION * moving_a <= idle_a.sum() <= moving_a / _OF_MOTION:
         return False
     resting = each_of(series) * float(_nats(idle_a, np.full(use.size, known.noise.still_a)).sum())
-    return min(resting, *(one.total for one in others if one.kind != "binding"), np.inf) - healthy.total > _SURE
+    return min(resting, *(one.total for one in others if one.kind != "binding"), np.inf) - healthy.total > SURE_NATS
 
 
 def pushed(
@@ -203,10 +210,10 @@ def would_show(seen: Seen) -> bool:
     missing = np.maximum(seen.healthy_a - seen.known.theta[0], 0.0) / seen.known.noise.still_a
     each = each_of(seen.series)
     gain = each * 0.5 * (_FREEDOM + 1.0) * np.log1p(missing[seen.usable] ** 2 / _FREEDOM)
-    return float(gain.sum()) > 2.0 * _SURE
+    return float(gain.sum()) > 2.0 * SURE_NATS
 
 
-class _Account(NamedTuple):
+class Account(NamedTuple):
     """One account of some readings."""
 
     kind: str
@@ -220,6 +227,7 @@ class _Account(NamedTuple):
 
     @property
     def total(self) -> float:
+        """Nats of all readings and of the parameters."""
         return float(self.misfit.sum()) + self.cost
 
 
@@ -238,7 +246,7 @@ def no_witness(known: CalibratedCurrent) -> str:
 
 def faults_of(seen: Seen) -> Iterator[Fault]:
     """Look where an account of some size beats the good servo as it was fitted, until a fault lasts to the end."""
-    if seen.series.time_s.size < 2:
+    if seen.series.time_s.size < 2 or not is_witness(seen.known):
         return
     earliest_s, looked_s, looks, found = float(seen.series.time_s[0]), -np.inf, 0, 0
     for at_s in worth_a_look(seen, _grid_s(seen)).tolist():
@@ -283,7 +291,7 @@ def worth_a_look(seen: Seen, at_s: FloatArray) -> FloatArray:
 
 def limits_of(good: Iterable[Seen], margin: float) -> dict[str, float]:
     """Nats that each account needs: `margin` times what any stretch of good flights reaches."""
-    limits = dict.fromkeys(("unpowered", "binding", "blocked"), _SURE)
+    limits = dict.fromkeys(("unpowered", "binding", "blocked"), SURE_NATS)
     for seen in good:
         for kind, gain in _followed(seen, _grid_s(seen)).items():
             limits[kind] = max(limits[kind], float(f"{margin * gain.max(initial=0.0):.3g}"))
@@ -291,7 +299,7 @@ def limits_of(good: Iterable[Seen], margin: float) -> dict[str, float]:
 
 
 def _limit(known: CalibratedCurrent, kind: str) -> float:
-    return float(dict(known.limits).get(kind, _SURE))  # type: ignore[call-overload]
+    return float(dict(known.limits).get(kind, SURE_NATS))  # type: ignore[call-overload]
 
 
 def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
@@ -354,7 +362,7 @@ def largest_of(good: Sequence[Seen]) -> float:
     return float(np.quantile(healthy_a, 0.99)) if healthy_a.size else 0.0
 
 
-def _best(seen: Seen, at_s: float, earliest_s: float) -> _Account | None:
+def _best(seen: Seen, at_s: float, earliest_s: float) -> Account | None:
     """The fault that beats every healthy servo of the last seconds by its limit; None if none does."""
     time_s = seen.series.time_s
     surest, least = None, 1.0
@@ -373,7 +381,32 @@ def _best(seen: Seen, at_s: float, earliest_s: float) -> _Account | None:
     return surest
 
 
-def _accounts(seen: Seen, rows: slice) -> Iterator[_Account]:
+def account_of(seen: Seen, from_s: float, to_s: float, kind: str = "") -> Account | None:
+    """The likeliest fault between two times, or of a kind, be it likelier than a good servo or not; None if none is."""
+    rows = _between(seen, from_s, to_s)
+    if np.count_nonzero(seen.usable[rows]) < 2:
+        return None
+    _, *others = _accounts(seen, rows)
+    return min((one for one in others if kind in ("", one.kind)), key=lambda one: one.total, default=None)
+
+
+def more_of(seen: Seen, noise_a: FloatArray, from_s: float, to_s: float) -> float:
+    """Nats of what is read between two times by the best multiple of the current of motion, for a given noise (m,)."""
+    rows = _between(seen, from_s, to_s)
+    use = np.flatnonzero(seen.usable[rows]) + rows.start
+    error, sigma = seen.series.current_a[use] - seen.healthy_a[use], noise_a[use]
+    motion, left = np.maximum(seen.healthy_a[use] - seen.known.theta[0], 0.0), error
+    for _ in range(_ROUNDS):
+        weight = motion / sigma**2 / (1.0 + (left / sigma) ** 2 / _FREEDOM)
+        left = error - motion * max(float(weight @ error) / max(float(weight @ motion), _FLAT), 0.0)
+    return each_of(seen.series) * float(_nats(left, sigma).sum())
+
+
+def _between(seen: Seen, from_s: float, to_s: float) -> slice:
+    return slice(*np.searchsorted(seen.series.time_s, (from_s, np.nextafter(to_s, np.inf))).tolist())
+
+
+def _accounts(seen: Seen, rows: slice) -> Iterator[Account]:
     """The healthy account of some readings first, then those of faults."""
     use = np.flatnonzero(seen.usable[rows]) + (rows.start or 0)
     table, drawn = seen.slopes[use], seen.series.current_a[use]
@@ -391,7 +424,7 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[_Account]:
         left: FloatArray = error
         best: FloatArray = np.zeros(columns.shape[1])
         block: FloatArray = prior
-        for _ in range(3):
+        for _ in range(_ROUNDS):
             block = (columns * weight[:, None]).T @ columns + prior
             best = np.asarray(np.linalg.solve(block, columns.T @ (weight * error)), dtype=np.float64)
             left = error - columns @ best
@@ -399,11 +432,11 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[_Account]:
         return left, best, float(np.sqrt(np.linalg.inv(block)[-1, -1]))
 
     left, best, _ = fitted(table, precision)
-    yield _Account("healthy", nats(left, noise), 0.5 * float(best @ precision @ best), {})
+    yield Account("healthy", nats(left, noise), 0.5 * float(best @ precision @ best), {})
     still, idle = seen.known.noise.still_a, max(float(seen.known.theta[0]), 0.0)
     rest = min(max(float(np.median(drawn)), 0.0), idle)
     unpowered = each * _misfit(seen, use, "unpowered", rest)
-    yield _Account("unpowered", unpowered, 1.0, {"current_a": Estimate.of(rest, still)})
+    yield Account("unpowered", unpowered, 1.0, {"current_a": Estimate.of(rest, still)})
     yield from _blocked(seen, use, drawn - idle)
     wider = np.zeros((count + 1, count + 1))
     wider[:count, :count] = precision
@@ -414,10 +447,10 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[_Account]:
         apart = best[:count]
         cost = 0.5 * (float(apart @ precision @ apart) + np.log(max(use.size, 2)))
         more = noise * (1.0 + float(best[-1]))
-        yield _Account("binding", nats(left, more), cost, {"times": Estimate.of(1.0 + float(best[-1]), deviation)})
+        yield Account("binding", nats(left, more), cost, {"times": Estimate.of(1.0 + float(best[-1]), deviation)})
 
 
-def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[_Account]:
+def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[Account]:
     """Stalled wherever the command is away from some place: where it stands, and what it draws, are free."""
     motion, known = seen.series.motion, seen.known
     time_s = seen.series.time_s[use]
@@ -439,7 +472,7 @@ def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[_Account
             needed_s = _SOON_S if stall > _STALL * known.most_a else _LASTS_S
             if stall < least or np.quantile(full, 0.1) < _ALWAYS * stall or lasts_s < needed_s:
                 continue
-            yield _Account(
+            yield Account(
                 "blocked",
                 each_of(seen.series) * _misfit(seen, use, "blocked", stall, share),
                 float(np.log(places.size * len(_SLACK_DEG))),
@@ -451,7 +484,7 @@ def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[_Account
             )
 
 
-def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float, *, named_s: float) -> Fault:
+def _timed(seen: Seen, account: Account, alarm_s: float, earliest_s: float, *, named_s: float) -> Fault:
     """The fault with its name, as known at a time [s], its onset, from when it was the better account, and its end."""
     time_s = seen.series.time_s
     each = each_of(seen.series)
@@ -462,7 +495,7 @@ def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float, *, 
     span = slice(*np.searchsorted(time_s, (start_s, np.nextafter(named_s, np.inf))).tolist())
     healthy, *others = _accounts(seen, span) if seen.usable[span].any() else (account,)
     others = sorted(others, key=lambda one: one.total)
-    rivals: list[_Account] = []
+    rivals: list[Account] = []
     if others and others[0].total < healthy.total:
         account, rivals = others[0], [one for one in others if one.kind != others[0].kind]
     odds = float(np.exp(min(account.total - rivals[0].total, 0.0))) if rivals else 0.0
@@ -490,7 +523,7 @@ def _timed(seen: Seen, account: _Account, alarm_s: float, earliest_s: float, *, 
     )
 
 
-def _gains(seen: Seen, account: _Account, rows: slice) -> FloatArray:
+def _gains(seen: Seen, account: Account, rows: slice) -> FloatArray:
     """Nats by which a fault is the better account of each reading than the healthy servo, shape (k,).
 
     As if each said something of its own.

@@ -184,7 +184,7 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         for name, surface in self.aircraft.surfaces.items():
-            if not surface.watched_channel:
+            if not surface.watched_channel or (surface.measured is None and name in self.aircraft.sharing_current):
                 continue
             self.monitors[name] = self._monitor(name, surface)
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
@@ -197,7 +197,8 @@ class Vehicle:
             self.axes, streamed = AxisWatch(self.aircraft.motion), set(STREAMED)
         if not self.monitors and self.axes is None:
             raise ConfigError(
-                "the aircraft file names no measured channel, and no calibrated current: nothing can be watched"
+                "the aircraft file names no measured channel, and no calibrated current of one servo alone: nothing "
+                "can be watched; one current of several servos is judged after the flight, by 'servofd audit'"
             )
         self.settings = Settings({name: output_of(self.aircraft.surfaces[name]) for name in self.monitors})
         self.messages = ChannelTable(self._routes).messages

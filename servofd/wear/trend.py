@@ -127,9 +127,10 @@ def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str
 
 
 def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> _Shown | None:
-    known, source = aircraft.surfaces[name].healthy_current, current_sources(log, aircraft).get(name)
-    if known is None or source is None:
-        return None
+    sources = current_sources(log, aircraft)
+    known, source = aircraft.surfaces[name].healthy_current, sources.get(name)
+    if known is None or source is None or [one.channel for one in sources.values()].count(source.channel) > 1:
+        return None  # a wire that several servos share wears for none of them
     series = current_series(log, name, aircraft, source)
     verdict = judge_current(series, known)
     return _Shown(quantities_of(see(series, known)), {}, verdict.reason if verdict.faults else "")

@@ -24,16 +24,26 @@ US_PER_DEG = 1.0 / 0.09
 """ArduPilot's: 1000 to 2000 us are 90 deg."""
 
 
-def dataflash_of(flight: Flown) -> bytes:
-    """What the autopilot writes on its card."""
+def dataflash_of(flight: Flown, message: str = "CSRV") -> bytes:
+    """What the autopilot writes on its card; the current as that of a servo, a circuit, or a battery beside another."""
     asked_us, read_us = microseconds(flight.command_s), microseconds(flight.current_s)
-    drawn = rows("CSRV", read_us, Id=1, Pos=np.nan, Force=np.nan, Speed=np.nan, PosCmd=np.nan, A=flight.current_a)
+    if message == "CSRV":
+        drawn = rows("CSRV", read_us, Id=1, Pos=np.nan, Force=np.nan, Speed=np.nan, PosCmd=np.nan, A=flight.current_a)
+    else:
+        twice, main_a = np.repeat(read_us, 2), np.full(read_us.size, 12.0)
+        current_a = np.column_stack([main_a, flight.current_a]).ravel()
+        columns: dict[str, ArrayLike] = {"TimeUS": twice, "Inst": np.tile([0, 1], read_us.size)}
+        columns |= {"Volt": np.full(twice.size, 6.0), "Curr": current_a}
+        drawn = dataflash.Message(message, "QBff", columns, "s#vA", "F-00")
     sent = pulses(asked_us, {1: 1500.0 + US_PER_DEG * flight.command_deg})
     return dataflash.encode([*words(asked_us[:1], KNOWN, "ArduPlane V4.7.0-dev (simulated)"), sent, drawn])
 
 
-def telemetry_of(flight: Flown) -> bytes:
-    """What a ground station receives: pulses, and by a script ``SRVA1``, what the servo on output 1 draws [A]."""
+def telemetry_of(flight: Flown, *, battery: bool = False) -> bytes:
+    """What a ground station receives: pulses, and by a script ``SRVA1``, what the servo on output 1 draws [A].
+
+    Or that as the current of a second battery [0.01 A].
+    """
     asked_us, read_us = microseconds(flight.command_s), microseconds(flight.current_s)
     seconds_us = np.arange(asked_us[0], asked_us[-1], 1_000_000)
     beat = {"type": Kind.FIXED_WING, "autopilot": Autopilot.ARDUPILOTMEGA, "system_status": State.ACTIVE}
@@ -58,4 +68,7 @@ def telemetry_of(flight: Flown) -> bytes:
             {"time_boot_ms": read_us // 1000, "name": ["SRVA1"] * read_us.size, "value": flight.current_a},
         ),
     ]
+    if battery:
+        drawn = {"id": 1, "current_battery": np.round(100.0 * flight.current_a)}
+        messages[-1] = ("BATTERY_STATUS", read_us, {name: np.full(read_us.size, one) for name, one in drawn.items()})
     return telemetry.encode([telemetry.Message(name, EPOCH_US + at_us, fields) for name, at_us, fields in messages])
