@@ -10,6 +10,7 @@ import numpy as np
 from servofd.aircraft.current import AMPERES, CurrentSource
 from servofd.aircraft.marks import refresh_of
 from servofd.aircraft.outputs import output_of
+from servofd.aircraft.series import SURROUNDINGS, signal_of
 from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
@@ -166,12 +167,22 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     at_end = float(np.mean(current_a == current_a.max()))
     if at_end > _OFTEN and np.unique(current_a).size > 2 / _OFTEN:
         notes.append(f"its current reads {current_a.max():.3g} A in {at_end:.0%} of its readings: the end of its range")
-    volts_s = volts_v = np.zeros(0)
-    if source.voltage and source.voltage in log.channels:
-        volts = log[source.voltage]
-        known = np.isfinite(volts.values)
-        volts_s, volts_v = volts.time_s[known], _VOLTS.get(volts.unit, 1.0) * volts.values[known]
-    return CurrentChannel(time_s, current_a, volts_s, volts_v, tuple(notes))
+    return CurrentChannel(time_s, current_a, *_volts(log, source.voltage), tuple(notes))
+
+
+def _volts(log: FlightLog, name: str) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and readings [V] of a channel; empty if the log has none of that name."""
+    return signal_of(log, {name: _VOLTS.get(log[name].unit, 1.0)} if name in log.channels else {})
+
+
+def supplies(log: FlightLog, aircraft: Aircraft) -> list[tuple[FloatArray, FloatArray]]:
+    """Times [s] and readings [V] of the rail of all servos, and of what is read beside their currents."""
+    try:
+        beside = {source.voltage: None for source in current_sources(log, aircraft).values() if source.voltage}
+    except NoMeasurement:
+        beside = {}
+    found = [signal_of(log, SURROUNDINGS["servo_voltage_v"]), *(_volts(log, name) for name in beside)]
+    return [one for one in found if one[0].size]
 
 
 def _fresh(time_s: FloatArray, current_a: FloatArray) -> BoolArray:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.aircraft.current_source import current_sources, read_current
+from servofd.aircraft.current_source import current_sources, read_current, supplies
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.current.judge import judge_current, largest_of, limits_of, pushed, tells_motion, verdict_of
@@ -16,7 +16,7 @@ from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
 from servofd.current.stream import motion_model
 from servofd.current.wear import features_of, wear_of
-from servofd.detection.audit import with_common_causes
+from servofd.detection.causes import with_common_causes
 from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, CurrentAudit, SurfaceAudit, describe
 from servofd.servo.context import Context
@@ -35,8 +35,6 @@ _MARGIN: Final = 1.3
 """Times what good flights reach, that a fault has to exceed."""
 _AGREE_S: Final = 15.0
 """Two witnesses tell of one event if they notice it within so much of each other."""
-_FALLEN: Final = 0.9
-"""Share of its volts below which a supply has fallen: the rail of the simulated motors sags by 5 % under load."""
 _AT_REST: Final = ("blocked", "unpowered")
 """What a current tells of a servo that stands still."""
 
@@ -68,11 +66,10 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
             currents[name] = _judged(log, aircraft, verdicts[name], sources[name], cycles.setdefault(name, []))
     surfaces = [_joined(surface, currents.get(surface.surface)) for surface in audit.surfaces]
     common, causes = tuple(surfaces), audit.common_causes
-    if any(fault.kind == "unpowered" for s in surfaces if s.current for fault in s.current.faults):
-        common, new = with_common_causes(surfaces)
+    if any(s.current.faults or s.current.suspicions for s in surfaces if s.current):
+        common, new = with_common_causes(surfaces, supplies(log, aircraft))
         causes = (*(one for one in causes if all(abs(one.since_s - other.since_s) > _AGREE_S for other in new)), *new)
-    causes = (*(_with_supply(one, log) for one in causes), *events)
-    return replace(audit, surfaces=common, common_causes=causes)
+    return replace(audit, surfaces=common, common_causes=(*causes, *events))
 
 
 def _together(
@@ -99,18 +96,6 @@ def _together(
     followed = {name for name, verdict in verdicts.items() if verdict.status == "healthy"}
     faults, events = faults_of_wire(seen, followed)
     return {name: verdict_of(seen[name], faults[name]) for name in names}, events
-
-
-def _with_supply(cause: CommonCause, log: FlightLog) -> CommonCause:
-    """A supply that gave way, with the volts by which it fell, if the log holds them."""
-    time_s, volts_v = signal_of(log, SURROUNDINGS["servo_voltage_v"])
-    before_v = volts_v[(time_s < cause.since_s) & (time_s >= cause.since_s - _AGREE_S)]
-    after_v = volts_v[(time_s > cause.since_s) & (time_s <= min(cause.since_s + _AGREE_S, cause.end_s or np.inf))]
-    if cause.kind != "supply" or not before_v.size or not after_v.size:
-        return cause
-    was_v, is_v = float(np.median(before_v)), float(np.median(after_v))
-    fell = f"; it fell from {was_v:.1f} to {is_v:.1f} V" if is_v < _FALLEN * was_v else ""
-    return replace(cause, text=f"{cause.text}{fell}")
 
 
 def healthy_currents(

@@ -11,33 +11,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.current_source import supplies
 from servofd.aircraft.pace import WARM_UP_STEPS
 from servofd.aircraft.series import Series, bus_of, cut, too_far
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
+from servofd.detection.causes import before_it_fell, with_common_causes
 from servofd.detection.evidence import reported, status_of
 from servofd.detection.flights import Flight
 from servofd.detection.known import crude_line, hardly_moved
 from servofd.detection.seen import TooShortError, healthy_of, too_few
-from servofd.detection.verdict import (
-    SERVO_OR_SENSOR,
-    CommonCause,
-    LogAudit,
-    Statistics,
-    SurfaceAudit,
-    describe,
-    two_digits,
-)
+from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, two_digits
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.detection.residual import ThresholdKind
     from servofd.detection.seen import Healthy
-    from servofd.detection.verdict import Fault
 
 _FASTEST_RATE_HZ = 50_000.0
 """Rate of positions above which the unit of the time stamps is wrong [Hz]."""
@@ -94,6 +87,7 @@ def audit_log(
         surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
         try:
             segment = cut(log, name, aircraft, bus)
+            segment = replace(segment, context=before_it_fell(segment.context))
         except NoMeasurement as reason:
             verdict = _verdict_on(name, surface, expected=expected)(status="no_data", reason=str(reason))
         else:
@@ -112,7 +106,7 @@ def audit_log(
     with ThreadPoolExecutor(max_workers=threads or os.cpu_count()) as pool:
         found = tuple(pool.map(one, chosen))
     # Whoever names a level wants to know what reaches it, whatever the reason is.
-    judged, causes = with_common_causes(found) if threshold_deg is None else (found, ())
+    judged, causes = with_common_causes(found, supplies(log, aircraft)) if threshold_deg is None else (found, ())
     return LogAudit(log, aircraft, judged, common_causes=causes)
 
 
@@ -262,149 +256,3 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
         f"no servo predicts this surface from its command, which stays within {asked} (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
     )
-
-
-_TOGETHER_S, _STILL_TOGETHER_S = 1.0, 0.5
-_FEWEST, _MOST_SHARE = 3, 0.5
-"""So many surfaces, and this share of those that were judged, do not fail in one instant."""
-_FROZEN = ("stuck", "hardover", "deadband", "floating")
-_AT_START_S = 5.0
-"""Time after the first sample within which a fault was there from the beginning [s]."""
-_FROZEN_SAMPLES = 5
-"""Equal readings of a position that froze."""
-_ASKED_DEG = 0.5
-"""Readings of a servo that is asked to move so far change: none is coarser."""
-_OF_NO_SERVO = ("bus", "servo_type")
-"""Causes that are no fault of any servo."""
-
-
-def with_common_causes(
-    surfaces: Sequence[SurfaceAudit],
-) -> tuple[tuple[SurfaceAudit, ...], tuple[CommonCause, ...]]:
-    """Return the verdicts, and what befell most surfaces in one instant.
-
-    Its members keep their own faults; where a supply gave way, who was only suspected of being slow is at fault with
-    them: what several show at once is no chance. A bus that stands still or a wrong servo type is no fault of any
-    servo, and becomes a suspicion.
-    """
-    judged = [s for s in surfaces if s.is_judged]
-    result = list(surfaces)
-    causes: list[CommonCause] = []
-    for at_s in sorted(_since_s(s, fault) for s in judged for fault in s.faults):
-        if any(cause.since_s <= at_s <= cause.since_s + _TOGETHER_S for cause in causes):
-            continue
-        struck = {s.surface: fault for s in result if (fault := _struck(s, at_s)) is not None}
-        still = [s.surface for s in result if s.surface not in struck and _stands_still(s, at_s)]
-        is_common = len(struck) + len(still) >= max(_FEWEST, _MOST_SHARE * len(judged))
-        if not is_common or sum(fault.level == "fault" for fault in struck.values()) < 1:
-            continue
-        cause = _cause(list(struck.items()), still, at_s, _first_s(result))
-        causes.append(cause)
-        for place, surface in enumerate(result):
-            if surface.surface in struck and cause.kind in _OF_NO_SERVO:
-                result[place] = _excused(surface, at_s, cause)
-            elif surface.surface in struck and cause.kind == "supply":
-                result[place] = _convicted(surface, struck[surface.surface])
-    return tuple(result), tuple(causes)
-
-
-def _first_s(surfaces: Sequence[SurfaceAudit]) -> float:
-    """When the first surface is seen [s]."""
-    seen = (s.residuals or s.current for s in surfaces)
-    begun_s = [float(one.time_s[0]) for one in seen if one is not None and one.time_s is not None and one.time_s.size]
-    return min(begun_s, default=0.0)
-
-
-def _struck(surface: SurfaceAudit, at_s: float) -> Fault | None:
-    """What befell a surface at an instant: a fault, or a suspicion of one."""
-    found = [fault for fault in surface.faults if _is_at(_since_s(surface, fault), at_s)]
-    found += [fault for fault in surface.suspicions if _is_at(fault.start_s, at_s)]
-    return found[0] if found else None
-
-
-def _since_s(surface: SurfaceAudit, fault: Fault) -> float:
-    """When a fault began; or when its reading froze to the last bit, if that was before it showed [s]."""
-    if surface.residuals is None:
-        return fault.start_s
-    measured_deg, time_s = surface.residuals.measured_deg, surface.residuals.time_s
-    seen = np.flatnonzero(np.isfinite(measured_deg) & (time_s <= fault.alarm_s))
-    if seen.size == 0:
-        return fault.start_s
-    other = np.flatnonzero(measured_deg[seen] != measured_deg[seen[-1]])
-    first = int(other[-1]) + 1 if other.size else 0
-    frozen = seen.size - first >= _FROZEN_SAMPLES
-    return min(fault.start_s, float(time_s[seen[first]])) if frozen else fault.start_s
-
-
-def _stands_still(surface: SurfaceAudit, at_s: float) -> bool:
-    """Whether its readings stop at this time, or freeze to the last bit although it is asked to move, without alarm."""
-    seen = surface.residuals
-    if seen is None:
-        return False
-    known = np.isfinite(seen.measured_deg)
-    time_s, measured_deg, simulated_deg = seen.time_s[known], seen.measured_deg[known], seen.simulated_deg[known]
-    begin, end = np.searchsorted(time_s, (at_s + _STILL_TOGETHER_S, at_s + 2.0 * _STILL_TOGETHER_S))
-    if begin == end:
-        return bool(begin > 0 and time_s[begin - 1] >= at_s - _STILL_TOGETHER_S)
-    froze = end - begin >= _FROZEN_SAMPLES and np.ptp(measured_deg[begin:end]) == 0.0
-    return bool(froze and np.ptp(simulated_deg[begin:end]) > _ASKED_DEG)
-
-
-def _is_at(start_s: float, at_s: float) -> bool:
-    return 0.0 <= start_s - at_s <= _TOGETHER_S
-
-
-def _cause(struck: Sequence[tuple[str, Fault]], still: Sequence[str], at_s: float, first_s: float) -> CommonCause:
-    """What happened to all of them, and what to look at."""
-    names = tuple([name for name, _ in struck] + list(still))
-    faults = [fault for _, fault in struck]
-    ends_s = [fault.end_s for fault in faults if fault.end_s is not None]
-    end_s = float(np.median(ends_s)) if len(ends_s) == len(faults) else None
-    count = f"{len(names)} surfaces left their models together at {at_s:.2f} s"
-    slow = [fault for fault in faults if "slow" in (fault.kind, *fault.alternatives)]
-    if at_s - first_s <= _AT_START_S:
-        text = f"{count}: look for a wrong servo type, calibration or pairing (--servo unknown fits servos to this log)"
-        return CommonCause("servo_type", at_s, end_s, names, text)
-    if 2 * sum("unpowered" in (fault.kind, *_confirming(fault)) for fault in faults) > len(faults):
-        text = f"{len(names)} servos draw no current since {at_s:.2f} s: look at their supply, its fuse and its plugs"
-        return CommonCause("supply", at_s, end_s, names, text)
-    if still or 2 * sum(fault.kind in _FROZEN for fault in faults) > len(faults):
-        until = "" if end_s is None else f", for {end_s - at_s:.1f} s"
-        text = f"{count}: their positions stand still{until}; look for a frozen or late bus, or a failed supply"
-        return CommonCause("bus", at_s, end_s, names, text)
-    if 2 * len(slow) > len(faults):
-        shares = [f.parameters["bandwidth_scale"].value for f in slow if "bandwidth_scale" in f.parameters]
-        speed = f"{float(np.median(shares)):.0%} of their speed" if shares else "less than their speed"
-        text = f"{len(names)} servos have {speed} since {at_s:.2f} s: measure their supply under load"
-        return CommonCause("supply", at_s, end_s, names, text)
-    return CommonCause("unknown", at_s, end_s, names, f"{count}: look at the servo supply, the bus and the clocks")
-
-
-def _confirming(fault: Fault) -> tuple[str, ...]:
-    """What another witness takes the fault for."""
-    return () if fault.confirmed_by is None else (fault.confirmed_by.kind,)
-
-
-def _convicted(surface: SurfaceAudit, given: Fault) -> SurfaceAudit:
-    """The surface at fault of what it was suspected of, since others show the same at once."""
-    if given in surface.faults or "slow" not in (given.kind, *given.alternatives):
-        return surface
-    fault = replace(given, kind="slow", level="fault")
-    suspicions = tuple(one for one in surface.suspicions if one is not given)
-    faults = tuple(sorted((*surface.faults, fault), key=lambda one: one.start_s))
-    reason = f"{SERVO_OR_SENSOR}{'; then '.join(describe(one) for one in faults)}; others show the same at once"
-    return replace(surface, status="fault", faults=faults, suspicions=suspicions, reason=reason)
-
-
-def _excused(surface: SurfaceAudit, at_s: float, cause: CommonCause) -> SurfaceAudit:
-    """The surface without the faults of an instant that are no servo's, and with the sentence."""
-    text = f"{cause.text}: one cause, and no servo's"
-    shared = [fault for fault in surface.faults if _is_at(_since_s(surface, fault), at_s)]
-    own = tuple(fault for fault in surface.faults if fault not in shared)
-    common = tuple(replace(fault, level="suspect") for fault in shared)
-    suspicions = tuple(sorted((*surface.suspicions, *common), key=lambda fault: fault.start_s))
-    if own:
-        whole, left = ("; then ".join(describe(fault) for fault in faults) for faults in (surface.faults, own))
-        reason = f"{surface.reason.replace(whole, left)}; {text}"
-        return replace(surface, faults=own, suspicions=suspicions, reason=reason)
-    return replace(surface, status="suspect", faults=(), suspicions=suspicions, reason=text)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 from servofd.aircraft.series import bus_of, cut
 from servofd.core.errors import NoMeasurement
 from servofd.core.evidence import ModelOrigin
+from servofd.detection.causes import before_it_fell
 from servofd.detection.known import Line, crude_line
 from servofd.detection.own import OwnServo, own_servo, parts_of
 from servofd.estimate.record import Record
@@ -72,6 +73,7 @@ def found_in(
         segment = cut(log, name, aircraft, bus)
     except NoMeasurement:
         return nothing
+    segment = replace(segment, context=before_it_fell(segment.context))
     if not _SHORTEST_PERIOD_S < segment.period_s < _LONGEST_PERIOD_S or segment.command_s.size < 2:
         return nothing
     line = _line_of(segment, is_free=free_scale)

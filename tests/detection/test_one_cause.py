@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +11,8 @@ import pytest
 import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import BoolArray, FloatArray
-from servofd.detection.verdict import SurfaceAudit
+from servofd.detection.causes import with_common_causes
+from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import second_order
@@ -66,15 +69,7 @@ def test_a_jam_is_its_own_whatever_the_others_do(silent_s: tuple[float, float]) 
 @pytest.mark.parametrize("share", [pytest.param(0.33, marks=pytest.mark.nightly), 0.5])
 def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float) -> None:
     """Six servos of which nobody knows anything but what this log shows."""
-    time_s = np.arange(0.0, 90.0, 0.02)
-    columns: dict[str, FloatArray] = {}
-    for k in range(6):
-        rng = np.random.default_rng(k)
-        command_deg = doublets(time_s, rng) + 6.0 * np.sin((1.0 + 0.3 * k) * time_s)
-        before_deg, after_deg = (servo(part).simulate(time_s, command_deg, time_s) for part in (1.0, share))
-        measured_deg = np.where(time_s < 45.0, before_deg, after_deg) + rng.normal(0.0, 0.08, time_s.size)
-        columns |= {f"servo{k}_cmd_deg": command_deg, f"servo{k}_pos_deg": measured_deg}
-    (result,) = servofd.audit(pd.DataFrame({"time_s": time_s, **columns}))
+    (result,) = servofd.audit(slowed(6, share))
     assert {surface.status for surface in result.surfaces} == {"fault"}
     for surface in result.surfaces:
         (fault,) = surface.faults
@@ -84,6 +79,53 @@ def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float
     assert (cause.kind, cause.end_s, len(cause.surfaces)) == ("supply", None, 6)
     assert cause.since_s == pytest.approx(45.0, abs=1.0)
     assert result.sentence.startswith("SUPPLY GAVE WAY at 0:45")
+
+
+@pytest.mark.parametrize("sags", [False, True])
+def test_two_that_become_slow_with_their_supply_are_at_fault_of_it(sags: bool) -> None:
+    """A model that knows the supply explains why they are slow, and does not make them well."""
+    table = slowed(2, 0.5)
+    time_s = table["time_s"].to_numpy()
+    volts_v = np.where(time_s < 45.0, 6.0, 4.3 if sags else 6.0)
+    table["servo_voltage_v"] = volts_v + np.random.default_rng(1).normal(0.0, 0.05, time_s.size)
+    (result,) = servofd.audit(table)
+    assert [fault.kind for surface in result.surfaces for fault in surface.faults] == ["slow", "slow"]
+    if not sags:
+        assert result.common_causes == ()  # two of two may be chance
+        return
+    (cause,) = result.common_causes
+    assert (cause.kind, cause.surfaces) == ("supply", ("servo0", "servo1"))
+    assert result.sentence.startswith("SUPPLY GAVE WAY at 0:45: 2 servos have")
+    assert "it fell from 6.0 to 4.2 V" in cause.text
+
+
+@pytest.mark.parametrize("fell_v", [0.0, 1.6])
+def test_volts_that_fall_while_amperes_rise_are_one_supply(fell_v: float) -> None:
+    time_s = np.arange(0.0, 120.0, 0.1)
+    drawn_a = np.where(time_s < 60.0, 0.2, 0.5)
+    surfaces = []
+    for k, name in enumerate(("elevon_left", "elevon_right")):
+        fault = Fault("binding", 60.0 + 3.0 * k, 82.0, None, {}, 0.9, (), level="suspect", witness="current")
+        current = CurrentAudit("suspect", "", suspicions=(fault,), time_s=time_s, current_a=drawn_a)
+        given = SurfaceAudit(name, "suspect", "", "unknown", "constant", 1.5, True, suspicions=(fault,))
+        surfaces.append(replace(given, current=current))
+    found, causes = with_common_causes(surfaces, [(time_s, np.where(time_s < 60.0, 6.0, 6.0 - fell_v))])
+    assert {surface.status for surface in found} == {"fault" if fell_v else "suspect"}
+    assert [cause.kind for cause in causes] == (["supply"] if fell_v else [])
+    assert all("fell from 6.0 to 4.4 V while its servos drew 1 A instead of 0.4" in cause.text for cause in causes)
+
+
+def slowed(count: int, share: float) -> pd.DataFrame:
+    """Servos that have a share of their speed from 45 s on."""
+    time_s = np.arange(0.0, 90.0, 0.02)
+    columns: dict[str, FloatArray] = {}
+    for k in range(count):
+        rng = np.random.default_rng(k)
+        command_deg = doublets(time_s, rng) + 6.0 * np.sin((1.0 + 0.3 * k) * time_s)
+        before_deg, after_deg = (servo(part).simulate(time_s, command_deg, time_s) for part in (1.0, share))
+        measured_deg = np.where(time_s < 45.0, before_deg, after_deg) + rng.normal(0.0, 0.08, time_s.size)
+        columns |= {f"servo{k}_cmd_deg": command_deg, f"servo{k}_pos_deg": measured_deg}
+    return pd.DataFrame({"time_s": time_s, **columns})
 
 
 def servo(share: float) -> ServoModel:

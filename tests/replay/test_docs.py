@@ -199,8 +199,10 @@ def test_the_examples_of_many_logs_run(
 
 def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
     page = blocks((ROOT / "docs" / "aircraft-file.md").read_text(), "toml")
-    first, judging, currents, effects, servo, table, appendix_c = page
+    first, judging, currents, shared, effects, servo, table, appendix_c = page
     config = tmp_path / "plane.toml"
+    config.write_text(shared)
+    assert load_aircraft(config).sharing_current == {"aileron_left", "elevator"}
     config.write_text(currents)
     assert load_aircraft(config).surfaces["aileron"].current is not None
     config.write_text(judging)

@@ -1,0 +1,229 @@
+"""What befalls most surfaces in one instant is one cause: a supply, a bus, the wrong servo type."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, SurfaceAudit, describe, two_digits
+from servofd.servo.context import Context
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.core.types import FloatArray
+    from servofd.detection.verdict import Fault
+
+_TOGETHER_S, _STILL_TOGETHER_S = 1.0, 0.5
+_FEWEST, _MOST_SHARE = 3, 0.5
+"""So many surfaces, and this share of those that were judged, do not fail in one instant."""
+_WHILE_IT_FALLS, _WITH_IT_S = 2, 5.0
+"""So many do not while their supply falls, within so much of each other: onsets of currents are less sharp [s]."""
+_AROUND_S: Final = 15.0
+"""Time before and after an instant in which volts and amperes are compared [s]."""
+_FALLEN, _UNDER_LOAD = 0.9, 0.1
+"""Share of its volts below which a supply has fallen, each taken as those that it is below for a tenth of the time: the
+rail of the simulated motors sags by 5 % under load."""
+_FROZEN = ("stuck", "hardover", "deadband", "floating")
+_AT_START_S = 5.0
+"""Time after the first sample within which a fault was there from the beginning [s]."""
+_FROZEN_SAMPLES = 5
+"""Equal readings of a position that froze."""
+_ASKED_DEG = 0.5
+"""Readings of a servo that is asked to move so far change: none is coarser."""
+_OF_NO_SERVO = ("bus", "servo_type")
+"""Causes that are no fault of any servo."""
+
+
+def with_common_causes(
+    surfaces: Sequence[SurfaceAudit], volts: Sequence[tuple[FloatArray, FloatArray]] = ()
+) -> tuple[tuple[SurfaceAudit, ...], tuple[CommonCause, ...]]:
+    """Return the verdicts, and what befell most surfaces in one instant.
+
+    Its members keep their own faults; where a supply gave way, who was only suspected of being slow is at fault with
+    them: what several show at once is no chance. A bus that stands still or a wrong servo type is no fault of any
+    servo, and becomes a suspicion. `volts` are times [s] and readings [V] of the supplies of servos: whether they
+    fell at that instant tells a supply from a bus, and two servos are enough then.
+    """
+    judged = [s for s in surfaces if s.is_judged]
+    result = list(surfaces)
+    causes: list[CommonCause] = []
+    suspected = (fault.start_s for s in judged for fault in s.suspicions if _fell(volts, fault.start_s))
+    begun_s = [_since_s(s, fault) for s in judged for fault in s.faults]
+    for at_s in sorted([*begun_s, *suspected]):
+        if any(0.0 <= at_s - one.since_s <= (_WITH_IT_S if "it fell" in one.text else _TOGETHER_S) for one in causes):
+            continue
+        fell = _fell(volts, at_s)
+        fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
+        struck = {s.surface: fault for s in result if (fault := _struck(s, at_s, within_s)) is not None}
+        still = [s.surface for s in result if s.surface not in struck and _stands_still(s, at_s)]
+        is_common = len(struck) + len(still) >= max(fewest, _MOST_SHARE * len(judged))
+        if not is_common or not (fell or any(fault.level == "fault" for fault in struck.values())):
+            continue
+        cause = _cause(list(struck.items()), still, at_s, _first_s(result))
+        if fell and cause.kind != "servo_type":
+            cause = replace(cause, kind="supply", text=f"{cause.text}; {fell}{_rose(result, cause)}")
+        causes.append(cause)
+        for place, surface in enumerate(result):
+            if surface.surface in struck and cause.kind in _OF_NO_SERVO:
+                result[place] = _excused(surface, at_s, cause)
+            elif surface.surface in struck and cause.kind == "supply":
+                result[place] = _convicted(surface, struck[surface.surface], is_fallen=bool(fell))
+    return tuple(result), tuple(causes)
+
+
+def _first_s(surfaces: Sequence[SurfaceAudit]) -> float:
+    """When the first surface is seen [s]."""
+    seen = (s.residuals or s.current for s in surfaces)
+    begun_s = [float(one.time_s[0]) for one in seen if one is not None and one.time_s is not None and one.time_s.size]
+    return min(begun_s, default=0.0)
+
+
+def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
+    """By how much the supply of most servos fell at a time, in words; empty if it did not, or is not known."""
+    found = []
+    for time_s, volts_v in volts:
+        before_v = volts_v[(time_s < at_s) & (time_s >= at_s - _AROUND_S)]
+        after_v = volts_v[(time_s > at_s) & (time_s <= at_s + _AROUND_S)]
+        if before_v.size and after_v.size:
+            loaded_v, is_v = (float(np.quantile(one, _UNDER_LOAD)) for one in (before_v, after_v))
+            found.append((is_v < _FALLEN * loaded_v, float(np.median(before_v)), is_v))
+    fallen = [(was_v, is_v) for fell, was_v, is_v in found if fell]
+    if 2 * len(fallen) <= len(found):
+        return ""
+    was_v, is_v = np.median(fallen, axis=0).tolist()
+    return f"it fell from {was_v:.1f} to {is_v:.1f} V"
+
+
+def _rose(surfaces: Sequence[SurfaceAudit], cause: CommonCause) -> str:
+    """By how much all that its servos draw rose with it, in words; empty if it did not, or is not known."""
+    drawn_a = np.zeros(2)
+    for current in (s.current for s in surfaces if s.surface in cause.surfaces):
+        if current is not None and current.time_s is not None and current.current_a is not None:
+            since_s = current.time_s - cause.since_s
+            spans = ((since_s < 0.0) & (since_s >= -_AROUND_S), (since_s > 0.0) & (since_s <= _AROUND_S))
+            drawn_a += [float(np.mean(current.current_a[span])) if span.any() else 0.0 for span in spans]
+    was_a, is_a = drawn_a.tolist()
+    return f" while its servos drew {two_digits(is_a)} A instead of {two_digits(was_a)}" if is_a > was_a > 0.0 else ""
+
+
+def before_it_fell(context: Context) -> Context:
+    """What acts on servos as if their supply had not given way: one that its supply makes slow is no healthy one.
+
+    A supply that falls under load, or little by little as a battery empties, stays what it is.
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 60.0)
+    >>> volts_v = np.where(time_s < 30.0, 6.0, 4.0)
+    >>> held = before_it_fell(Context(voltage_s=time_s, voltage_v=volts_v))
+    >>> float(held.voltage_v.min())
+    6.0
+    """
+    time_s, volts_v = context.voltage_s, context.voltage_v
+    for at_s in np.arange(time_s[0] + _AROUND_S, time_s[-1] - _AROUND_S) if time_s.size else ():
+        first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-_AROUND_S, -1.0, 1.0, _AROUND_S]))
+        if first < falls and fell < last:
+            least_v, most_v = np.quantile(volts_v[first:falls], _UNDER_LOAD), np.quantile(volts_v[fell:last], 0.9)
+            if most_v < _FALLEN * least_v:
+                low = (np.arange(time_s.size) >= falls) & (volts_v < _FALLEN * least_v)
+                return replace(context, voltage_v=np.where(low, np.median(volts_v[first:falls]), volts_v))
+    return context
+
+
+def _struck(surface: SurfaceAudit, at_s: float, within_s: float) -> Fault | None:
+    """What befell a surface at an instant: a fault, or a suspicion of one."""
+    found = [fault for fault in surface.faults if _is_at(_since_s(surface, fault), at_s, within_s)]
+    found += [fault for fault in surface.suspicions if _is_at(fault.start_s, at_s, within_s)]
+    return found[0] if found else None
+
+
+def _since_s(surface: SurfaceAudit, fault: Fault) -> float:
+    """When a fault began; or when its reading froze to the last bit, if that was before it showed [s]."""
+    if surface.residuals is None:
+        return fault.start_s
+    measured_deg, time_s = surface.residuals.measured_deg, surface.residuals.time_s
+    seen = np.flatnonzero(np.isfinite(measured_deg) & (time_s <= fault.alarm_s))
+    if seen.size == 0:
+        return fault.start_s
+    other = np.flatnonzero(measured_deg[seen] != measured_deg[seen[-1]])
+    first = int(other[-1]) + 1 if other.size else 0
+    frozen = seen.size - first >= _FROZEN_SAMPLES
+    return min(fault.start_s, float(time_s[seen[first]])) if frozen else fault.start_s
+
+
+def _stands_still(surface: SurfaceAudit, at_s: float) -> bool:
+    """Whether its readings stop at this time, or freeze to the last bit although it is asked to move, without alarm."""
+    seen = surface.residuals
+    if seen is None:
+        return False
+    known = np.isfinite(seen.measured_deg)
+    time_s, measured_deg, simulated_deg = seen.time_s[known], seen.measured_deg[known], seen.simulated_deg[known]
+    begin, end = np.searchsorted(time_s, (at_s + _STILL_TOGETHER_S, at_s + 2.0 * _STILL_TOGETHER_S))
+    if begin == end:
+        return bool(begin > 0 and time_s[begin - 1] >= at_s - _STILL_TOGETHER_S)
+    froze = end - begin >= _FROZEN_SAMPLES and np.ptp(measured_deg[begin:end]) == 0.0
+    return bool(froze and np.ptp(simulated_deg[begin:end]) > _ASKED_DEG)
+
+
+def _is_at(start_s: float, at_s: float, within_s: float = _TOGETHER_S) -> bool:
+    return 0.0 <= start_s - at_s <= within_s
+
+
+def _cause(struck: Sequence[tuple[str, Fault]], still: Sequence[str], at_s: float, first_s: float) -> CommonCause:
+    """What happened to all of them, and what to look at."""
+    names = tuple([name for name, _ in struck] + list(still))
+    faults = [fault for _, fault in struck]
+    ends_s = [fault.end_s for fault in faults if fault.end_s is not None]
+    end_s = float(np.median(ends_s)) if len(ends_s) == len(faults) else None
+    count = f"{len(names)} surfaces left their models together at {at_s:.2f} s"
+    slow = [fault for fault in faults if "slow" in (fault.kind, *fault.alternatives)]
+    if at_s - first_s <= _AT_START_S:
+        text = f"{count}: look for a wrong servo type, calibration or pairing (--servo unknown fits servos to this log)"
+        return CommonCause("servo_type", at_s, end_s, names, text)
+    if 2 * sum("unpowered" in (fault.kind, *_confirming(fault)) for fault in faults) > len(faults):
+        text = f"{len(names)} servos draw no current since {at_s:.2f} s: look at their supply, its fuse and its plugs"
+        return CommonCause("supply", at_s, end_s, names, text)
+    if still or 2 * sum(fault.kind in _FROZEN for fault in faults) > len(faults):
+        until = "" if end_s is None else f", for {end_s - at_s:.1f} s"
+        text = f"{count}: their positions stand still{until}; look for a frozen or late bus, or a failed supply"
+        return CommonCause("bus", at_s, end_s, names, text)
+    if 2 * len(slow) > len(faults):
+        shares = [f.parameters["bandwidth_scale"].value for f in slow if "bandwidth_scale" in f.parameters]
+        speed = f"{float(np.median(shares)):.0%} of their speed" if shares else "less than their speed"
+        text = f"{len(names)} servos have {speed} since {at_s:.2f} s: measure their supply under load"
+        return CommonCause("supply", at_s, end_s, names, text)
+    return CommonCause("unknown", at_s, end_s, names, f"{count}: look at the servo supply, the bus and the clocks")
+
+
+def _confirming(fault: Fault) -> tuple[str, ...]:
+    """What another witness takes the fault for."""
+    return () if fault.confirmed_by is None else (fault.confirmed_by.kind,)
+
+
+def _convicted(surface: SurfaceAudit, given: Fault, *, is_fallen: bool) -> SurfaceAudit:
+    """The surface at fault of what it was suspected of, since others show the same at once, or their supply fell."""
+    is_slow = "slow" in (given.kind, *given.alternatives)
+    if given in surface.faults or not (is_slow or is_fallen):
+        return surface
+    fault = replace(given, kind="slow" if is_slow else given.kind, level="fault")
+    suspicions = tuple(one for one in surface.suspicions if one is not given)
+    faults = tuple(sorted((*surface.faults, fault), key=lambda one: one.start_s))
+    reason = f"{SERVO_OR_SENSOR}{'; then '.join(describe(one) for one in faults)}; others show the same at once"
+    return replace(surface, status="fault", faults=faults, suspicions=suspicions, reason=reason)
+
+
+def _excused(surface: SurfaceAudit, at_s: float, cause: CommonCause) -> SurfaceAudit:
+    """The surface without the faults of an instant that are no servo's, and with the sentence."""
+    text = f"{cause.text}: one cause, and no servo's"
+    shared = [fault for fault in surface.faults if _is_at(_since_s(surface, fault), at_s)]
+    own = tuple(fault for fault in surface.faults if fault not in shared)
+    common = tuple(replace(fault, level="suspect") for fault in shared)
+    suspicions = tuple(sorted((*surface.suspicions, *common), key=lambda fault: fault.start_s))
+    if own:
+        whole, left = ("; then ".join(describe(fault) for fault in faults) for faults in (surface.faults, own))
+        reason = f"{surface.reason.replace(whole, left)}; {text}"
+        return replace(surface, faults=own, suspicions=suspicions, reason=reason)
+    return replace(surface, status="suspect", faults=(), suspicions=suspicions, reason=text)
