@@ -29,8 +29,13 @@ _SENT = re.compile(r"(?:.*:)?(?:NVF|NVAL|NAMED_VALUE_FLOAT)\[SRVA(\d+)\]\.[vV]al
 _UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
 _EARLY = 0.1
 """Share of a refresh by which the next one may come early."""
-_REVERSED, _OFTEN = 0.5, 0.05
-"""Share of readings that are below zero of a sensor that is wired the wrong way round, and at one end of a range."""
+_MOST_A, _SELDOM = 100.0, 0.01
+"""More than any servo of an aircraft of this size draws, stalled ones of the largest less than 20 A; and the share of
+readings that may be none [A]."""
+_REVERSED = 2.0
+"""Times as far below zero as above it that a sensor reads which is wired the wrong way round."""
+_OFTEN, _PILED = 0.05, 2.0
+"""Share of readings at the end of a range, and how many times as many as at the step before."""
 
 
 class CurrentChannel(NamedTuple):
@@ -157,16 +162,27 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
         )
     fresh = _fresh(time_s, current_a)
     time_s, current_a = time_s[fresh], current_a[fresh]
-    below = float(np.mean(current_a < 0.0))
-    if below > _REVERSED and float(np.mean(current_a)) < -float(np.std(current_a)):
-        raise NoMeasurement(
-            f"current channel {source.channel!r} is negative in {below:.0%} of its readings: its sensor is wired the "
-            "wrong way round"
-        )
     notes = []
-    at_end = float(np.mean(current_a == current_a.max()))
-    if at_end > _OFTEN and np.unique(current_a).size > 2 / _OFTEN:
-        notes.append(f"its current reads {current_a.max():.3g} A in {at_end:.0%} of its readings: the end of its range")
+    absurd = np.abs(current_a) > _MOST_A
+    if float(np.mean(absurd)) > _SELDOM:
+        raise NoMeasurement(
+            f"current channel {source.channel!r} reads up to {np.abs(current_a).max():.4g} A, which no servo draws: say in "
+            "which unit it is, A or mA (a column <surface>_current_ma, or unit = ... in the aircraft file); counts have to "
+            "be converted"
+        )
+    if absurd.any():
+        notes.append(f"{np.count_nonzero(absurd)} of its currents are beyond {_MOST_A:g} A and left out")
+        time_s, current_a = time_s[~absurd], current_a[~absurd]
+    low_a, high_a = np.quantile(current_a, (_SELDOM, 1.0 - _SELDOM)).tolist()
+    if -low_a > _REVERSED * max(high_a, 0.0) and float(np.mean(current_a)) < 0.0:
+        raise NoMeasurement(
+            f"current channel {source.channel!r} falls to {low_a:.2g} A where others rise, to {high_a:.2g} A at most: its "
+            "sensor is wired the wrong way round"
+        )
+    steps, counts = np.unique(current_a, return_counts=True)
+    if counts[-1] > max(_OFTEN * current_a.size, _PILED * counts[-2]):
+        share = counts[-1] / current_a.size
+        notes.append(f"its current reads {steps[-1]:.3g} A in {share:.0%} of its readings: the end of its range")
     return CurrentChannel(time_s, current_a, *_volts(log, source.voltage), tuple(notes))
 
 

@@ -164,6 +164,11 @@ def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: Curren
     read = read_current(log, source)
     surface = aircraft.surfaces[name]
     command_s, command_deg = asked(surface, channel_of(log, surface.command.channel, "command"))
+    if not command_s[0] <= read.time_s[-1] or not read.time_s[0] <= command_s[-1]:
+        raise NoMeasurement(
+            f"current channel {source.channel!r} has a clock of its own: read from {read.time_s[0]:.6g} to "
+            f"{read.time_s[-1]:.6g} s, commands from {command_s[0]:.6g} to {command_s[-1]:.6g} s"
+        )
     airspeed_s, airspeed_m_s = signal_of(log, SURROUNDINGS["airspeed_m_s"])
     volts_s, volts_v = (read.voltage_s, read.voltage_v)
     if not volts_s.size:

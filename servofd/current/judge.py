@@ -240,7 +240,7 @@ def no_witness(known: CalibratedCurrent) -> str:
     """Why a current is none, in words."""
     return (
         f"its current goes with only {max(known.explained_share, 0.0):.0%} of what it was asked to do: check that it "
-        "is the current of this servo, or record a minute of fast movements"
+        "is the current of this servo, on the clock of its commands, or record a minute of fast movements"
     )
 
 
