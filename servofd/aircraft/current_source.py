@@ -166,9 +166,9 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     absurd = np.abs(current_a) > _MOST_A
     if float(np.mean(absurd)) > _SELDOM:
         raise NoMeasurement(
-            f"current channel {source.channel!r} reads up to {np.abs(current_a).max():.4g} A, which no servo draws: say in "
-            "which unit it is, A or mA (a column <surface>_current_ma, or unit = ... in the aircraft file); counts have to "
-            "be converted"
+            f"current channel {source.channel!r} reads up to {np.abs(current_a).max():.4g} A, which no servo draws: say "
+            'which unit it is in (a column <surface>_current_ma, or unit = "mA" in the aircraft file); counts have to be '
+            "converted"
         )
     if absurd.any():
         notes.append(f"{np.count_nonzero(absurd)} of its currents are beyond {_MOST_A:g} A and left out")
@@ -176,8 +176,8 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     low_a, high_a = np.quantile(current_a, (_SELDOM, 1.0 - _SELDOM)).tolist()
     if -low_a > _REVERSED * max(high_a, 0.0) and float(np.mean(current_a)) < 0.0:
         raise NoMeasurement(
-            f"current channel {source.channel!r} falls to {low_a:.2g} A where others rise, to {high_a:.2g} A at most: its "
-            "sensor is wired the wrong way round"
+            f"current channel {source.channel!r} falls to {low_a:.2g} A where others rise, to {high_a:.2g} A at most: "
+            "its sensor is wired the wrong way round"
         )
     steps, counts = np.unique(current_a, return_counts=True)
     if counts[-1] > max(_OFTEN * current_a.size, _PILED * counts[-2]):

@@ -200,8 +200,8 @@ def _status(
         return "healthy", f"its current is as in its good flights ({ratio or 1.0:.2f} times theirs in motion)"
     from_s, to_s = known.fitted_between_s
     return "healthy", (
-        f"its current is as from {from_s:.0f} to {to_s:.0f} s of this log: would have shown a servo that is blocked or "
-        "has no power, and not one that wears"
+        f"its current is as from {from_s:.0f} to {to_s:.0f} s of this log: would have shown a servo that becomes "
+        "blocked or loses its power, and not one that was so from the beginning, or wears"
     )
 
 
@@ -437,7 +437,7 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[Account]:
     rest = min(max(float(np.median(drawn)), 0.0), idle)
     unpowered = each * _misfit(seen, use, "unpowered", rest)
     yield Account("unpowered", unpowered, 1.0, {"current_a": Estimate.of(rest, still)})
-    yield from _blocked(seen, use, drawn - idle)
+    yield from _blocked(seen, use, drawn - idle, _least_stall(seen))
     wider = np.zeros((count + 1, count + 1))
     wider[:count, :count] = precision
     wider[-1, -1] = _FLAT
@@ -450,12 +450,14 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[Account]:
         yield Account("binding", nats(left, more), cost, {"times": Estimate.of(1.0 + float(best[-1]), deviation)})
 
 
-def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[Account]:
-    """Stalled wherever the command is away from some place: where it stands, and what it draws, are free."""
+def _blocked(seen: Seen, use: IntArray, pushed: FloatArray, least: float) -> Iterator[Account]:
+    """Stalled wherever the command is away from some place: where it stands, and what it draws, are free.
+
+    `least` is what a stalled servo draws at least.
+    """
     motion, known = seen.series.motion, seen.known
     time_s = seen.series.time_s[use]
     motion = motion.within(time_s[0] - known.lag_s - known.width_s - 1.0, time_s[-1])
-    least = _least_stall(seen)
     if not motion.time_s.size or np.count_nonzero(pushed > _STALL_SPREAD * least) < 2:
         return
     asked = np.quantile(motion.asked_deg, np.linspace(0.0, 1.0, _PLACES))

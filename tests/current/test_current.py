@@ -122,6 +122,10 @@ def test_a_position_that_follows_takes_back_what_an_unknown_current_looks_like(t
         (lambda text: text.replace("aileron_current_a", "aileron_current"), "has no unit"),
         (lambda text: _current(text, lambda value: 0.0 * value), "never changes"),
         (lambda text: _current(text, lambda value: -value - 0.2), "wired the wrong way round"),
+        (lambda text: _current(text, lambda value: -value), "wired the wrong way round"),
+        (lambda text: _current(text, lambda value: 1e3 * value), "which no servo draws"),
+        (lambda text: _current(text, lambda value: 512.0 + round(value / 8e-4)), "counts have to be converted"),
+        (lambda text: _later(text, 1.7e9), "has a clock of its own"),
         (lambda text: _current(text, lambda value: value * float("nan")), "holds no value"),
     ],
 )
@@ -134,6 +138,21 @@ def test_bad_currents_end_in_one_line(tmp_path: Path, change: object, said: str)
     assert found["aileron"].status in ("no_data", "unknown")
 
 
+def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_text(_current(flown(5, 10.0, "blocked").csv("aileron"), lambda value: min(value, 0.3)))
+    assert "the end of its range" in servofd.audit(path)["aileron"].reason
+
+
+def test_a_current_that_begins_in_mid_flight_is_judged_from_there(tmp_path: Path) -> None:
+    log = written(tmp_path / "flight.csv", flown(5, 10.0, "blocked"))
+    head, *rows = _lines(log)
+    late = [row if float(row.partition(",")[0]) > 40.0 else row.rpartition(",")[0] + "," for row in rows]
+    Path(log).write_text("\n".join([head, *late]) + "\n")
+    (fault,) = servofd.audit(log)["aileron"].faults
+    assert fault.kind == "blocked"
+
+
 def test_a_current_that_stands_still_for_a_part_of_the_log_ends_in_a_verdict(tmp_path: Path) -> None:
     """A part of it that never changes tells nothing of the servo, and the others do."""
     path, kept = tmp_path / "flight.csv", iter(range(10**6))
@@ -143,6 +162,16 @@ def test_a_current_that_stands_still_for_a_part_of_the_log_ends_in_a_verdict(tmp
 
 def _lines(log: str) -> list[str]:
     return Path(log).read_text().splitlines()
+
+
+def _later(text: str, by_s: float) -> str:
+    """The same table with the rows of its last column on another clock."""
+    head, *rows = text.splitlines()
+    told = [
+        f"{float(row.partition(',')[0]) + by_s},{row.partition(',')[2]}" if not row.endswith(",") else row
+        for row in rows
+    ]
+    return "\n".join([head, *told]) + "\n"
 
 
 def _current(text: str, change: object) -> str:
