@@ -166,8 +166,8 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     absurd = np.abs(current_a) > _MOST_A
     if float(np.mean(absurd)) > _SELDOM:
         raise NoMeasurement(
-            f"current channel {source.channel!r} reads up to {np.abs(current_a).max():.4g} A, which no servo draws: say "
-            'which unit it is in (a column <surface>_current_ma, or unit = "mA" in the aircraft file); counts have to be '
+            f"current channel {source.channel!r} reads up to {np.abs(current_a).max():.4g} A, which no servo draws: "
+            'say in which unit (a column <surface>_current_ma, or unit = "mA" in the aircraft file); counts have to be '
             "converted"
         )
     if absurd.any():

@@ -437,7 +437,7 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[Account]:
     rest = min(max(float(np.median(drawn)), 0.0), idle)
     unpowered = each * _misfit(seen, use, "unpowered", rest)
     yield Account("unpowered", unpowered, 1.0, {"current_a": Estimate.of(rest, still)})
-    yield from _blocked(seen, use, drawn - idle, _least_stall(seen))
+    yield from _blocked(seen, use, drawn - idle)
     wider = np.zeros((count + 1, count + 1))
     wider[:count, :count] = precision
     wider[-1, -1] = _FLAT
@@ -450,37 +450,34 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[Account]:
         yield Account("binding", nats(left, more), cost, {"times": Estimate.of(1.0 + float(best[-1]), deviation)})
 
 
-def _blocked(seen: Seen, use: IntArray, pushed: FloatArray, least: float) -> Iterator[Account]:
-    """Stalled wherever the command is away from some place: where it stands, and what it draws, are free.
-
-    `least` is what a stalled servo draws at least.
-    """
+def _blocked(seen: Seen, use: IntArray, pushed: FloatArray) -> Iterator[Account]:
+    """Stalled wherever the command is away from some place: where it stands, and what it draws, are free."""
     motion, known = seen.series.motion, seen.known
     time_s = seen.series.time_s[use]
     motion = motion.within(time_s[0] - known.lag_s - known.width_s - 1.0, time_s[-1])
+    least = _least_stall(seen)
     if not motion.time_s.size or np.count_nonzero(pushed > _STALL_SPREAD * least) < 2:
         return
     asked = np.quantile(motion.asked_deg, np.linspace(0.0, 1.0, _PLACES))
     places = np.unique(np.append(asked, motion.deflection_deg[0]))
     for slack_deg in _SLACK_DEG:
         shares = _shares(seen, time_s, places, slack_deg)
-        for place, share in zip(places.tolist(), shares.T, strict=True):
-            far = share > 0.5
-            if np.count_nonzero(far) < 2:
-                continue
-            full = pushed[far] / share[far]
-            stall = float(np.median(full))
-            lasts_s = np.count_nonzero(far) * seen.series.period_s
-            needed_s = _SOON_S if stall > _STALL * known.most_a else _LASTS_S
-            if stall < least or np.quantile(full, 0.1) < _ALWAYS * stall or lasts_s < needed_s:
-                continue
+        far = shares > 0.5
+        count = far.sum(axis=0)
+        full = np.sort(np.where(far, pushed[:, None] / np.maximum(shares, 0.5), np.inf), axis=0)
+        least_of_ten, middle = (full[np.maximum(count - 1, 0) * tenths // 10, range(places.size)] for tenths in (1, 5))
+        needed_s = np.where(middle > _STALL * known.most_a, _SOON_S, _LASTS_S)
+        stalls = (count > 1) & (middle >= least) & (least_of_ten >= _ALWAYS * middle)
+        stalls &= count * seen.series.period_s >= needed_s
+        for place in np.flatnonzero(stalls).tolist():
+            stall = float(middle[place])
             yield Account(
                 "blocked",
-                each_of(seen.series) * _misfit(seen, use, "blocked", stall, share),
+                each_of(seen.series) * _misfit(seen, use, "blocked", stall, shares[:, place]),
                 float(np.log(places.size * len(_SLACK_DEG))),
                 {
-                    "current_a": Estimate.of(stall, _STALL_SPREAD * stall / float(np.sqrt(np.count_nonzero(far)))),
-                    "position_deg": Estimate.of(place, slack_deg),
+                    "current_a": Estimate.of(stall, _STALL_SPREAD * stall / float(np.sqrt(count[place]))),
+                    "position_deg": Estimate.of(float(places[place]), slack_deg),
                 },
                 slack_deg,
             )
