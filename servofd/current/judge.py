@@ -26,10 +26,10 @@ from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from servofd.aircraft.current import CalibratedCurrent
-    from servofd.core.types import FloatArray, IntArray
+    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.current.model import CurrentSeries
     from servofd.detection.verdict import Status
 
@@ -75,6 +75,8 @@ _LARGEST: Final = 8.0
 _WORTH: Final = 0.5
 """Share of its limit from which on an account of a given size is fitted."""
 GRID_S: Final = 0.5
+FOLLOWED: Final = ("unpowered", "binding", "blocked")
+"""Kinds of faults whose accounts are followed."""
 _PLACES: Final = 9
 """Places of the command's range at which a blocked servo may stand."""
 _TIMES: Final = (1.6, 2.5, 4.0)
@@ -249,12 +251,15 @@ def faults_of(seen: Seen) -> Iterator[Fault]:
     if seen.series.time_s.size < 2 or not is_witness(seen.known):
         return
     earliest_s, looked_s, looks, found = float(seen.series.time_s[0]), -np.inf, 0, 0
-    for at_s in worth_a_look(seen, _grid_s(seen)).tolist():
+    grid_s = _grid_s(seen)
+    worth = _worth(seen, grid_s)
+    for place in np.flatnonzero(np.any(list(worth.values()), axis=(0, 1))).tolist():
+        at_s = float(grid_s[place])
         looks = looks if at_s - looked_s < 2.0 * _SELDOM_S else 0
         if at_s <= earliest_s or at_s - looked_s < (_OFTEN_S if looks < _OFTEN else _SELDOM_S):
             continue
         looked_s, looks = at_s, looks + 1
-        best = _best(seen, at_s, earliest_s)
+        best = _best(seen, at_s, earliest_s, {kind: each[:, place] for kind, each in worth.items()})
         if best is None:
             continue
         so_far = _timed(seen, best, at_s, earliest_s, named_s=at_s)
@@ -282,16 +287,17 @@ def _grid_s(seen: Seen) -> FloatArray:
 
 def worth_a_look(seen: Seen, at_s: FloatArray) -> FloatArray:
     """Which of these instants an account of a given size beats the good servo at, in one of the windows [s]."""
-    largest = _followed(seen, at_s)
-    worth = np.zeros(at_s.size, dtype=bool)
-    for kind, gain in largest.items():
-        worth |= gain > _WORTH * _limit(seen.known, kind)
-    return at_s[worth]
+    return at_s[np.any(list(_worth(seen, at_s).values()), axis=(0, 1))]
+
+
+def _worth(seen: Seen, at_s: FloatArray) -> dict[str, BoolArray]:
+    """The same for each kind, in each of the windows, shape (w, g)."""
+    return {kind: gain > _WORTH * _limit(seen.known, kind) for kind, gain in _followed(seen, at_s).items()}
 
 
 def limits_of(good: Iterable[Seen], margin: float) -> dict[str, float]:
     """Nats that each account needs: `margin` times what any stretch of good flights reaches."""
-    limits = dict.fromkeys(("unpowered", "binding", "blocked"), SURE_NATS)
+    limits = dict.fromkeys(FOLLOWED, SURE_NATS)
     for seen in good:
         for kind, gain in _followed(seen, _grid_s(seen)).items():
             limits[kind] = max(limits[kind], float(f"{margin * gain.max(initial=0.0):.3g}"))
@@ -303,7 +309,7 @@ def _limit(known: CalibratedCurrent, kind: str) -> float:
 
 
 def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
-    """Nats by which each kind of fault beats the good servo in one of the windows that end at these instants, (g,)."""
+    """Nats by which each kind of fault beats the good servo in the windows that end at some instants, shape (w, g)."""
     time_s, everything = seen.series.time_s, slice(None)
     idle, motion = max(float(seen.known.theta[0]), 0.0), seen.series.motion
     good = _nats(seen.series.current_a - seen.healthy_a, seen.noise_a)
@@ -323,7 +329,7 @@ def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
     for kind, accounts in gains.items():
         if accounts:
             sums = Sums.running((np.clip(one, -_LARGEST, _LARGEST) for one in accounts), seen.usable)
-            best = np.max([sums.between(first, last).products.max(axis=0) for first in begins], axis=0)
+            best = np.array([sums.between(first, last).products.max(axis=0) for first in begins])
             largest[kind] = each_of(seen.series) * best
     return largest
 
@@ -362,16 +368,20 @@ def largest_of(good: Sequence[Seen]) -> float:
     return float(np.quantile(healthy_a, 0.99)) if healthy_a.size else 0.0
 
 
-def _best(seen: Seen, at_s: float, earliest_s: float) -> Account | None:
-    """The fault that beats every healthy servo of the last seconds by its limit; None if none does."""
+def _best(seen: Seen, at_s: float, earliest_s: float, worth: Mapping[str, BoolArray]) -> Account | None:
+    """The fault that beats every healthy servo of the last seconds by its limit; None if none does.
+
+    `worth` are the windows in which each kind may, shape (w,).
+    """
     time_s = seen.series.time_s
     surest, least = None, 1.0
     last = int(np.searchsorted(time_s, at_s, side="right"))
-    for look_s in LOOKS_S:
+    for place, look_s in enumerate(LOOKS_S):
+        kinds = [kind for kind, each in worth.items() if each[place]]
         rows = slice(int(np.searchsorted(time_s, max(at_s - look_s, earliest_s))), last)
-        if np.count_nonzero(seen.usable[rows]) < 2:
+        if not kinds or np.count_nonzero(seen.usable[rows]) < 2:
             continue
-        healthy, *others = _accounts(seen, rows)
+        healthy, *others = _accounts(seen, rows, kinds)
         for other in others:
             rest = [each for each in others if each.kind == "binding" and each is not other]
             gain = min(healthy.total, *(each.total for each in rest), np.inf) - other.total
@@ -406,8 +416,8 @@ def _between(seen: Seen, from_s: float, to_s: float) -> slice:
     return slice(*np.searchsorted(seen.series.time_s, (from_s, np.nextafter(to_s, np.inf))).tolist())
 
 
-def _accounts(seen: Seen, rows: slice) -> Iterator[Account]:
-    """The healthy account of some readings first, then those of faults."""
+def _accounts(seen: Seen, rows: slice, kinds: Collection[str] = FOLLOWED) -> Iterator[Account]:
+    """The healthy account of some readings first, then those of faults; one that binds may be what others look like."""
     use = np.flatnonzero(seen.usable[rows]) + (rows.start or 0)
     table, drawn = seen.slopes[use], seen.series.current_a[use]
     noise, count = seen.noise_a[use], len(NAMES)
@@ -434,10 +444,12 @@ def _accounts(seen: Seen, rows: slice) -> Iterator[Account]:
     left, best, _ = fitted(table, precision)
     yield Account("healthy", nats(left, noise), 0.5 * float(best @ precision @ best), {})
     still, idle = seen.known.noise.still_a, max(float(seen.known.theta[0]), 0.0)
-    rest = min(max(float(np.median(drawn)), 0.0), idle)
-    unpowered = each * _misfit(seen, use, "unpowered", rest)
-    yield Account("unpowered", unpowered, 1.0, {"current_a": Estimate.of(rest, still)})
-    yield from _blocked(seen, use, drawn - idle)
+    if "unpowered" in kinds:
+        rest = min(max(float(np.median(drawn)), 0.0), idle)
+        unpowered = each * _misfit(seen, use, "unpowered", rest)
+        yield Account("unpowered", unpowered, 1.0, {"current_a": Estimate.of(rest, still)})
+    if "blocked" in kinds:
+        yield from _blocked(seen, use, drawn - idle)
     wider = np.zeros((count + 1, count + 1))
     wider[:count, :count] = precision
     wider[-1, -1] = _FLAT
