@@ -10,7 +10,7 @@ import numpy as np
 from servofd.aircraft.current_source import current_sources, read_current, supplies
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
-from servofd.current.judge import judge_current, largest_of, limits_of, pushed, tells_motion, verdict_of
+from servofd.current.judge import faults_of, largest_of, limits_of, pushed, tells_motion, verdict_of
 from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
@@ -188,8 +188,9 @@ def _judged(
         known = aircraft.surfaces[name].healthy_current or own_current(series)
     except (NoMeasurement, CalibrationError) as error:
         return CurrentAudit("unknown", str(error))
-    found = judge_current(series, known, before)
-    before.append(features_of(see(series, known)))
+    seen = see(series, known)
+    found = verdict_of(seen, tuple(faults_of(seen)), before)
+    before.append(features_of(seen))
     if (
         surface.status == "healthy"
         and aircraft.surfaces[name].healthy_current is None

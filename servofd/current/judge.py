@@ -21,7 +21,7 @@ import numpy as np
 from servofd.aircraft.current import NAMES
 from servofd.core.statistics import Estimate
 from servofd.core.windows import Sums, split
-from servofd.current.model import Seen, see
+from servofd.current.model import Seen
 from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
 
@@ -92,14 +92,8 @@ _ALWAYS: Final = 0.35
 """Share of its stall that a blocked servo draws in nine of ten readings at which it is asked to be elsewhere."""
 
 
-def judge_current(series: CurrentSeries, known: CalibratedCurrent, before: Sequence[FloatArray] = ()) -> CurrentAudit:
-    """Judge one surface by its current; wear with what `features_of` tells of cycles `before` it."""
-    seen = see(series, known)
-    return verdict_of(seen, tuple(faults_of(seen)), before)
-
-
 def verdict_of(seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] = ()) -> CurrentAudit:
-    """What is said of one surface by its current, and the faults that it shows."""
+    """What is said of one surface by its current and its faults; of wear, with `features_of` cycles `before` it."""
     series, known = seen.series, seen.known
     faults = tuple(fault for fault in found if fault.level == "fault")
     suspicions = tuple(fault for fault in found if fault.level == "suspect") or (() if faults else worn(seen, before))
@@ -318,11 +312,12 @@ def _followed(seen: Seen, at_s: FloatArray) -> dict[str, FloatArray]:
         "binding": [good - _misfit(seen, everything, "binding", times) for times in _TIMES],
         "blocked": [],
     }
-    least = _least_stall(seen)
-    if np.count_nonzero(seen.series.current_a - idle > _ALWAYS * least) > 1 and motion.known.any():
+    pushed_a, least = seen.series.current_a - idle, _least_stall(seen)
+    stalls = [least * n for n in _STALLS if np.count_nonzero(pushed_a > _ALWAYS * least * n) > 1]
+    if stalls and motion.known.any():
         places = np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, _PLACES))
         for share in _shares(seen, time_s, places, _SLACK_DEG[1]).T:
-            gains["blocked"] += [good - _misfit(seen, everything, "blocked", least * n, share) for n in _STALLS]
+            gains["blocked"] += [good - _misfit(seen, everything, "blocked", stall, share) for stall in stalls]
     last = np.searchsorted(time_s, at_s, side="right")
     begins = [np.searchsorted(time_s, at_s - look_s) for look_s in LOOKS_S]
     largest = {}

@@ -22,7 +22,7 @@ from servofd.batch.local import run_local
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.core.statistics import Estimate
 from servofd.current.audit import current_series
-from servofd.current.judge import judge_current
+from servofd.current.judge import faults_of, verdict_of
 from servofd.current.model import see
 from servofd.current.wear import followed_limits, quantities_of
 from servofd.detection.audit import audit_segment
@@ -131,9 +131,9 @@ def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> _Shown | None:
     known, source = aircraft.surfaces[name].healthy_current, sources.get(name)
     if known is None or source is None or [one.channel for one in sources.values()].count(source.channel) > 1:
         return None  # a wire that several servos share wears for none of them
-    series = current_series(log, name, aircraft, source)
-    verdict = judge_current(series, known)
-    return _Shown(quantities_of(see(series, known)), {}, verdict.reason if verdict.faults else "")
+    seen = see(current_series(log, name, aircraft, source), known)
+    verdict = verdict_of(seen, tuple(faults_of(seen)))
+    return _Shown(quantities_of(seen), {}, verdict.reason if verdict.faults else "")
 
 
 def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
