@@ -21,7 +21,7 @@ import numpy as np
 from servofd.aircraft.current import NAMES
 from servofd.core.statistics import Estimate
 from servofd.core.windows import Sums, split
-from servofd.current.model import Seen
+from servofd.current.model import Seen, see
 from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
 
