@@ -59,8 +59,8 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
     events: tuple[CommonCause, ...] = ()
     for names in by_channel.values():
         if len(names) > 1:
-            told, new = _together(log, aircraft, verdicts, sources, names)
-            currents, events = currents | told, events + new
+            found, new = _together(log, aircraft, verdicts, sources, names)
+            currents, events = currents | found, events + new
         elif names[0] in verdicts:
             name = names[0]
             currents[name] = _judged(log, aircraft, verdicts[name], sources[name], cycles.setdefault(name, []))
@@ -147,7 +147,9 @@ def healthy_currents(
             update={"moving_a": round(largest_of([see(each, current) for each in flights]), 4)}
         )
         seen = [see(each, current) for each in flights]
-        alone = all(name not in names for names in wires if len(names) > 1)  # spread is of nobody's where several draw
+        alone = all(
+            name not in names for names in wires if len(names) > 1
+        )  # where several draw, spread is of none alone
         wear = wear_of([features_of(each) for each in seen], usual_a) if alone else None
         found[name] = current.model_copy(update={"wear": wear, "limits": limits_of(seen, _MARGIN)})
     return found, {name: reason for name, reason in reasons.items() if name not in found}

@@ -2,7 +2,7 @@
 
 What each draws for its motion is fitted to good flights together, so that the reading less the motion of the others is
 the current of one. A fault that is found in it may be of whoever explains the reading as well: servos that are asked
-for the same, or the opposite, at once are not told apart by what they draw together.
+for the same, or the opposite, at once cannot be distinguished by what they draw together.
 """
 
 from __future__ import annotations
@@ -125,8 +125,8 @@ def faults_of_wire(
         is_of_one = len(accounts) < len(seen) or any(one.kind != "unpowered" for one in accounts.values())
         for name, account in accounts.items():
             known = first.probability / (len(accounts) if is_of_one else 1)
-            told = replace(first, kind=account.kind, parameters=account.parameters, alternatives=(), probability=known)
-            found[name].append(told)
+            own = replace(first, kind=account.kind, parameters=account.parameters, alternatives=(), probability=known)
+            found[name].append(own)
         if len(accounts) > 1 and is_of_one:
             causes.append(_one_of(seen, found, list(accounts)))
     return found, tuple(causes)
