@@ -318,6 +318,23 @@ def test_a_servo_that_rests_at_its_stop_and_leaves_it_fast_is_not_held(tmp_path:
     assert not series.repeats.any()
 
 
+@pytest.mark.parametrize("is_known_to_hold", [False, True])
+def test_an_extreme_is_held_where_a_value_was_held_just_before(is_known_to_hold: bool, tmp_path: Path) -> None:
+    """A servo in rough motion may rest at a stop; a telemetry that held a value just before may hold that one."""
+    time_s = np.arange(0.0, 30.0, 0.1)
+    moving_deg = np.round(3.0 * np.random.default_rng(4).uniform(-1.0, 1.0, time_s.size), 1)
+    position_deg, first = moving_deg.copy(), 200
+    position_deg[first : first + 5] = 4.0  # beyond all that came before
+    position_deg[first + 5] = 7.0
+    if is_known_to_hold:
+        position_deg[first - 6] = 1.2
+        position_deg[first - 5 : first - 2] = 0.2
+        position_deg[first - 2] = -1.5
+    columns = {"time_s": time_s, "rudder_cmd_deg": moving_deg, "rudder_pos_deg": position_deg}
+    series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
+    assert (series.why[first + 1 : first + 5] == Why.HELD).tolist() == [is_known_to_hold] * 4
+
+
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_a_spike_in_a_flight_with_much_manoeuvring_is_marked(rows: int, tmp_path: Path) -> None:
     rng = np.random.default_rng([8, rows])

@@ -55,6 +55,19 @@ def test_columns_that_say_nothing_change_nothing(tmp_path: Path, words: str, mor
     assert "FAULT" not in found.answer
 
 
+def test_a_servo_whose_commands_were_not_logged_for_a_while_has_no_fault(tmp_path: Path) -> None:
+    """It moves on meanwhile, by commands that nobody knows: those 2 s are no part of the comparison."""
+    path = written(tmp_path / "log.csv")
+    lines = path.read_text().splitlines()
+    for k in range(3001, 3401):
+        time_s, _, reading = lines[k].split(",")
+        lines[k] = f"{time_s},,{reading}"
+    path.write_text("\n".join(lines) + "\n")
+    found = explain(path).explanation
+    assert found.conclusion == "nothing_missing"
+    assert found.fault_s is None
+
+
 @pytest.mark.parametrize("seconds", [0.2, 3.0])
 def test_a_log_that_is_too_short_is_one_line(tmp_path: Path, seconds: float) -> None:
     lines = written(tmp_path / "log.csv").read_text().splitlines()
