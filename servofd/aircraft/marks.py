@@ -500,20 +500,35 @@ _ECHOES: Final = 3
 
 
 def _echoes(rows: Rows, why: Marks) -> int:
-    """Mark positions that equal a moving command; the first row that is not decided yet."""
+    """Mark positions that equal a moving command, or jump onto one at rest; the first row that is not decided yet."""
     asked_deg = rows.asked_deg
     equal = np.abs(rows.position_deg - asked_deg) <= TINY_DEG * np.maximum(1.0, np.abs(asked_deg))
     if not equal[rows.decided :].any():
         return equal.size
     new = equal & (np.abs(np.diff(asked_deg, prepend=asked_deg[0])) > TINY_DEG)
-    if not new.any():
+    onto = equal & _is_unasked(rows)
+    if not (new | onto).any():
         return equal.size
     run = np.cumsum(~equal)  # rows of one stretch of equality have the same number
-    echoed = np.bincount(run[new], minlength=int(run[-1]) + 1) >= _ECHOES
-    since = np.full(int(run[-1]) + 1, equal.size)
-    np.minimum.at(since, run[new], np.flatnonzero(new))
+    rows_of = int(run[-1]) + 1
+    echoed = np.bincount(run[new], minlength=rows_of) >= _ECHOES
+    echoed |= (np.bincount(run[onto], minlength=rows_of) > 0) & (np.bincount(run[equal], minlength=rows_of) >= _ECHOES)
+    since = np.full(rows_of, equal.size)
+    np.minimum.at(since, run[new | onto], np.flatnonzero(new | onto))
     why[equal & echoed[run] & (np.arange(equal.size) >= since[run])] = Why.ECHO
     return int(since[run[-1]]) if equal[-1] and not echoed[run[-1]] else equal.size
+
+
+def _is_unasked(rows: Rows) -> BoolArray:
+    """Readings that jump by more than noise does although no command of the last half second asked for it."""
+    moved_deg = np.where(np.isfinite(rows.position_deg), moved(rows.position_deg), 0.0)
+    step_deg = np.minimum(np.minimum.accumulate(np.where(moved_deg > TINY_DEG, moved_deg, np.inf)), rows.step_deg)
+    jumps = np.flatnonzero((moved_deg > np.maximum(ASKED_DEG, _STEPS * step_deg)) & np.isfinite(moved_deg))
+    unasked = np.zeros(moved_deg.size, dtype=bool)
+    for k in jumps.tolist():
+        begin = int(np.searchsorted(rows.time_s, rows.time_s[k] - _ASKED_BEFORE_S))
+        unasked[k] = np.ptp(rows.asked_deg[begin : k + 1]) < _ASKED_FOR * moved_deg[k]
+    return unasked
 
 
 _LEAST_COMMAND_SPIKE_DEG: Final = 2.0

@@ -318,6 +318,16 @@ def test_a_servo_that_rests_at_its_stop_and_leaves_it_fast_is_not_held(tmp_path:
     assert not series.repeats.any()
 
 
+def test_a_reading_that_jumps_onto_a_command_at_rest_is_its_echo(tmp_path: Path) -> None:
+    """A servo at rest 1.4 deg beside its command does not jump onto it, bit for bit, without being asked."""
+    rng = np.random.default_rng(3)
+    position_deg = 0.2 * np.round(5.0 * (-1.4 + 0.15 * rng.standard_normal(TIME_S.size)))
+    echo = (TIME_S >= 12.0) & (TIME_S < 13.4)
+    position_deg[echo] = 0.0
+    series = one(tmp_path / "a.csv", rudder_cmd_deg=np.zeros(TIME_S.size), rudder_pos_deg=position_deg)
+    np.testing.assert_array_equal(series.why == Why.ECHO, echo)
+
+
 @pytest.mark.parametrize("is_known_to_hold", [False, True])
 def test_an_extreme_is_held_where_a_value_was_held_just_before(is_known_to_hold: bool, tmp_path: Path) -> None:
     """A servo in rough motion may rest at a stop; a telemetry that held a value just before may hold that one."""
