@@ -56,8 +56,9 @@ _FEWEST: Final = 12
 """Samples of a window."""
 _RAN_DEG = 2.0
 """What stays at an end of the travel ran there if it was further away, and else stopped there."""
-_ENDED = 1.0
-"""Seconds of one standard deviation by which the healthy servo must explain better what comes after an end."""
+_ENDED = 2.0
+"""Seconds of one standard deviation by which the healthy servo must explain better what comes after an end: by 1 a slow
+servo was cleared twice while it was slow, over a link that lost 20 % in bursts."""
 _AFTER_END_S = 1.5
 """How long the healthy servo must explain what comes after an end better [s]."""
 _ELSEWHERE: Final = 9.0
