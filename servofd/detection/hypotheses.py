@@ -10,6 +10,7 @@ other parameters had to go, and from the number of free sizes (BIC).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -22,7 +23,7 @@ from servofd.estimate.family import new_state, sensitivities, simulated, variant
 from servofd.estimate.fit import residual
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from servofd.core.types import BoolArray, ComplexArray, FloatArray
     from servofd.detection.changes import Watched
@@ -43,6 +44,8 @@ _FINER = 0.35
 """By so much, in the logarithm, a speed may be from the nearest of them: half of the largest ratio of two."""
 _WIDTHS_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 """Widths of play and dead band that are tried [deg]."""
+_STICKING_DEG = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
+"""The same of friction."""
 _LEAST_LOSS: Final = 0.95
 """Share of the gain above which nothing is lost."""
 _FLAT = 1e-8
@@ -249,25 +252,13 @@ def _guesses(window: Window) -> Iterator[Guess]:
     cost, best, covariance = window.reduced(error_deg, slopes, one)
     bias = Estimate.of(best[FITTED], float(np.sqrt(covariance[FITTED, FITTED])))
     yield Guess("bias", cost, 1, {"bias_deg": bias}, _with(theta, bias_deg=theta[1] + best[FITTED]))
-    for scale in _SCALES:
-        lost = _with(theta, gain=theta[0] * scale)
-        for behind in (False, True) if window.own is not None else (False,):
-            yield _sized(window, "loss_of_effectiveness", lost, 0, {"gain": (theta[0], 0.0)}, behind=behind)
-    for speed in _SPEEDS:
-        share, less = {"bandwidth_scale": (speed, 0.1 * speed)}, float(np.log(speed))
-        yield _sized(window, "slow", theta, None, share, less)
-        slower = _with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less)
-        yield _sized(window, "slow", slower, None, share)
-    yield from _rate_limited(window)
-    for width in _WIDTHS_DEG:
-        for name in ("deadband_deg", "play_deg"):
-            place = NAMES.index(name)
-            yield _sized(
-                window, "deadband", _with(theta, **{name: theta[place] + width}), place, {"width_deg": (1.0, 0.0)}
-            )
-        if width <= 4.0:
-            sticking = _with(theta, friction_deg=theta[NAMES.index("friction_deg")] + 0.5 * width)
-            yield _sized(window, "deadband", sticking, None, {"width_deg": (width, 0.25 * width)})
+    for behind in (False, True) if window.own is not None else (False,):
+        yield from _along(window, _SCALES, partial(_weakened, window, behind=behind))
+    for slower in (_of_less_torque, _slower, _rate_limited):
+        yield from _along(window, _SPEEDS, partial(slower, window))
+    for name in ("deadband_deg", "play_deg"):
+        yield from _along(window, _WIDTHS_DEG, partial(_loosened, window, name))
+    yield from _along(window, _STICKING_DEG, partial(_stuck_on, window))
     yield from _oscillating(window, error_deg, slopes)
     yield from _intermittent(window, error_deg)
     yield from _immobile(window)
@@ -311,19 +302,60 @@ def _sized(
     return Guess(kind, cost, 1, {name: estimate}, moved, place=place, behind=behind)
 
 
-def _rate_limited(window: Window) -> Iterator[Guess]:
-    """A servo that is as quick as ever in small motion, and turns no faster than so much."""
+def _along(window: Window, sizes: Sequence[float], guess: Callable[[float], Guess]) -> Iterator[Guess]:
+    """One kind of fault at every second size, and at the neighbours of the likeliest."""
+    found = {place: guess(sizes[place]) for place in range(0, len(sizes), 2)}
+    best = min(found, key=lambda place: _score(window, found[place]))
+    yield from found.values()
+    for place in (best - 1, best + 1):
+        if 0 <= place < len(sizes):
+            yield guess(sizes[place])
+
+
+def _weakened(window: Window, scale: float, *, behind: bool) -> Guess:
+    """A servo that moves by a share of what it is asked for."""
+    lost = _with(window.theta, gain=window.theta[0] * scale)
+    return _sized(window, "loss_of_effectiveness", lost, 0, {"gain": (window.theta[0], 0.0)}, behind=behind)
+
+
+def _slow(window: Window, theta: FloatArray, speed: float, power: float = 0.0) -> Guess:
+    return _sized(window, "slow", theta, None, {"bandwidth_scale": (speed, 0.1 * speed)}, power)
+
+
+def _of_less_torque(window: Window, speed: float) -> Guess:
+    """A servo with a share of its torque."""
+    return _slow(window, window.theta, speed, float(np.log(speed)))
+
+
+def _slower(window: Window, speed: float) -> Guess:
+    """A servo with its bandwidth and its largest speed at a share."""
+    theta, less = window.theta, float(np.log(speed))
+    return _slow(window, _with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less), speed)
+
+
+def _rate_limited(window: Window, speed: float) -> Guess:
+    """A servo that is as quick as ever in small motion, and turns no faster than a share of its speed."""
     place = NAMES.index("ln_rate")
     nominal = window.theta[place]
-    for speed in _SPEEDS:
-        limited = _with(window.theta, ln_rate=nominal + float(np.log(speed)))
-        reading_deg, slopes = window.reading(limited)
-        error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
-        _, best, _ = window.reduced(error_deg, slopes, slopes[:, [place]])
-        less = float(np.log(speed) + np.clip(best[FITTED], -_FINER, _FINER))
-        limited = _with(window.theta, ln_rate=nominal + less)
-        share = float(np.exp(less))
-        yield _sized(window, "slow", limited, None, {"bandwidth_scale": (share, 0.1 * share)})
+    limited = _with(window.theta, ln_rate=nominal + float(np.log(speed)))
+    reading_deg, slopes = window.reading(limited)
+    error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
+    _, best, _ = window.reduced(error_deg, slopes, slopes[:, [place]])
+    less = float(np.log(speed) + np.clip(best[FITTED], -_FINER, _FINER))
+    return _slow(window, _with(window.theta, ln_rate=nominal + less), float(np.exp(less)))
+
+
+def _loosened(window: Window, name: str, width_deg: float) -> Guess:
+    """A servo with more of one play."""
+    place = NAMES.index(name)
+    loose = _with(window.theta, **{name: window.theta[place] + width_deg})
+    return _sized(window, "deadband", loose, place, {"width_deg": (1.0, 0.0)})
+
+
+def _stuck_on(window: Window, width_deg: float) -> Guess:
+    """A servo with more friction."""
+    sticking = _with(window.theta, friction_deg=window.theta[NAMES.index("friction_deg")] + 0.5 * width_deg)
+    return _sized(window, "deadband", sticking, None, {"width_deg": (width_deg, 0.25 * width_deg)})
 
 
 def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[Guess]:

@@ -131,7 +131,12 @@ def new_state(count: int) -> Progress:
     >>> new_state(2).received
     0
     """
-    return Progress(machine_of(_LOOP, [_servo(_USUAL, 0.0)] * count, effects=EFFECTS).new_state())
+    return Progress(_at_rest(count).copy())
+
+
+@lru_cache(maxsize=8)
+def _at_rest(count: int) -> State:
+    return machine_of(_LOOP, [_servo(_USUAL, 0.0)] * count, effects=EFFECTS).new_state()
 
 
 def _servo(row: FloatArray, furthest_deg: float) -> Physics:
@@ -150,9 +155,9 @@ def _servo(row: FloatArray, furthest_deg: float) -> Physics:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=160)
 def _machine(table: bytes, count: int, furthest_deg: float) -> Machine:
-    """The servos of a table, made once: a stream asks for the same ones at each sample."""
+    """The servos of a table, made once: a stream asks for the same ones at each sample, and for the same faults."""
     rows = np.frombuffer(table).reshape(count, -1)
     return machine_of(_LOOP, [_servo(row, furthest_deg) for row in rows], _FINER, EFFECTS)
 
