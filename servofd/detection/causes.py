@@ -53,7 +53,7 @@ def with_common_causes(
     suspected = (fault.start_s for s in judged for fault in s.suspicions if _fell(volts, fault.start_s))
     begun_s = [_since_s(s, fault) for s in judged for fault in s.faults]
     for at_s in sorted([*begun_s, *suspected]):
-        if any(0.0 <= at_s - one.since_s <= (_WITH_IT_S if "it fell" in one.text else _TOGETHER_S) for one in causes):
+        if any(0.0 <= at_s - one.since_s <= (_WITH_IT_S if one.kind == "supply" else _TOGETHER_S) for one in causes):
             continue
         fell = _fell(volts, at_s)
         fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
