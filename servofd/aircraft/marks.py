@@ -520,14 +520,14 @@ def _echoes(rows: Rows, why: Marks) -> int:
 
 
 def _is_unasked(rows: Rows) -> BoolArray:
-    """Readings that jump by more than noise does although no command of the last half second asked for it."""
+    """Readings that jump out of a rest although no command of the last half second asked for it."""
     moved_deg = np.where(np.isfinite(rows.position_deg), moved(rows.position_deg), 0.0)
-    step_deg = np.minimum(np.minimum.accumulate(np.where(moved_deg > TINY_DEG, moved_deg, np.inf)), rows.step_deg)
-    jumps = np.flatnonzero((moved_deg > np.maximum(ASKED_DEG, _STEPS * step_deg)) & np.isfinite(moved_deg))
     unasked = np.zeros(moved_deg.size, dtype=bool)
-    for k in jumps.tolist():
+    for k in np.flatnonzero((moved_deg > ASKED_DEG) & np.isfinite(moved_deg)).tolist():
         begin = int(np.searchsorted(rows.time_s, rows.time_s[k] - _ASKED_BEFORE_S))
-        unasked[k] = np.ptp(rows.asked_deg[begin : k + 1]) < _ASKED_FOR * moved_deg[k]
+        lately_deg = max(float(moved_deg[begin:k].max(initial=0.0)), ASKED_DEG / _STEPS)
+        rested = begin > 0 and moved_deg[k] > _STEPS * lately_deg
+        unasked[k] = rested and np.ptp(rows.asked_deg[begin : k + 1]) < _ASKED_FOR * moved_deg[k]
     return unasked
 
 

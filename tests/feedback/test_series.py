@@ -321,11 +321,24 @@ def test_a_servo_that_rests_at_its_stop_and_leaves_it_fast_is_not_held(tmp_path:
 def test_a_reading_that_jumps_onto_a_command_at_rest_is_its_echo(tmp_path: Path) -> None:
     """A servo at rest 1.4 deg beside its command does not jump onto it, bit for bit, without being asked."""
     rng = np.random.default_rng(3)
-    position_deg = 0.2 * np.round(5.0 * (-1.4 + 0.15 * rng.standard_normal(TIME_S.size)))
+    position_deg = 0.2 * np.round(5.0 * (-1.4 + 0.06 * rng.standard_normal(TIME_S.size)))
     echo = (TIME_S >= 12.0) & (TIME_S < 13.4)
     position_deg[echo] = 0.0
     series = one(tmp_path / "a.csv", rudder_cmd_deg=np.zeros(TIME_S.size), rudder_pos_deg=position_deg)
     np.testing.assert_array_equal(series.why == Why.ECHO, echo)
+
+
+def test_a_slow_servo_that_arrives_at_its_command_is_no_echo(tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 30.0, 0.1)
+    asked_deg = np.where(time_s % 6.0 < 3.0, 12.0, 0.0)
+    position_deg = asked_deg.copy()
+    for first in np.flatnonzero(np.diff(asked_deg)).tolist():  # 1 s for 12 deg, the last of it in one reading
+        share = np.minimum(np.arange(11) / 10.0, 0.9)
+        share[-1] = 1.0
+        position_deg[first : first + 11] = asked_deg[first] + share * (asked_deg[first + 1] - asked_deg[first])
+    columns = {"time_s": time_s, "rudder_cmd_deg": asked_deg, "rudder_pos_deg": position_deg}
+    series = cut(one_log(table(tmp_path / "a.csv", columns)), "rudder", plain_aircraft(["rudder"]))
+    assert not (series.why == Why.ECHO).any()
 
 
 @pytest.mark.parametrize("is_known_to_hold", [False, True])
