@@ -78,11 +78,11 @@ def trend_report(document: dict[str, Any], pages: Mapping[str, str] = MappingPro
 def _verdict(document: dict[str, Any], alarms: list[str], count: str) -> str:
     """The whole trend in a sentence or two."""
     found = [(name, one) for name, all_of in document["surfaces"].items() for one in all_of["quantities"].values()]
-    limits: dict[str, list[str]] = {}
+    limits: dict[str, dict[str, list[str]]] = {}
     for name, one in found:
         if one["forecast"]["kind"] != "none":
-            limits.setdefault(name, []).append(f"{one['title']} {_when(one)}")
-    lines = [f"{spoken(name)}: {', '.join(all_of)}" for name, all_of in limits.items()]
+            limits.setdefault(_when(one), {}).setdefault(spoken(name), []).append(one["title"])
+    lines = [_beyond(when, all_of) for when, all_of in limits.items()]
     said = [f"{'; '.join(lines)}."] if lines else []
     if alarms:
         more = f" (and {len(alarms) - 1} more)" if len(alarms) > 1 else ""
@@ -92,6 +92,21 @@ def _verdict(document: dict[str, Any], alarms: list[str], count: str) -> str:
     if {one["forecast"]["reason"] for _, one in found} == {TOO_FEW}:
         return f"No limit is exceeded. {count.capitalize()}: too few for a trend."
     return "No limit is exceeded or in sight."
+
+
+def _beyond(when: str, quantities: dict[str, list[str]]) -> str:
+    """What is, or will be, beyond its limit, by surface, once for all of which the same is true.
+
+    Examples
+    --------
+    >>> _beyond("is beyond its limit", {"rudder": ["gain"], "elevator": ["gain", "bias"]})
+    'rudder (gain), elevator (gain, bias): each is beyond its limit'
+    """
+    (name, titles), *others = quantities.items()
+    if not others and len(titles) == 1:
+        return f"{name}: {titles[0]} {when}"
+    members = [f"{name} ({', '.join(titles)})" for name, titles in quantities.items()]
+    return f"{', '.join(members)}: each {when}"
 
 
 def _effect(effect: dict[str, Any], flight: dict[str, Any], axis: str) -> str:
