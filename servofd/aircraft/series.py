@@ -73,7 +73,7 @@ _WORDS: Final = {
     Why.BOOT: "of another boot",
     Why.TORQUE_OFF: "without power",
 }
-"""Reasons that a verdict names; frozen telemetry and holes are told by the second, repeats by their rate."""
+"""Reasons that a verdict names; frozen telemetry and holes are reported by the second, repeats by their rate."""
 _WORTH_TELLING: Final = 0.02
 """Share of the readings from which on it does: late answers of a bus leave out 1 % of a sound flight."""
 
@@ -182,8 +182,8 @@ class Series:
         """
         read = self.why != Why.MISSING
         shares = {words: float(np.mean(self.why[read] == why)) if read.any() else 0.0 for why, words in _WORDS.items()}
-        told = sorted(((share, words) for words, share in shares.items() if share >= _WORTH_TELLING), reverse=True)
-        parts = [f"{words} ({share:.0%}{' of its readings' if not k else ''})" for k, (share, words) in enumerate(told)]
+        left = sorted(((share, words) for words, share in shares.items() if share >= _WORTH_TELLING), reverse=True)
+        parts = [f"{words} ({share:.0%}{' of its readings' if not k else ''})" for k, (share, words) in enumerate(left)]
         return f"left out: {', '.join(parts)}" if parts else ""
 
     @property

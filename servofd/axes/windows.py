@@ -114,7 +114,7 @@ class Windows:
         )
 
     def distances(self) -> list[FloatArray]:
-        """J in the windows of each length; of the offset alone where the command cannot be told from another's."""
+        """J in the windows of each length; of the offset alone where the command may as well be another's."""
         if self.axis.own_command:
             return [distance(one) for one in self.away]
         return [distance(one.only(1), None) for one in self.away]

@@ -51,7 +51,7 @@ _LARGE_PARTS: Final = 3
 _SHORTEST_S: Final = 4.0
 """Of a part: what a servo does in less is no measure of the rest. A third of the cycles of a test stand lasts 4.3 s."""
 _TELLING_S: Final = 5.0
-"""Length of a part that can show a fault which ends: a gripper was held for 2 s by what it grips, beside a part of 4 s.
+"""Length of a part that can show a fault which ends: a gripper was held for 2 s by its load, beside a part of 4 s.
 What happens so soon in a log happens at its beginning."""
 _OWN_LIMITS: Final = 2.8
 """Times the usual limits that the part itself may reach: 2.2 in a good third with a rough landing."""
