@@ -12,7 +12,7 @@ from servofd.discrepancy.search import LIMITS, STEPS_OF_TWO_SIZES
 from servofd.estimate.record import Commands
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.fit import Fit, Fitter
@@ -129,6 +129,34 @@ class Separation:
     def document(self) -> dict[str, Any]:
         """Plain dictionary."""
         return {**asdict(self), "effects": list(self.effects), "sentence": self.sentence}
+
+
+def in_words(found: Sequence[Separation]) -> list[str]:
+    """What tells effects apart, one sentence for all that a manoeuvre tells from the same one.
+
+    Examples
+    --------
+    >>> tells = [Separation(("gain", other), "a step of 20 deg", 1.0, 6.0) for other in ("delay", "sensor_lag")]
+    >>> in_words(tells)
+    ['a step of 20 deg tells gain from delay and sensor lag (differs by 6 sigma or more)']
+    """
+    together: dict[tuple[str | None, str], list[Separation]] = {}
+    for each in found:
+        together.setdefault((each.manoeuvre, each.effects[0]), []).append(each)
+    sentences = []
+    for (manoeuvre, one), alike in together.items():
+        if len(alike) == 1:
+            sentences.append(alike[0].sentence)
+            continue
+        *others, last = (each.effects[1] for each in alike)
+        names = f"{one} from {', '.join(others)} and {last}".replace("_", " ")
+        least = min(each.sigmas for each in alike)
+        sentences.append(
+            f"no manoeuvre tells {names} by command and position alone"
+            if manoeuvre is None
+            else f"{manoeuvre} tells {names} (differs by {least:.0f} sigma or more)"
+        )
+    return sentences
 
 
 def separations(selection: Selection) -> tuple[Separation, ...]:

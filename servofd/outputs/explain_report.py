@@ -10,6 +10,7 @@ import numpy as np
 
 from servofd.core.statistics import Z_95
 from servofd.discrepancy.locate import SHOWN_SHARE, binned, maps, spectrum
+from servofd.discrepancy.separate import in_words
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Bullets, Document, Figures, Section, Table, Words
@@ -211,7 +212,7 @@ def _surface(found: Explanation, anchor: str) -> Section:
         f"these data cannot tell {spoken(tie[0])} from {' or '.join(map(spoken, tie[1:]))}"
         for tie in document["indistinguishable"]
     ]
-    said = [*document["where"], *ties, *(one.sentence for one in found.separating), *document["notes"]]
+    said = [*document["where"], *ties, *in_words(found.separating), *document["notes"]]
     on_others = "On other flights and runs, to which nothing was fitted [deg rms]"
     return Section(
         spoken(found.surface),
