@@ -68,7 +68,8 @@ def test_what_tells_two_effects_apart(
     assert words in found.manoeuvre
     assert found.sigmas == pytest.approx(found.difference_deg / NOISE_DEG)
     assert found.sigmas >= 4.0
-    assert f"tells {one[0]} from {two[0]} (differs by {found.sigmas:.0f} sigma)" in found.sentence
+    first, second = (name.replace("_", " ") for name, *_ in (one, two))
+    assert f"tells {first} from {second} (differs by {found.sigmas:.0f} sigma)" in found.sentence
 
 
 def test_what_nothing_tells_apart_is_said(record: Record) -> None:
