@@ -207,7 +207,9 @@ def _log(audit: LogAudit) -> Document:
         facts=", ".join(filter(None, facts)),
         parts=[
             Items(
-                "Surfaces", ("surface", "status", "model", "why"), [_surface(audit.aircraft, one) for one in ordered]
+                "Surfaces",
+                ("surface", "status", "model", "why"),
+                [_surface(audit.aircraft, one, len(ordered)) for one in ordered],
             ),
             Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
@@ -222,11 +224,11 @@ def _log(audit: LogAudit) -> Document:
     )
 
 
-def _surface(aircraft: Aircraft, surface: SurfaceAudit) -> Item:
+def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
     found = (*surface.faults, *surface.suspicions)
     parts: list[Part] = []
     if surface.residuals is not None and surface.threshold is not None and surface.residuals.time_s.size > 1:
-        parts.append(Figures(lambda: [*fault_charts(surface), flight_chart(surface)]))
+        parts.append(Figures(lambda: [*fault_charts(surface), flight_chart(surface, of)]))
     elif surface.current is not None:
         parts.append(Figures(lambda: current_charts(surface)))
     rows = [

@@ -304,19 +304,22 @@ MOST_FAULTS = 4
 _MARGIN_S, _MARGIN = 2.0, 0.35
 """Shown before and after a fault: this many seconds, or this share of the time from onset to alarm if that is
 more."""
-_POINTS_WELL = 400
-"""Points per curve of a surface that is well: its chart is folded away."""
+_POINTS, _POINTS_WELL = 700, 400
+"""Points per curve of a whole flight; of a surface that is well, whose chart is folded away."""
+_POINTS_OF_PAGE = 2400
+"""Points per curve of all surfaces of a page together: with six surfaces, three of them at fault, it has 190 kB."""
 
 
-def flight_chart(surface: SurfaceAudit) -> Chart:
-    """The whole flight of one surface."""
+def flight_chart(surface: SurfaceAudit, of: int = 1) -> Chart:
+    """The whole flight of one surface, one `of` so many on a page."""
     largest = "" if surface.statistics is None else f", at most {surface.statistics.max_abs_deg:.2f} deg"
     text = (
         f"Above, what {spoken(surface.surface)} was asked, what a healthy servo would have done, and what was "
         f"measured. Below, the residual{largest}, and its threshold, {surface.threshold_deg:.3g} deg."
     )
     chart = _chart("Whole flight", text, surface, -math.inf, math.inf)
-    return chart if surface.faults or surface.suspicions else replace(chart, points=_POINTS_WELL)
+    points = _POINTS if surface.faults or surface.suspicions else _POINTS_WELL
+    return replace(chart, points=round(points * min(1.0, _POINTS_OF_PAGE / (_POINTS * of))))
 
 
 def fault_charts(surface: SurfaceAudit) -> list[Chart]:

@@ -147,3 +147,12 @@ def test_of_an_aileron_that_jams_nothing_else_is_told(plane: Aircraft) -> None:
     ((surface, at_s),) = alarms(told(plane, frames("d_f1")))
     assert surface == "servo_1"
     assert 120.08 < at_s < 121.0
+
+
+def test_the_page_of_six_surfaces_with_currents_stays_small(tmp_path: Path) -> None:
+    """Three of them are at fault, so six whole flights and three close-ups are drawn."""
+    found = servofd.audit(WIND / "d_f2.bin.gz")
+    assert isinstance(found, servofd.Audit)
+    page = found.save_html(tmp_path / "page.html")
+    assert page.read_text().count('<figure class="chart"') == 9
+    assert page.stat().st_size <= 200_000
