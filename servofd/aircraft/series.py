@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.types import BoolArray, FloatArray, Marks
 
+FINEST_S: Final = 0.01
+"""Time between measurements below which more of them tell nothing new of a servo, whose lag is longer [s]."""
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
 
@@ -240,6 +242,20 @@ class Series:
             measured_deg=self.measured_deg[rows],
             why=self.why[rows],
         )
+
+    def coarser(self) -> Series:
+        """The same surface with one measurement in `FINEST_S` at most; those that do not count stay, with the reason.
+
+        Examples
+        --------
+        >>> t = np.arange(100) / 1000.0
+        >>> Series("x", t, t, t, t).coarser().measured_s.size
+        10
+        """
+        if not self.period_s < FINEST_S:
+            return self
+        counts = np.isfinite(self.measured_deg)
+        return self.at(~counts | (np.cumsum(counts) % max(round(FINEST_S / self.period_s), 1) == 0))
 
     def with_commands(self, gain: float, offset_deg: float) -> Series:
         """The same surface with a command that was read in another scale.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -69,6 +70,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     surface = aircraft.surfaces[name]
     if surface.measured is None:
         raise CalibrationError(f"{name}: the aircraft file names no measured channel for it")
+    flights = [replace(flight, segment=flight.segment.coarser()) for flight in flights]
     supply_v = float(np.median([usual_supply_v(flight.segment.context) for flight in flights]))
     airspeed_m_s = usual_airspeed_m_s([flight.segment.context for flight in flights])
     records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in flights]

@@ -39,8 +39,6 @@ _PARTS: Final = (1, 3, 6, 12)
 """Into how many parts a log is cut, one after the other."""
 _MOST_SAMPLES: Final = 3_000
 """Of a part that are fitted: a minute at 50 Hz."""
-_FINEST_S: Final = 0.01
-"""Positions that come faster are thinned to one in so long, or a minute of them would be too many to fit."""
 _EXPLAINS: Final = 0.3
 """Share of the motion, held out, that the servo of a part explains there, or it is none."""
 _SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.95, 0.5
@@ -149,8 +147,8 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
     ('fitted', 1.0)
     """
     usual = usual_supply_v(segment.context), usual_airspeed_m_s([segment.context])
-    counts = np.isfinite(segment.measured_deg)
-    segment = segment.at(counts & (np.cumsum(counts) % max(int(_FINEST_S / segment.period_s), 1) == 0))
+    segment = segment.coarser()
+    segment = segment.at(np.isfinite(segment.measured_deg))
     whole = Record.of(segment, *usual)
     if not whole.usable.any():
         return ModelOrigin(origin="none")

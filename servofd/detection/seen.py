@@ -216,7 +216,7 @@ class OfFlights:
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
-        known, surface = self.known, self.surface
+        known, surface, segment = self.known, self.surface, segment.coarser()
         flight = watched_segment(known, segment)
         rows, judged_s = flight.judged, _judged_s(flight)
         beyond = _beyond(flight)

@@ -72,3 +72,13 @@ def test_a_cycle_of_thirteen_seconds_is_healthy_and_a_jam_in_it_is_found(load: s
             log = {"time_s": time_s, "ram_cmd_deg": columns["cmd_deg"], "ram_pos_deg": position_deg}
             (audit,) = servofd.audit(log)
             assert audit.surfaces[0].status == expected, run
+
+
+@pytest.mark.slow
+def test_what_is_off_after_the_middle_of_a_run_at_1_khz_is_not_accused_before_it() -> None:
+    table = pd.read_csv(DATA / "bench" / "rc_servo_steps_1khz.csv")
+    time_s, command_deg, position_deg = table[["time_s", "servo_cmd_deg", "servo_pos_deg"]].to_numpy(float).T
+    middle_s = 0.5 * (time_s[0] + time_s[-1])
+    off_deg = position_deg + (time_s > middle_s) * 0.1 * (position_deg.max() - position_deg.min())
+    (found,) = servofd.audit({"time_s": time_s, "servo_cmd_deg": command_deg, "servo_pos_deg": off_deg})
+    assert all(fault.start_s > middle_s - 1.0 for fault in found.surfaces[0].faults)
