@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 from contextlib import suppress
+from enum import Enum
 from functools import cache
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import platformdirs
 
 try:
@@ -20,7 +24,7 @@ except ImportError:  # everything runs without it, slowly
     FunctionCache = object
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 _FAST = {"contract", "nsz", "arcp"}
 """What the compiler may do to sums and products: nothing that moves an infinity, or a limit that is one."""
@@ -74,6 +78,13 @@ class _KeptCode(FunctionCache):  # type: ignore[misc]
             _load_arrays()
         return found
 
+    def _index_key(self, signature: Any, codegen: Any) -> Any:  # noqa: ANN401 - numba's own
+        """Under what a function is kept: numba looks at its own file alone, not at what it takes from others."""
+        digest = hashlib.sha256()
+        for part in fixed_in(self._py_func):
+            digest.update(part)
+        return (*super()._index_key(signature, codegen), digest.hexdigest())
+
 
 def _load_arrays() -> None:
     """Load numba's loops over arrays without scipy.linalg, whose presence they would load it to find out.
@@ -113,6 +124,45 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
     with suppress(RuntimeError):  # no writable directory for the cache
         made._cache = _KeptCode(function)
     return made  # type: ignore[no-any-return]
+
+
+def fixed_in(function: Callable[..., Any], seen: set[object] | None = None) -> Iterator[bytes]:
+    """Yield what machine code of a function has fixed: its code, that of all it calls, and the constants they name.
+
+    Examples
+    --------
+    >>> def turned(deg):
+    ...     return FULL_DEG - deg
+    >>> FULL_DEG = 360.0
+    >>> [part for part in fixed_in(turned) if part.startswith(b"FULL_DEG")]
+    [b'FULL_DEG=360.0']
+    """
+    seen = set() if seen is None else seen
+    code = function.__code__
+    if code in seen:
+        return
+    seen.add(code)
+    yield code.co_code
+    for constant in filter(_is_plain, code.co_consts):
+        yield repr(constant).encode()
+    for name in code.co_names:
+        value = function.__globals__.get(name)
+        value = getattr(value, "py_func", value)
+        if isinstance(value, FunctionType):
+            yield from fixed_in(value, seen)
+        elif isinstance(value, np.ndarray):
+            yield name.encode() + value.tobytes()
+        elif isinstance(value, type) and issubclass(value, Enum):
+            yield f"{name}={list(value)}".encode()
+        elif _is_plain(value):
+            yield f"{name}={value!r}".encode()
+
+
+def _is_plain(value: object) -> bool:
+    """Whether a value prints the same in every run."""
+    if isinstance(value, tuple):
+        return all(_is_plain(each) for each in value)
+    return value is None or isinstance(value, (bool, int, float, complex, str, bytes, np.generic, Enum))
 
 
 def compile_steps(*, kind: Literal["outer", "inner", "inlined"]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

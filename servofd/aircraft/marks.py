@@ -2,7 +2,8 @@
 
 A row of telemetry is a time, a position and the command in force then. Rules that look at one surface take its rows
 (`Rows`); a bus that stands still shows in the rows of all surfaces together (`standing`). Each rule looks no further
-ahead than `WAIT_S`, so that a monitor marks the same samples as an audit once it has waited for so long.
+ahead than `WAIT_S`, so that a monitor marks the same samples as an audit once it has waited for so long; but for a bus
+that shows only later that it stands: what came before is judged in flight, and left out of an audit.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ _ROWS_WAITED, _SLOW_WAIT_S = 4, 0.5
 DUPLICATE_S: Final = 0.1
 """Readings of that bus are refreshed every 45 ms, at times after 80 ms; rows that repeat for less are no news."""
 FROZEN_S: Final = 0.1
-"""All servos must stand still for so long [s]: longer than one of them takes to answer, by the issue's definition."""
+"""All servos must stand still for so long [s]: longer than one of them takes to answer."""
 ASKED_DEG: Final = 0.5
 """Readings of a servo that is asked to move so far change: no known telemetry is coarser but by its own steps."""
 _STEPS: Final = 2.5
@@ -520,15 +521,20 @@ def _echoes(rows: Rows, why: Marks) -> int:
 
 
 def _is_unasked(rows: Rows) -> BoolArray:
-    """Readings that jump out of a rest although no command of the last half second asked for it."""
+    """Readings that jump out of a rest, though no command of the last half second asked for it, or as no servo can."""
     moved_deg = np.where(np.isfinite(rows.position_deg), moved(rows.position_deg), 0.0)
     unasked = np.zeros(moved_deg.size, dtype=bool)
     for k in np.flatnonzero((moved_deg > ASKED_DEG) & np.isfinite(moved_deg)).tolist():
         begin = int(np.searchsorted(rows.time_s, rows.time_s[k] - _ASKED_BEFORE_S))
         lately_deg = max(float(moved_deg[begin:k].max(initial=0.0)), ASKED_DEG / _STEPS)
         rested = begin > 0 and moved_deg[k] > _STEPS * lately_deg
-        unasked[k] = rested and np.ptp(rows.asked_deg[begin : k + 1]) < _ASKED_FOR * moved_deg[k]
+        at_once = 4.0 * moved_deg[k] > _SHARPEST_DEG_S2 * (rows.time_s[k] - rows.time_s[k - 1]) ** 2
+        unasked[k] = rested and (at_once or np.ptp(rows.asked_deg[begin : k + 1]) < _ASKED_FOR * moved_deg[k])
     return unasked
+
+
+_SHARPEST_DEG_S2: Final = 1e5
+"""No servo speeds up, and then stops, so sharply: the fastest of the hobby (0.04 s for 60 deg) in 15 ms."""
 
 
 _LEAST_COMMAND_SPIKE_DEG: Final = 2.0
@@ -654,6 +660,10 @@ def bus_stands(servos: Sequence[Reported]) -> list[Marks]:
     other = np.concatenate([servo.other for servo in servos])[order]
     stands = np.zeros(time_s.size, dtype=np.int8)
     standing(new_bus(len(servos)), who, time_s[order], moved_deg, np.concatenate(asked)[order], other, stands)
+    # A bus that is known to stand has stood since a reading changed last, however late that shows.
+    changed = np.maximum.accumulate(np.where(moved_deg > 0.0, np.arange(time_s.size), -1))
+    for k in np.flatnonzero((stands[1:] == 1) & (stands[:-1] != 1)).tolist():
+        stands[changed[k] + 1 : k + 1] = 1
     for k, each in enumerate(result):
         each[:] = stands[who == k]
     return result

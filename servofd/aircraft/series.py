@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 FINEST_S: Final = 0.01
 """Time between measurements below which more of them tell nothing new of a servo, whose lag is longer [s]."""
+_STANDS_S: Final = 1.0
+"""A bus that is silent for so long stands still; the last row of a log may as well be one that came late [s]."""
 _LARGEST_DEG = 1e6
 """No servo turns so far; a motor drive in millimetres may."""
 
@@ -169,8 +171,10 @@ class Series:
 
     @property
     def frozen_to_end(self) -> bool:
-        """Whether it stood still and never came back."""
-        return bool(self.why.size and self.why[-1] == Why.FROZEN)
+        """Whether it stood still for the last second, or longer, and never came back."""
+        others_s = self.measured_s[~np.isin(self.why, (Why.FROZEN, Why.MISSING))]
+        froze = bool(self.why.size and self.why[-1] == Why.FROZEN)
+        return froze and not (others_s.size and self.measured_s[-1] - others_s[-1] < _STANDS_S)
 
     @property
     def left_out_in_words(self) -> str:

@@ -130,9 +130,7 @@ def failing_deflection(
     """
     faults = in_order(faults)
     command_s, command_deg, at_s = (np.asarray(values, dtype=float) for values in (command_s, command_deg, at_s))
-    for fault in faults:
-        command_s, command_deg = _received(fault, command_s, command_deg)
-    motion = model.motion(command_s, command_deg, context)
+    motion = model.motion(*as_received(faults, command_s, command_deg), context)
     deflection_deg = np.empty(at_s.size)
     done = 0
     for fault in faults:
@@ -158,6 +156,22 @@ def _during(fault: Fault, motion: Motion, at_s: FloatArray, *, passes: bool) -> 
     if passes and moved_deg[-1] != simulated_deg[-1]:
         motion.rest(fault.end_s, float(moved_deg[-1]))
     return moved_deg[1 : at_s.size + 1]
+
+
+def as_received(
+    faults: Iterable[Fault], command_s: FloatArray, command_deg: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What a servo makes of its commands while faults last: times [s] and values [deg], in order.
+
+    Examples
+    --------
+    >>> from servofd.servo.faults import Bias
+    >>> as_received([Bias(1.0, bias_deg=-2.0)], np.array([0.0, 1.0]), np.array([0.0, 5.0]))
+    (array([0., 1.]), array([0., 3.]))
+    """
+    for fault in faults:
+        command_s, command_deg = _received(fault, command_s, command_deg)
+    return command_s, command_deg
 
 
 def _received(fault: Fault, command_s: FloatArray, command_deg: FloatArray) -> tuple[FloatArray, FloatArray]:

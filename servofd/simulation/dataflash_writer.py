@@ -139,7 +139,7 @@ def _csrv(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation) -
         if aircraft.surfaces[output.surface].measured is None:
             continue
         rng = np.random.default_rng([flight.seed, i, 1001])
-        state = servo_state(flight.time_s, flight.command_deg[:, i], flight.measured_deg[:, i], rng)
+        state = servo_state(flight.time_s, flight.received_deg[:, i], flight.measured_deg[:, i], rng)
         arm_deg = output.arm_deg(flight.measured_deg[:, i])
         servo: dict[str, ArrayLike] = {"Id": output.number - 1 + generation.first_id}
         if generation is VOLZ:  # what the driver does not know is NaN, or 0 in a whole number

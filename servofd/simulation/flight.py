@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.core.series import latest
 from servofd.servo.context import NO_CONTEXT, Context
-from servofd.servo.faults import Fault, failing_deflection, in_order
+from servofd.servo.faults import Fault, as_received, failing_deflection, in_order
 from servofd.simulation.commands import COMMANDS, FORMER_NAMES
 from servofd.simulation.surroundings import acting, current_a
 
@@ -34,6 +35,8 @@ class SimulatedFlight:
     """Of shape (n, s)."""
     measured_deg: FloatArray
     """Of shape (n, s)."""
+    received_deg: FloatArray
+    """What the servos made of the commands, an offset or a loss for instance, of shape (n, s)."""
     outputs: tuple[Output, ...] = ()
     """Of an autopilot, one for each surface; empty if the servos were commanded in degrees."""
     pulse_us: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
@@ -117,7 +120,7 @@ def simulate_flight(
             models[name] = models[name] + effect
     needs = frozenset().union(*(model.needs for model in models.values()))
     context = acting(time_s, pushed="servo_load" in needs) if needs else NO_CONTEXT
-    commanded, moved, noise, pulses = [], [], [], []
+    commanded, received, moved, noise, pulses = [], [], [], [], []
     for index, (name, surface) in enumerate(aircraft.surfaces.items()):
         rng = np.random.default_rng([seed, index])
         asked_deg = COMMANDS[command](time_s, rng)
@@ -125,7 +128,9 @@ def simulate_flight(
         if outputs:
             pulses.append(outputs[index].pulse_us(received_deg))
             asked_deg = received_deg = outputs[index].deflection_deg(pulses[-1])
-        moved.append(failing_deflection(models[name], failing.get(name, ()), time_s, received_deg, time_s, context))
+        what = failing.get(name, ())
+        moved.append(failing_deflection(models[name], what, time_s, received_deg, time_s, context))
+        received.append(latest(*as_received(what, time_s, received_deg), time_s))
         commanded.append(asked_deg)
         noise.append(noise_deg * rng.standard_normal(time_s.size))
     deflection_deg = np.column_stack(moved)
@@ -136,6 +141,7 @@ def simulate_flight(
         time_s,
         np.column_stack(commanded),
         deflection_deg + read_deg + np.column_stack(noise),
+        np.column_stack(received),
         tuple(outputs),
         np.column_stack(pulses) if pulses else np.zeros((0, 0), dtype=np.int64),
         seed,

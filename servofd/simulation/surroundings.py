@@ -126,7 +126,7 @@ def servo_state(
 ) -> ServoState:
     """Electrical and thermal state of a servo: it draws current as it turns or is held back, and is never still.
 
-    `time_s`, `asked_deg`, `measured_deg` (shape (n,)): command and motion [s], [deg].
+    `time_s`, `asked_deg`, `measured_deg` (shape (n,)): what it makes of its command, and its motion [s], [deg].
     """
     speed_deg_s = np.gradient(measured_deg, time_s)
     drawn_a = current_a(speed_deg_s, rng) + stalled_a(time_s, asked_deg, measured_deg)

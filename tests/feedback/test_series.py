@@ -56,7 +56,8 @@ def spoilt(flight: SimulatedFlight, reason: str) -> tuple[SimulatedFlight, BoolA
     first, last = fastest, fastest + round(SPOILT_S[reason] * HZ)
     rows[first:last] = True
     if reason == "UNSETTLED":  # nothing is known of what came before
-        kept = {name: getattr(flight, name)[first:] for name in ("time_s", "command_deg", "measured_deg", "pulse_us")}
+        names = ("time_s", "command_deg", "measured_deg", "received_deg", "pulse_us")
+        kept = {name: getattr(flight, name)[first:] for name in names}
         return replace(flight, **kept), rows[first:]
     if reason == "GAP":  # a pulse of 0 us is no command
         asked_deg, pulse_us = flight.command_deg.copy(), flight.pulse_us.copy()

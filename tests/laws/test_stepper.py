@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -569,3 +572,22 @@ def test_threads_that_need_a_stepper_at_once_make_one(tmp_path: Path, monkeypatc
             made = list(pool.map(stepper_of, [few] * 8))
         assert len({each.run for each in made}) == 1
     cache_folder.cache_clear()
+
+
+def test_kept_machine_code_is_made_anew_where_a_number_of_another_file_changes(tmp_path: Path) -> None:
+    """A calibrated effect adds columns to what compiled loops of other files take: they went on with the old ones."""
+    (tmp_path / "outer.py").write_text(
+        "import sys\nfrom logparsers.compiled import compiled\nfrom inner import OFFSET, twice\n\n"
+        "@compiled\ndef outer(x):\n    return twice(x) + OFFSET\n\nprint(outer(1.0))\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+
+    def said(offset: float, factor: float) -> str:
+        (tmp_path / "inner.py").write_text(
+            f"from logparsers.compiled import compiled\n\nOFFSET = {offset}\n\n"
+            f"@compiled\ndef twice(x):\n    return {factor} * x\n"
+        )
+        command = [sys.executable, str(tmp_path / "outer.py")]
+        return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.strip()
+
+    assert [said(1.0, 2.0), said(5.0, 2.0), said(5.0, 3.0), said(1.0, 2.0)] == ["3.0", "7.0", "8.0", "3.0"]

@@ -81,6 +81,7 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
             time_s=flight.time_s[rows] - begun_s,
             command_deg=flight.command_deg[rows],
             measured_deg=flight.measured_deg[rows],
+            received_deg=flight.received_deg[rows],
             pulse_us=flight.pulse_us[rows],
         )
         mine = tuple(

@@ -196,7 +196,7 @@ def troubled_flight(flight: SimulatedFlight, aircraft: Aircraft, troubles: Seque
 def _edited(flight: SimulatedFlight, aircraft: Aircraft, edit: Edit, after: BoolArray) -> SimulatedFlight:
     """With the pulses and the motion that follow from a new value of a parameter."""
     command_deg, measured_deg = flight.command_deg.copy(), flight.measured_deg.copy()
-    pulse_us = flight.pulse_us.copy()
+    pulse_us, received_deg = flight.pulse_us.copy(), flight.received_deg.copy()
     for k, output in enumerate(flight.outputs):
         asked_deg, felt_deg = command_deg[:, k].copy(), command_deg[:, k].copy()
         if edit.name == "SERVO_VOLZ_RANGE":
@@ -209,6 +209,9 @@ def _edited(flight: SimulatedFlight, aircraft: Aircraft, edit: Edit, after: Bool
             felt_deg = command_deg[:, k] = output.deflection_deg(pulse_us[:, k])
         if np.array_equal(felt_deg, asked_deg):
             continue
+        received_deg[:, k] += felt_deg - asked_deg
         model, time_s = aircraft.model(output.surface), flight.time_s
         measured_deg[:, k] += model.simulate(time_s, felt_deg, time_s) - model.simulate(time_s, asked_deg, time_s)
-    return replace(flight, command_deg=command_deg, measured_deg=measured_deg, pulse_us=pulse_us)
+    return replace(
+        flight, command_deg=command_deg, measured_deg=measured_deg, pulse_us=pulse_us, received_deg=received_deg
+    )
