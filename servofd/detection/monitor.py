@@ -596,8 +596,7 @@ class SurfaceMonitor:
 
     def _hand_over(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> None:
         if self._stream is not None:
-            for time_s, command_deg in asked:
-                self._stream.command(time_s, command_deg)
+            self._stream.commands(*np.array(asked, dtype=float).reshape(-1, 2).T)
             for time_s, measured_deg in seen:
                 self._stream.position(time_s, measured_deg)
 

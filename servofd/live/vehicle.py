@@ -252,7 +252,9 @@ class Vehicle:
             self.is_lost = False
             text = f"vehicle {self.system} sends again after {arrival_s - self.received_s:.1f} s"
             events.append(Event(self.now_s, "", "link_restored", text=text))
-        self.losses.setdefault(message.component, Losses()).count(message.sequence)
+        if message.component not in self.losses:
+            self.losses[message.component] = Losses()
+        self.losses[message.component].count(message.sequence)
         self.received_s = arrival_s
         self._met_s = min(self._met_s, arrival_s)
         if message.name == "PARAM_VALUE" and message.component == Component.AUTOPILOT1:
