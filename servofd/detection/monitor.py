@@ -280,7 +280,9 @@ class SurfaceMonitor:
         if self.silenced:
             return self.silenced
         if self.reading is None or not self.was_judged:
-            return "never judged"
+            channels = {"command": self.surface.command.channel, "position": self.surface.watched_channel}
+            missing = [channel for what, channel in channels.items() if np.isnan(self._received[what][0])]
+            return f"no {' and no '.join(missing)} came" if missing else "never judged"
         share = self._judged_s / max(self.reading.time_s - self._begun_s, 1e-9)
         return f"judged for {share:.0%} of the time" if share < _MOST else ""
 
