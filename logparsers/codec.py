@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from pymavlink.dialects.v20 import all as version_2
 
-from logparsers.protocol import CHECK_BYTES, HEADER_2, MARKER_2, SIGNED
+from logparsers.protocol import (
+    CHECK_BYTES,
+    HEADER_1,
+    HEADER_2,
+    MARKER_1,
+    MARKER_2,
+    SIGNED,
+    frame_bytes,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -113,9 +123,10 @@ class Codec:
         self, system: int, component: int, *, version: Literal[1, 2] = 2, signature: Signature | None = None
     ) -> None:
         self._mav = version_2.MAVLink(None, srcSystem=system, srcComponent=component)
-        self._mav.robust_parsing = True
         self._dialect: Any = importlib.import_module("pymavlink.dialects.v10.all") if version == 1 else version_2
         self._kinds: dict[str, tuple[Any, dict[str, Any]]] = {}
+        self._begun = b""
+        """Of a frame that has not come completely."""
         self.has_key = signature is not None
         if signature is not None:
             self._mav.signing.secret_key = signature.key
@@ -146,14 +157,40 @@ class Codec:
         None for damaged bytes, unknown messages, and frames that are not signed as they should be.
         """
         found: list[tuple[bytes, Received | None]] = []
-        for m in self._mav.parse_buffer(data) or ():
-            name = m.get_type()
-            if name == "BAD_DATA" or name.startswith("UNKNOWN"):
-                found.append((bytes(m.data) if name == "BAD_DATA" else bytes(m.get_msgbuf()), None))
-            else:
-                message = Received(name, m.get_srcSystem(), m.get_srcComponent(), _fields(m), m.get_seq())
-                found.append((bytes(m.get_msgbuf()), message))
+        data, at = self._begun + data, 0
+        while at < len(data):
+            begin = at
+            while at < len(data) and data[at] not in (MARKER_1, MARKER_2):
+                at += 1
+            if at > begin:
+                found.append((data[begin:at], None))
+                continue
+            size = frame_bytes(data, at)
+            if not size or at + size > len(data):
+                break
+            frame, at = data[at : at + size], at + size
+            found.append((frame, self._message(frame)))
+        self._begun = data[at:]
         return found
+
+    def _message(self, frame: bytes) -> Received | None:
+        """The message of a whole frame; None if it is damaged, unknown, or not signed as it should be."""
+        flags = 0
+        if frame[0] == MARKER_1:
+            begin, (sequence, system, component, number) = HEADER_1, frame[2:HEADER_1]
+        else:
+            begin, (flags, _, sequence, system, component) = HEADER_2, frame[2:7]
+            number = int.from_bytes(frame[7:HEADER_2], "little")
+        kind = _kind_of(number)
+        if kind is None or flags & ~SIGNED:
+            return None
+        end = begin + frame[1]
+        check = version_2.x25crc(frame[1:end] + kind.seed).crc
+        if frame[end : end + CHECK_BYTES] != check.to_bytes(CHECK_BYTES, "little"):
+            return None
+        if self.has_key and not (flags & SIGNED and self._mav.check_signature(frame, system, component)):
+            return None
+        return Received(kind.name, system, component, kind.fields(frame[begin:end]), sequence)
 
     def _kind(self, name: str) -> tuple[Any, dict[str, Any]]:
         """Class of a message, or None, and its fields when they are zero."""
@@ -169,5 +206,40 @@ class Codec:
         return self._kinds[name]
 
 
-def _fields(message: Any) -> dict[str, Any]:  # noqa: ANN401 - a generated class
-    return {name: getattr(message, name) for name in message.get_fieldnames()}
+class _Kind(NamedTuple):
+    """How a message is read."""
+
+    name: str
+    seed: bytes
+    """What ends its check-sum."""
+    values: struct.Struct
+    """Of the payload."""
+    names: tuple[str, ...]
+    """Of its fields, as they lie in the payload,"""
+    lengths: tuple[int, ...]
+    """and how many values each has; none at all where every field is one number."""
+
+    def fields(self, payload: bytes) -> dict[str, Any]:
+        """Fields by name; the sender cuts trailing zeros off, and a newer one may send more."""
+        size = self.values.size
+        values = self.values.unpack(payload[:size].ljust(size, b"\0"))
+        if not self.lengths:
+            return dict(zip(self.names, values, strict=True))
+        fields, at = {}, 0
+        for name, length in zip(self.names, self.lengths, strict=True):
+            value: Any = values[at] if length == 1 else list(values[at : at + length])
+            is_text = isinstance(value, bytes)
+            fields[name] = value.partition(b"\0")[0].decode("ascii", "replace") if is_text else value
+            at += length
+        return fields
+
+
+@cache
+def _kind_of(number: int) -> _Kind | None:
+    """A message by its number; None if it is not known."""
+    kind: Any = version_2.mavlink_map.get(number)
+    if kind is None:
+        return None
+    is_plain = all(length == 0 for length in kind.array_lengths) and "char" not in kind.fieldtypes
+    lengths = () if is_plain else tuple(kind.lengths)
+    return _Kind(kind.msgname, bytes([kind.crc_extra]), kind.unpacker, tuple(kind.ordered_fieldnames), lengths)

@@ -38,9 +38,7 @@ def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
     markers, _, unstamped, _, _, _ = frames.scan(data, known.slots, known.seeds)
     if markers.size == 0:
         raise UnreadableLog(f"{name}: no MAVLink message with a correct check-sum in {data.size} bytes")
-    lost = set(unstamped.tolist())
-    arrival_s = 0.0
-    for marker in markers.tolist():
-        if marker not in lost:
-            arrival_s = float(frames.arrivals_us(data, np.array([marker]))[0]) * S_PER_US
+    is_stamped = np.isin(markers, unstamped, invert=True)
+    arrivals_s = np.append(0.0, frames.arrivals_us(data, markers[is_stamped]) * S_PER_US)
+    for marker, arrival_s in zip(markers.tolist(), arrivals_s[np.cumsum(is_stamped)].tolist(), strict=True):
         yield arrival_s, data[marker : marker + frame_bytes(data, marker)].tobytes()

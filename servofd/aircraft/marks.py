@@ -8,6 +8,7 @@ that shows only later that it stands: what came before is judged in flight, and 
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -258,7 +259,9 @@ def moved(position_deg: FloatArray) -> FloatArray:
     >>> moved(np.array([1.0, 1.0, 3.0]))
     array([inf,  0.,  2.])
     """
-    return np.abs(np.diff(position_deg, prepend=np.inf))
+    moved_deg = np.full(position_deg.size, np.inf)
+    moved_deg[1:] = np.abs(position_deg[1:] - position_deg[:-1])
+    return moved_deg
 
 
 def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
@@ -431,24 +434,23 @@ def _spikes(rows: Rows, why: Marks) -> int:
     if rows.decided:
         taken = max(taken, int(np.searchsorted(time_s, time_s[rows.decided - 1] - _SPIKE_S - TINY_DEG)))
     first = max(taken - 1, 0)
+    times, deg, last = time_s.tolist(), position_deg.tolist(), time_s.size - 1
     for k in (first + 1 + np.flatnonzero(jump_deg[first:] > least_deg[first:])).tolist():
         if k < taken:
             continue
-        away_deg = (position_deg[k:] - position_deg[k - 1]) * np.sign(position_deg[k] - position_deg[k - 1])
-        within = max(int(np.searchsorted(time_s, time_s[k] + _SPIKE_S + TINY_DEG, side="right")) - k - 1, 1)
-        share = away_deg[1 : within + 1] / away_deg[0]
-        near = np.flatnonzero((share <= _BACK) & (share >= -_BEYOND))
-        is_open = not near.size and k + within >= time_s.size
-        back = k + 1 + int(near[0]) if near.size else time_s.size - 1
-        if not (near.size or is_open) or _was_asked(rows, k, back, float(away_deg[0])):
+        until = max(bisect_right(times, times[k] + _SPIKE_S + TINY_DEG) - 1, k + 1)
+        before_deg, size_deg = deg[k - 1], abs(deg[k] - deg[k - 1])
+        side = 1.0 if deg[k] > before_deg else -1.0
+        near = (j for j in range(k + 1, min(until, last) + 1))
+        back = next((j for j in near if -_BEYOND <= (deg[j] - before_deg) * side / size_deg <= _BACK), last + 1)
+        is_open = back > last
+        if (is_open and until <= last) or not (is_open or _is_thrown(times, deg, k, back)):
             continue
-        if near.size and not _is_thrown(rows, k, back, float(away_deg[0])):
+        back, bend_deg = min(back, last), _bend_before_deg(rows, k)
+        if size_deg <= _OF_NOISE * bend_deg or _was_asked(rows, k, back, size_deg):
             continue
-        bend_deg = _bend_before_deg(rows, k)
-        if away_deg[0] <= _OF_NOISE * bend_deg:
-            continue
-        if away_deg[0] <= _OUT_OF_NOISE * bend_deg:
-            is_open = is_open or back == time_s.size - 1  # the row after it tells
+        if size_deg <= _OUT_OF_NOISE * bend_deg:
+            is_open = is_open or back == last  # the row after it tells
             around = _unsteadiness(rows, k - 2, k - 1, back, back + 1)
             if not is_open and _unsteadiness(rows, *range(k - 2, back + 2)) < _MUCH_ROUGHER * around:
                 continue
@@ -460,16 +462,16 @@ def _spikes(rows: Rows, why: Marks) -> int:
     return undecided
 
 
-def _is_thrown(rows: Rows, first: int, back: int, size_deg: float) -> bool:
+def _is_thrown(times: list[float], deg: list[float], first: int, back: int) -> bool:
     """Whether an excursion sets out and comes back faster than the motion around it: an overshoot slows down first."""
-    time_s, position_deg, last = rows.time_s, rows.position_deg, rows.time_s.size - 1
     apart_deg = []
-    for inside, edge, beside in ((first, first - 1, max(first - 2, 0)), (back - 1, back, min(back + 1, last))):
-        step_s, before_s = abs(time_s[inside] - time_s[edge]), abs(time_s[edge] - time_s[beside])
-        going_deg = (position_deg[edge] - position_deg[beside]) * min(step_s / max(before_s, _STEP_S), _BEYOND)
-        apart_deg.append(position_deg[inside] - position_deg[edge] - going_deg)
-    side = np.sign(position_deg[first] - position_deg[first - 1])
-    return bool(min(side * each for each in apart_deg) >= _ASKED_FOR * size_deg)
+    for inside, edge, beside in ((first, first - 1, max(first - 2, 0)), (back - 1, back, min(back + 1, len(deg) - 1))):
+        step_s, before_s = abs(times[inside] - times[edge]), abs(times[edge] - times[beside])
+        going_deg = (deg[edge] - deg[beside]) * min(step_s / max(before_s, _STEP_S), _BEYOND)
+        apart_deg.append(deg[inside] - deg[edge] - going_deg)
+    size_deg = deg[first] - deg[first - 1]
+    thrown_deg = min(apart_deg) if size_deg > 0.0 else -max(apart_deg)
+    return thrown_deg >= _ASKED_FOR * abs(size_deg)
 
 
 def _bend_before_deg(rows: Rows, first: int) -> float:

@@ -175,8 +175,9 @@ class Watch:
         jump_deg = float("inf") if before is None else abs(row[1] - before[1])
         is_same = jump_deg == 0.0
         self._run = (self._run[0], self._run[1] + 1) if is_same else (row[0], 0)
-        is_old = not is_young(row[0] - self._run[0], self._run[1])
-        is_plain = ASKED_DEG >= jump_deg > 0.0 or (is_same and self._refresh_s == 0.0 and is_old)
+        is_plain = ASKED_DEG >= jump_deg > 0.0
+        if is_same and self._refresh_s == 0.0:
+            is_plain = not is_young(row[0] - self._run[0], self._run[1])
         echoes = abs(row[1] - row[2]) <= TINY_DEG * max(1.0, abs(row[2]))
         if self._waiting or not is_plain or echoes or row[3]:
             self._waiting += 1
@@ -192,7 +193,7 @@ class Watch:
 
     def _decided(self, *, final: bool) -> list[tuple[float, float]]:
         """What of the waiting rows is decided and counts."""
-        time_s, position_deg, asked_deg, stands = np.array(self._rows, dtype=float).T
+        time_s, position_deg, asked_deg, stands = (np.array(each) for each in zip(*self._rows, strict=True))
         first = len(self._rows) - self._waiting
         rows = Rows(
             time_s, position_deg, asked_deg, np.full(time_s.size, NO_OTHERS, dtype=np.int8), stands.astype(np.int8),
@@ -200,7 +201,8 @@ class Watch:
         )  # fmt: skip
         why, decided = marked(rows, final=final)
         decided = max(decided, first)
-        passed = [(self._rows[k][0], self._values[k]) for k in range(first, decided) if why[k] <= LAST_WITH_VALUE]
+        counts = (why <= LAST_WITH_VALUE).tolist()
+        passed = [(self._rows[k][0], self._values[k]) for k in range(first, decided) if counts[k]]
         self._waiting = len(self._rows) - decided
         return passed
 

@@ -54,7 +54,10 @@ def run(options: Options) -> int:
             raise ConfigError(f"{name}: is the log that is replayed; choose another file")
     if options.speed is not None and not is_log:
         raise ConfigError(f"{options.endpoint}: --speed is for a log file, and there is none of that name")
-    session = _replay(options, aircraft) if is_log else _watch(options, aircraft)
+    try:
+        session = _replay(options, aircraft) if is_log else _watch(options, aircraft)
+    except BrokenPipeError:  # who pipes a monitor into something has to learn that nobody watches any more
+        raise OSError("standard output was closed; what was written to files until then is whole") from None
     return _verdict(session)
 
 

@@ -16,8 +16,6 @@ from servofd.cli.terminal import complain, has_screen, say, screen, tell
 from servofd.core.errors import ConfigError
 from servofd.live.threads import Worker
 from servofd.live.view import View, event_line
-from servofd.outputs.live_recording import LiveRecording, Samples
-from servofd.outputs.recording.verdicts import live_verdicts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
     from servofd.live.session import Session
     from servofd.live.threads import Receiver
     from servofd.live.view import Picture
+    from servofd.outputs.live_recording import LiveRecording
 
 _DRAW_S: Final = 0.2
 """Between two pictures on a screen, by the clock on the wall however fast a replay runs."""
@@ -143,6 +142,9 @@ class Outputs:
             complain(self._failed[what])
 
     def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
+        from servofd.outputs.live_recording import LiveRecording, Samples
+        from servofd.outputs.recording.verdicts import live_verdicts
+
         first = next(iter(aircraft.values()))
         surfaces = list(dict.fromkeys(name for craft in aircraft.values() for name in craft.surfaces))
         port = options.viewer_port if options.serve else None

@@ -115,11 +115,9 @@ class CurrentStream(Following):
         self._next_s = np.nan
         """When it is asked next whether the current is worth a look [s]."""
 
-    def command(self, time_s: float, command_deg: float) -> None:
-        """Add a command [deg]; one that is no later than the one before is left out."""
-        if time_s > self._newest[0]:
-            self._newest = time_s, command_deg
-            self.logged.append(time_s, command_deg, 0.0)
+    def _take(self, time_s: FloatArray, command_deg: FloatArray) -> None:
+        """Keep commands."""
+        self.logged.append(time_s, command_deg)
 
     def position(self, time_s: float, measured_deg: float) -> None:
         """Add a reading, in the unit of its channel; one that is no number is left out."""

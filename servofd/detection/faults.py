@@ -265,7 +265,8 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     """
     speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
     still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
-    short = fault.kind in _LASTING and fault.end_s is not None and fault.end_s - fault.start_s < _SHORTEST_WEAR_S
+    lasted_s = np.inf if fault.end_s is None else fault.end_s - fault.start_s
+    short = lasted_s < _SHORTEST_WEAR_S if fault.kind in _LASTING else lasted_s <= 0.0  # better than health at no time
     little = fault.kind == "loss_of_effectiveness" and gain is not None and gain.value >= _STILL_ALL
     nothing = any(
         fault.parameters[key].low <= none <= fault.parameters[key].high

@@ -194,11 +194,11 @@ class Window:
         The costs are its misfit, and how far the parameters had to go for it: sums of squares over their variances.
         """
         columns = slopes if free is None else np.concatenate([slopes, free], axis=1)
-        precision = np.full(columns.shape[1], _FLAT)
         w, e = self.whitened(columns), self.whitened(error_deg)
         block = w.T @ w
         block[:FITTED, :FITTED] += self.precision
-        block[np.diag_indices(columns.shape[1])] += np.where(np.arange(columns.shape[1]) < FITTED, 0.0, precision)
+        unknown = np.arange(FITTED, columns.shape[1])
+        block[unknown, unknown] += _FLAT
         covariance: FloatArray = np.asarray(np.linalg.inv(block), dtype=np.float64)
         best = covariance @ (w.T @ e)
         apart = best[:FITTED]

@@ -280,7 +280,9 @@ class SurfaceMonitor:
         if self.silenced:
             return self.silenced
         if self.reading is None or not self.was_judged:
-            return "never judged"
+            channels = {"command": self.surface.command.channel, "position": self.surface.watched_channel}
+            missing = [channel for what, channel in channels.items() if np.isnan(self._received[what][0])]
+            return f"no {' and no '.join(missing)} came" if missing else "never judged"
         share = self._judged_s / max(self.reading.time_s - self._begun_s, 1e-9)
         return f"judged for {share:.0%} of the time" if share < _MOST else ""
 
@@ -596,8 +598,7 @@ class SurfaceMonitor:
 
     def _hand_over(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> None:
         if self._stream is not None:
-            for time_s, command_deg in asked:
-                self._stream.command(time_s, command_deg)
+            self._stream.commands(*np.array(asked, dtype=float).reshape(-1, 2).T)
             for time_s, measured_deg in seen:
                 self._stream.position(time_s, measured_deg)
 

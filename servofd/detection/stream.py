@@ -14,6 +14,7 @@ import numpy as np
 
 from servofd.aircraft.pace import Rhythm, gap_s, rhythm
 from servofd.aircraft.series import Series
+from servofd.core.series import subdivided
 from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, exceeded, follow, thresholds_of
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import LONGEST_PAUSE_S
@@ -102,15 +103,17 @@ class CommandBuffer:
         self._rows = np.zeros((3, capacity))
         self.size = 0
 
-    def append(self, time_s: float, command_deg: float, slope_deg_s: float) -> int:
-        """Add one, and tell how many of the oldest had to be dropped."""
-        dropped = 0
-        if self.size == self._rows.shape[1]:
-            dropped = self.size // _DROPPED
-            self._rows[:, : self.size - dropped] = self._rows[:, dropped : self.size].copy()
-            self.size -= dropped
-        self._rows[:, self.size] = time_s, command_deg, slope_deg_s
-        self.size += 1
+    def append(self, time_s: FloatArray, command_deg: FloatArray) -> int:
+        """Add some, of shape (n,), and tell how many of the oldest had to be dropped."""
+        dropped = at = 0
+        while at < time_s.size:
+            if self.size == self._rows.shape[1]:
+                fewer = self.size // _DROPPED
+                self._rows[:, : self.size - fewer] = self._rows[:, fewer : self.size].copy()
+                self.size, dropped = self.size - fewer, dropped + fewer
+            count = min(time_s.size - at, self._rows.shape[1] - self.size)
+            self._rows[:2, self.size : self.size + count] = time_s[at : at + count], command_deg[at : at + count]
+            self.size, at = self.size + count, at + count
         return dropped
 
     @property
@@ -172,8 +175,16 @@ class Following:
         """The latest command, when [s] and what [deg]."""
         self._positions: list[tuple[float, float]] = []
 
-    def command(self, time_s: float, command_deg: float) -> None:
-        """Add a command [deg]; one that is no later than the one before is left out."""
+    def commands(self, time_s: FloatArray, command_deg: FloatArray) -> None:
+        """Add commands [deg], of shape (n,); what is no later than one before is left out."""
+        latest_s = np.maximum.accumulate(np.append(self._newest[0], time_s))
+        fresh = time_s > latest_s[:-1]
+        if fresh.any():
+            self._take(time_s[fresh], command_deg[fresh])
+            self._newest = float(time_s[fresh][-1]), float(command_deg[fresh][-1])
+
+    def _take(self, time_s: FloatArray, command_deg: FloatArray) -> None:
+        """Keep commands that are later than those before."""
         raise NotImplementedError
 
     def position(self, time_s: float, measured_deg: float) -> None:
@@ -285,43 +296,29 @@ class Stream(Following):
         ready, self._positions = self._positions[:count], self._positions[count:]
         return self._judged(np.array(ready, dtype=float).T.copy())
 
-    def command(self, time_s: float, command_deg: float) -> None:
-        """Add a command [deg]; one that is no later than the one before is left out."""
-        before_s, before_deg = self._newest
-        if not time_s > before_s:
-            return
+    def _take(self, time_s: FloatArray, command_deg: FloatArray) -> None:
+        """Keep commands, and put back those that a link has lost between them."""
+        ends = time_s, command_deg
+        if np.isfinite(self._newest[0]):
+            ends = np.append(self._newest[0], time_s), np.append(self._newest[1], command_deg)
+        known = ends[0].size - time_s.size
         if self._filled is not self.logged:
-            self._fill(time_s, command_deg)
-        elif self.surface.command_period_s is not None and time_s - before_s <= self.longest_gap_s:
-            pieces = max(round((time_s - before_s) / FINE_S), 1)
-            for place in range(1, pieces):
-                share = place / pieces
-                self._add(before_s + share * (time_s - before_s), before_deg + share * (command_deg - before_deg))
-        self._add(time_s, command_deg)
-        self._newest = (time_s, command_deg)
-
-    def position(self, time_s: float, measured_deg: float) -> None:
-        """Add a position [deg]; one that is no later than the one before, or none, is left out."""
-        if np.isfinite(measured_deg):
-            super().position(time_s, measured_deg)
-
-    def _add(self, time_s: float, command_deg: float) -> None:
-        dropped = self.logged.append(time_s, command_deg, 0.0)
+            filled_s, filled_deg = put_back(*ends, self._beat, self.longest_gap_s)
+            self._moving.forget(self._filled.append(filled_s[known:], filled_deg[known:]))
+        elif self.surface.command_period_s is not None:
+            steps_s = np.diff(ends[0])
+            pieces = np.where(steps_s <= self.longest_gap_s, np.maximum(np.round(steps_s / FINE_S), 1.0), 1.0)
+            time_s, command_deg = (each[known:] for each in subdivided(*ends, pieces.astype(np.int64)))
+        dropped = self.logged.append(time_s, command_deg)
         if self._filled is self.logged:
             self._moving.forget(dropped)
         else:
             self._unknown[0] = max(self._unknown[0] - dropped, 0.0)
 
-    def _fill(self, time_s: float, command_deg: float) -> None:
-        """Commands that were lost before this one, and it."""
-        (before_s, before_deg), filled = self._newest, [(time_s, command_deg)]
-        if self._beat.longest_s < time_s - before_s <= self.longest_gap_s:
-            ends = np.array([before_s, time_s]), np.array([before_deg, command_deg])
-            both = put_back(*ends, self._beat, self.longest_gap_s)
-            filled = list(zip(*(column[1:].tolist() for column in both), strict=True))
-        for at_s, asked_deg in filled:
-            dropped = self._filled.append(at_s, asked_deg, 0.0)
-            self._moving.forget(dropped)
+    def position(self, time_s: float, measured_deg: float) -> None:
+        """Add a position [deg]; one that is no later than the one before, or none, is left out."""
+        if np.isfinite(measured_deg):
+            super().position(time_s, measured_deg)
 
     def _judged(self, ready: FloatArray) -> Piece:
         """Residual, threshold and alarms of positions (2, n) whose commands are known."""

@@ -309,7 +309,9 @@ def too_slow(bandwidth_rad_s: float, position_period_s: float, command_period_s:
     slow = [f"{what} at {1.0 / s:.3g} Hz" for what, s in periods_s.items() if s * enough_hz > 1.0]
     if not slow:
         return ""
-    return f"{' and '.join(slow)}: slow for a servo of {bandwidth_hz:.2g} Hz, which needs {enough_hz:.2g} Hz"
+    return (
+        f"{' and '.join(slow)}: slow for a servo whose bandwidth is {bandwidth_hz:.2g} Hz: {enough_hz:.2g} Hz would do"
+    )
 
 
 def meaning(fault: Fault) -> str:

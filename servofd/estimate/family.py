@@ -63,6 +63,8 @@ PATTERNS: Final = ("weak", "play")
 """Finite changes: half the torque, 2 deg of play."""
 _USUAL = np.append([prior.value for prior in PRIORS], 0.0)
 _TRACKS: Final = 1 + len(_SIMULATED)
+_STEPS = np.array([PRIORS[k].step for k in _SIMULATED])
+"""By how much each of these differs."""
 
 
 def middle_of(reach_deg: tuple[float, float]) -> float:
@@ -88,14 +90,10 @@ def variants(theta: FloatArray, *, patterns: bool = True, middle_deg: float = 0.
     ((12, 14), (10, 14))
     """
     base = np.append(theta, 0.0)
-    rows = [base]
-    for k in _SIMULATED:
-        row = base.copy()
-        row[k] += PRIORS[k].step
-        rows.append(row)
+    table = np.tile(base, (_TRACKS + patterns * len(PATTERNS), 1))
+    table[np.arange(1, _TRACKS), _SIMULATED] += _STEPS
     if patterns:
-        rows += patterns_of(base)
-    table = np.array(rows)
+        table[_TRACKS:] = patterns_of(base)
     table[:, _BIAS] += middle_deg * (1.0 - table[:, _GAIN])
     return table
 
@@ -182,7 +180,10 @@ def simulated(
     machine = _machine(np.ascontiguousarray(table).tobytes(), table.shape[0], furthest_deg)
     effective_s = command_s + base[_DELAY]
     new = slice(progress.received - since, None)
-    anew = np.isfinite(start_deg) | (np.diff(time_s, prepend=progress.state.clock[0]) > LONGEST_PAUSE_S)
+    begins = np.isfinite(start_deg)
+    anew = begins.copy()
+    anew[0] |= time_s[0] - progress.state.clock[0] > LONGEST_PAUSE_S
+    anew[1:] |= time_s[1:] - time_s[:-1] > LONGEST_PAUSE_S
     around = np.empty((time_s.size, 5))
     around[:] = 0.0, np.inf, 1.0, 0.0, 0.0
     around[:, 0], around[:, 2] = load * PRESSURE_PA, power
@@ -190,7 +191,7 @@ def simulated(
     moving_deg_s = np.empty(time_s.size)
     position_deg, used = machine.run(
         progress.state, (effective_s[new], command_deg[new], slope_deg_s[new]), time_s,
-        anew=anew, measured_deg=np.nan_to_num(start_deg), around=around, speed_deg_s=moving_deg_s,
+        anew=anew, measured_deg=np.where(begins, start_deg, 0.0), around=around, speed_deg_s=moving_deg_s,
     )  # fmt: skip
     progress.received += used
     held = np.maximum(np.searchsorted(effective_s, time_s, side="right") - 1, 0)
@@ -225,11 +226,9 @@ def sensitivities(
     base = position_deg[:, 0]
     added, shapes = bent(base, theta, reach_deg)
     out = np.empty((base.size, FITTED + position_deg.shape[1] - _TRACKS))
-    for place, k in enumerate(_SIMULATED):
-        out[:, k] = (position_deg[:, 1 + place] - base) / PRIORS[k].step
+    out[:, _SIMULATED] = (position_deg[:, 1:_TRACKS] - base[:, None]) / _STEPS
     out[:, _BIAS] = 1.0
     out[:, _DELAY] = -speed_deg_s[:, 0]
     out[:, _BEND2], out[:, _BEND3] = shapes[:, 0], shapes[:, 1]
-    for place in range(_TRACKS, position_deg.shape[1]):
-        out[:, FITTED + place - _TRACKS] = position_deg[:, place] - base
+    out[:, FITTED:] = position_deg[:, _TRACKS:] - base[:, None]
     return base + added, out

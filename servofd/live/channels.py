@@ -39,6 +39,8 @@ class Stamp(NamedTuple):
     field: str
     tick_s: float
     bits: int
+    is_relayed: bool
+    """Whether others than the vehicle often make it."""
 
 
 class ChannelTable:
@@ -101,8 +103,10 @@ class ChannelTable:
 
     def obeys(self, message: Received) -> bool:
         """Whether a message is the autopilot's, or of a sender that a channel names; tells of others once."""
+        if message.component == Component.AUTOPILOT1:
+            return True
         sender = (message.system, message.component)
-        if message.component == Component.AUTOPILOT1 or sender in self._named:
+        if sender in self._named:
             return True
         if message.name in self.messages and any(w.source is None for w in self._asked(message)):
             self._tell(message.name, sender, f"not that of component {message.component}")
@@ -126,6 +130,8 @@ class ChannelTable:
         return counts
 
 
+_RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")
+"""Beginnings of the names of messages that are often stamped by someone else."""
 _STAMPS: dict[str, Stamp | None] = {}
 
 
@@ -133,7 +139,8 @@ def stamp_of(message: str) -> Stamp | None:
     """Time stamp of a message; None if it carries none."""
     if message not in _STAMPS:
         clock = dialect().layouts[message].clock if message in dialect().layouts else None
-        _STAMPS[message] = Stamp(clock[0].name, clock[1], 8 * clock[0].dtype.itemsize) if clock else None
+        is_relayed = message.startswith(_RELAYED)
+        _STAMPS[message] = Stamp(clock[0].name, clock[1], 8 * clock[0].dtype.itemsize, is_relayed) if clock else None
     return _STAMPS[message]
 
 

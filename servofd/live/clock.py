@@ -110,8 +110,6 @@ class Latency:
         return ""
 
 
-_RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")
-"""Often stamped by someone else."""
 _BACKWARD_S = 1.0
 _STRAYED_S = 10.0
 """A stamp further than this from the clock's newest one is of another boot or another clock [s]."""
@@ -162,7 +160,7 @@ class VehicleClock:
             message.component == Component.AUTOPILOT1
             and stamp is not None
             and stamp.field == "time_boot_ms"
-            and not message.name.startswith(_RELAYED)
+            and not stamp.is_relayed
             and message.fields[stamp.field] > 0
         )
 

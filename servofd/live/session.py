@@ -77,7 +77,7 @@ class Session:
     aircraft: Mapping[int, Aircraft]
     """By system id; with the key 0, of whichever vehicle speaks first, and with -1, -2, ... beside it of those whose
     positions they name."""
-    store: Callable[[bytes], None] = lambda _: None
+    store: Callable[[bytes], None] | None = None
     """Takes every frame with its arrival time, as a telemetry log has it."""
     send: Callable[[int, str, dict[str, Any]], None] | None = None
     """Sends requests to a vehicle: its number, message name and fields. None: nothing is asked for."""
@@ -137,7 +137,8 @@ class Session:
         """Take bytes that arrived [s, the receiver's clock]."""
         events: list[Published] = []
         for frame, message in self.codec.frames(data):
-            self.store(stamped(arrival_s, frame))
+            if self.store is not None:
+                self.store(stamped(arrival_s, frame))
             if message is None:
                 self.damaged_bytes += len(frame)
             if is_signed(frame):

@@ -45,8 +45,9 @@ _READ_FIRST_S = 10.0
 """Parameters without a place that come so early answer whoever reads them at the start (in a replay, the monitor that
 recorded it): ArduPilot answers a name in the same way as it tells of a change."""
 _NONE = np.zeros(0)
-_REORDERED = 200
-"""A sequence number so far ahead, of 256, is an old frame that came late."""
+_REORDERED, _LATEST_S = 160, 0.5
+"""A sequence number so far ahead, of 256, is an old frame that came late, if one has come so shortly before [s]: over a
+link with jitter of 50 ms frames of an autopilot's once-a-second volley are 60 behind."""
 _DISORDER_S, _LONGEST_WAIT_S = 30.0, 0.5
 """So long messages that overtake each other are remembered; whatever comes later than the latter is left out."""
 _REMEMBERED = 128
@@ -66,12 +67,14 @@ class Losses:
     received: int = 0
     lost: int = 0
     _next: int | None = None
+    _latest_s: float = -math.inf
 
-    def count(self, sequence: int) -> None:
-        """Take the number of a frame."""
+    def count(self, sequence: int, arrival_s: float) -> None:
+        """Take the number of a frame, and when it arrived [s]."""
         self.received += 1
         ahead = 0 if self._next is None else (sequence - self._next) % 256
-        if ahead >= _REORDERED:
+        is_late, self._latest_s = arrival_s - self._latest_s < _LATEST_S, arrival_s
+        if is_late and ahead >= _REORDERED:
             # It came late, and was counted as lost; or twice.
             self.lost = max(self.lost - 1, 0)
             return
@@ -252,7 +255,9 @@ class Vehicle:
             self.is_lost = False
             text = f"vehicle {self.system} sends again after {arrival_s - self.received_s:.1f} s"
             events.append(Event(self.now_s, "", "link_restored", text=text))
-        self.losses.setdefault(message.component, Losses()).count(message.sequence)
+        if message.component not in self.losses:
+            self.losses[message.component] = Losses()
+        self.losses[message.component].count(message.sequence, arrival_s)
         self.received_s = arrival_s
         self._met_s = min(self._met_s, arrival_s)
         if message.name == "PARAM_VALUE" and message.component == Component.AUTOPILOT1:

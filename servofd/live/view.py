@@ -116,7 +116,7 @@ class Row(NamedTuple):
 
 
 _HEAD = Row(
-    math.nan, "surface", "status", ("command", "measured", "residual", "of (deg)"), math.nan, "since", "what to do"
+    math.nan, "surface", "status", ("command", "measured", "residual", "threshold"), math.nan, "since", "what to do"
 )
 
 
@@ -136,7 +136,7 @@ class View:
         """The picture of the moment; `arrival_now_s` is the receiver's clock [s]."""
         rows = [*self._surfaces(), *self._axes()]
         below = [*self._vehicles(arrival_now_s), *filter(None, [self._session.waiting()])]
-        return Picture(f"servofd monitor  {self._title}", rows, below, tuple(self._events))
+        return Picture(f"servofd monitor  {self._title} (degrees)", rows, below, tuple(self._events))
 
     def plain(self, arrival_now_s: float) -> list[str]:
         """The same in plain lines, one for each surface."""
@@ -291,10 +291,8 @@ def _list(rows: Sequence[Row]) -> list[Text]:
     lines = []
     for row in rows:
         lines.append(Text.assemble(f"{row.name} ", (row.status, _STYLES[row.status])))
-        numbers = [number.strip() for number in row.numbers]
-        if numbers:
-            lines.append(Text(f"is at {numbers[1]} for {numbers[0]} deg, off by {numbers[2]} of {numbers[3]} deg"))
-        lines += [Text(words) for words in (f"since {row.since}" * bool(row.since), row.words) if words]
+        numbers = _said(row.numbers) if row.numbers else ""
+        lines += [Text(words) for words in (numbers, f"since {row.since}" * bool(row.since), row.words) if words]
     return lines
 
 
@@ -316,7 +314,7 @@ def _said(numbers: tuple[str, ...]) -> str:
     command, measured, residual, level = numbers
     if measured.endswith(" A"):
         return f"command {command} deg, draws {measured}, {residual} from a good servo within {level}"
-    return f"command {command} deg, measured {measured} deg, residual {residual} of {level} deg"
+    return f"command {command} deg, measured {measured} deg, residual {residual} deg, threshold {level} deg"
 
 
 def _share(reading: Reading | None) -> float:

@@ -95,13 +95,12 @@ def levels_deg(aircraft: Aircraft, segment: Series, parts: list[tuple[float, Con
     found = []
     for (begin_s, context), end_s in zip(parts, ends_s, strict=True):
         stream.surroundings(context)
-        for take, time_s, values in (
-            (stream.command, segment.command_s, segment.command_deg),
-            (stream.position, segment.measured_s, surface.measured.to_deg(segment.measured_deg)),
-        ):
-            rows = (time_s >= begin_s) & (time_s < end_s)
-            for at_s, value in zip(time_s[rows].tolist(), values[rows].tolist(), strict=True):
-                take(at_s, value)
+        rows = (segment.command_s >= begin_s) & (segment.command_s < end_s)
+        stream.commands(segment.command_s[rows], segment.command_deg[rows])
+        rows = (segment.measured_s >= begin_s) & (segment.measured_s < end_s)
+        seen_deg = surface.measured.to_deg(segment.measured_deg[rows])
+        for at_s, value in zip(segment.measured_s[rows].tolist(), seen_deg.tolist(), strict=True):
+            stream.position(at_s, value)
         piece = stream.evaluate()
         assert piece is not None
         assert not piece.alarm.any()

@@ -136,7 +136,10 @@ def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     events = [(t, 0, v) for t, v in zip(segment.command_s, segment.command_deg, strict=True)]
     events += [(t, 1, v) for t, v in zip(segment.measured_s, segment.measured_deg, strict=True)]
     for at_s, which, value in sorted(events):
-        (stream.position if which else stream.command)(float(at_s), float(value))
+        if which:
+            stream.position(float(at_s), float(value))
+        else:
+            stream.commands(np.array([at_s]), np.array([value]))
         piece = stream.evaluate()
         pieces += [piece] if piece is not None else []
     last = stream.evaluate(final=True)

@@ -68,9 +68,15 @@ def assert_same_as_offline(model: ServoModel, raw: Series, entry: Surface) -> No
     stream = healthy.stream(Pace(raw.period_s, raw.command_s[: WARM_UP_STEPS + 1], None))
     rng = np.random.default_rng(2)
     evaluated: list[Piece | None] = []
-    for time_s, role, value in in_order(raw):
-        (stream.position if role else stream.command)(time_s, value)
-        if rng.random() < 0.3:
+    commands: list[tuple[float, float]] = []
+    for time_s, role, value in [*in_order(raw), (np.inf, 1, np.nan)]:
+        if role:
+            stream.position(time_s, value)
+        else:
+            commands.append((time_s, value))
+        if time_s == np.inf or rng.random() < 0.3:
+            stream.commands(*np.array(commands).reshape(-1, 2).T)
+            commands.clear()
             evaluated.append(stream.evaluate())
     pieces = [piece for piece in (*evaluated, stream.evaluate(final=True)) if piece is not None]
     for name in ("simulated_deg", "measured_deg", "residual_deg", "settled", "time_s"):
@@ -352,5 +358,8 @@ class TestMemory:
 
     def test_a_full_buffer_of_commands_drops_a_quarter(self) -> None:
         buffer = CommandBuffer(8)
-        assert [buffer.append(float(k), 2.0 * k, 0.0) for k in range(10)] == [0] * 8 + [2, 0]
-        assert buffer.time_s.tolist() == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]
+        time_s = np.arange(10.0)
+        assert [buffer.append(time_s[[k]], 2.0 * time_s[[k]]) for k in range(10)] == [0] * 8 + [2, 0]
+        at_once = CommandBuffer(8)
+        assert at_once.append(time_s, 2.0 * time_s) == 2
+        assert buffer.time_s.tolist() == at_once.time_s.tolist() == time_s[2:].tolist()

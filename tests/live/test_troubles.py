@@ -228,5 +228,7 @@ def test_what_comes_too_slowly_for_the_servo_is_told(aircraft: Aircraft, rate_hz
     field = Field.of({0: aircraft})
     field.session.send = None
     field.fly(vehicle(flown(duration_s=30.0), message_hz=rate_hz))
-    told = [note for note in field.session.notes if "slow for a servo of 4.5 Hz, which needs 18 Hz" in note]
+    told = [
+        note for note in field.session.notes if "slow for a servo whose bandwidth is 4.5 Hz: 18 Hz would do" in note
+    ]
     assert len(told) == (3 if is_slow else 0), field.session.notes

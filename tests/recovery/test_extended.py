@@ -375,9 +375,9 @@ def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[st
     healthy = healthy_of(surface.surfaces["x"], surface.model("x"))
     stream = healthy.stream(Pace(segment.period_s, log.time_s[:101], None))
     pieces = []
-    for time_s, command_deg, position_deg in zip(log.time_s, log.command_deg, log.position_deg, strict=True):
-        stream.command(float(time_s), float(command_deg))
-        stream.position(float(time_s), float(position_deg))
+    for k, (time_s, position_deg) in enumerate(zip(log.time_s.tolist(), log.position_deg.tolist(), strict=True)):
+        stream.commands(log.time_s[k : k + 1], log.command_deg[k : k + 1])
+        stream.position(time_s, position_deg)
         pieces.append(stream.evaluate())
     pieces.append(stream.evaluate(final=True))
     seen = [piece for piece in pieces if piece is not None]
