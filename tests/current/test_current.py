@@ -144,6 +144,19 @@ def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
     assert "the end of its range" in servofd.audit(path)["aileron"].reason
 
 
+def test_a_current_that_ends_in_the_first_half_of_a_flight_clears_nobody(tmp_path: Path) -> None:
+    """The servo blocks after that."""
+    log = written(tmp_path / "flight.csv", flown(5, 10.0, "blocked"))
+    head, *rows = _lines(log)
+    early = [row if float(row.partition(",")[0]) < 40.0 else row.rpartition(",")[0] + "," for row in rows]
+    Path(log).write_text("\n".join([head, *early]) + "\n")
+    assert main(["audit", log]) == 2
+    found = servofd.audit(log)["aileron"]
+    assert found.status == "unknown"
+    assert found.judged_share < 0.5
+    assert found.reason.startswith("judged for too little of the log")
+
+
 def test_a_current_that_begins_in_mid_flight_is_judged_from_there(tmp_path: Path) -> None:
     log = written(tmp_path / "flight.csv", flown(5, 10.0, "blocked"))
     head, *rows = _lines(log)
