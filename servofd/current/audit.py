@@ -229,6 +229,8 @@ def _judged(
     ):
         # What this servo draws when well is not known, and one that is blocked or has no power does not follow.
         return replace(found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=())
+    if surface.status == "healthy" and any(fault.kind in _AT_REST for fault in found.faults):
+        return replace(found, status="unknown", reason=f"{found.reason}; {_MOVES}", faults=(), suspicions=())
     still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]
     if still and not found.faults and surface.segment is not None:
         to_s = np.inf if still[0].end_s is None else still[0].end_s
@@ -242,6 +244,7 @@ def _judged(
 
 
 _FOLLOWED: Final = "but its position followed: calibrate what it draws on a good flight"
+_MOVES: Final = "but its position followed: the sensor of the current is at fault"
 _SENSOR: Final = "the position stands still, the current says that it moves: its sensor is at fault"
 
 

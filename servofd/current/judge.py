@@ -111,7 +111,8 @@ def verdict_of(
         rows &= series.time_s >= faults[0].start_s
     good_a = float(np.mean(seen.healthy_a[rows])) if rows.any() else 0.0
     ratio = round(float(np.mean(series.current_a[rows])) / good_a, 3) if good_a > 0.0 else None
-    status, reason = _status(seen, faults, suspicions, ratio, " while all others on its wire were well" if others else "")
+    when = " while all others on its wire were well" if others else ""
+    status, reason = _status(seen, faults, suspicions, ratio, when)
     return CurrentAudit(
         status,
         "; ".join((reason, *series.notes)),

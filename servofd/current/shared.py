@@ -121,8 +121,9 @@ def faults_of_wire(
         accounts = _may_be(seen, whole, span_s, followed, at_once)
         if accounts is None:
             return found, tuple(causes), span_s[0]
-        if not accounts or any(one.end_s is None or one.end_s >= first.alarm_s for name in accounts for one in found[name]):
-            continue  # what was reported of them lasts
+        known = [one for name in accounts for one in found[name]]
+        if not accounts or any(one.end_s is None or one.end_s >= first.alarm_s for one in known):
+            continue  # it is of nobody, or what was reported of them lasts
         before = {name: found[name][-1] for name in accounts if found[name]}
         if len(before) == len(accounts) and all(one.kind == accounts[name].kind for name, one in before.items()):
             for name, one in before.items():  # it was hard to see for a while
@@ -132,8 +133,8 @@ def faults_of_wire(
             continue
         is_of_one = len(accounts) < len(seen) or any(one.kind != "unpowered" for one in accounts.values())
         for name, account in accounts.items():
-            known = first.probability / (len(accounts) if is_of_one else 1)
-            own = replace(first, kind=account.kind, parameters=account.parameters, alternatives=(), probability=known)
+            sure = first.probability / (len(accounts) if is_of_one else 1)
+            own = replace(first, kind=account.kind, parameters=account.parameters, alternatives=(), probability=sure)
             found[name].append(own)
         if len(accounts) > 1 and is_of_one:
             causes.append(_one_of(seen, found, list(accounts)))

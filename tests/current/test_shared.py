@@ -124,13 +124,13 @@ def test_a_sensor_that_fails_while_positions_follow_is_no_fault_of_a_servo(tmp_p
     assert "its sensor reads nothing while servos move" in found["aileron_left"].reason
 
 
-@pytest.mark.parametrize("fault", ["blocked", "binding"])
-def test_who_follows_is_not_accused_of_what_another_shows(tmp_path: Path, plane: str, fault: str) -> None:
-    """The ailerons are asked for the same, and only one of them moves as it is asked to."""
-    (tmp_path / "log.csv").write_text(bench(15, fault, NAMES[:1], NAMES[:2]))
+@pytest.mark.parametrize("lost", NAMES[:2])
+def test_a_jam_that_a_position_shows_is_what_a_wire_shows(tmp_path: Path, plane: str, lost: str) -> None:
+    """And none of the servo beside it, whose position nobody knows."""
+    (tmp_path / "log.csv").write_text(bench(21, "blocked", (lost,), NAMES[:2]))
     found = servofd.audit(tmp_path / "log.csv", with_positions(tmp_path, plane, NAMES[:2]))
-    assert found["aileron_left"].status == "fault"
-    assert [found[name].status for name in NAMES[1:]] == ["healthy", "healthy"]
+    assert {s.surface for s in found.surfaces if s.status == "fault"} == {lost}
+    assert {s.surface for s in found.surfaces if s.status == "healthy"} == set(NAMES) - {lost}
 
 
 def test_a_wire_that_carries_nothing_is_a_supply_that_gave_way(tmp_path: Path, plane: str) -> None:

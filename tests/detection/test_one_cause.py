@@ -139,7 +139,7 @@ def test_volts_that_fall_while_amperes_rise_are_one_supply(fell_v: float) -> Non
 def slowed(count: int, share: float | FloatArray) -> pd.DataFrame:
     """Servos that have a share of their speed from 45 s on, or at each instant."""
     shares = np.where(np.arange(0.0, 90.0, 0.02) < 45.0, 1.0, share) if np.ndim(share) == 0 else np.asarray(share)
-    time_s = 0.02 * np.arange(shares.size)
+    time_s: FloatArray = np.arange(0.0, shares.size) * 0.02
     parts = np.linspace(shares.min(), shares.max(), 7)
     columns: dict[str, FloatArray] = {}
     for k in range(count):
