@@ -116,8 +116,7 @@ def faults_of_wire(
         events = events[len(event) :]
         last_s = max(np.inf if one.end_s is None else one.end_s for one in event)
         span_s = min(one.start_s for one in event), min(last_s, first.alarm_s + _WHOSE_S, end_s)
-        until_s = first.alarm_s + _ONE_EVENT_S
-        at_once = {name for name, own in failed.items() if any(_overlaps(one, span_s[0], until_s) for one in own)}
+        at_once = _failed_between(failed, span_s[0], first.alarm_s + _ONE_EVENT_S)
         accounts = _may_be(seen, whole, span_s, followed, at_once)
         if accounts is None:
             return found, tuple(causes), span_s[0]
@@ -178,8 +177,10 @@ def _draws(seen: Seen, span_s: tuple[float, float]) -> bool:
     return would_show(seen._replace(usable=seen.usable & (time_s >= span_s[0]) & (time_s <= span_s[1])))
 
 
-def _overlaps(fault: Fault, from_s: float, to_s: float) -> bool:
-    return fault.start_s <= to_s and (fault.end_s is None or fault.end_s >= from_s)
+def _failed_between(failed: Mapping[str, Sequence[Fault]], from_s: float, to_s: float) -> set[str]:
+    """Servos with a fault that lasts at some time between two."""
+    lasts = [(name, one) for name, own in failed.items() for one in own if one.start_s <= to_s]
+    return {name for name, one in lasts if one.end_s is None or one.end_s >= from_s}
 
 
 def _whole(seen: Mapping[str, Seen]) -> Seen:
