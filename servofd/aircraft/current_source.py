@@ -192,12 +192,13 @@ def _volts(log: FlightLog, name: str) -> tuple[FloatArray, FloatArray]:
 
 
 def supplies(log: FlightLog, aircraft: Aircraft) -> list[tuple[FloatArray, FloatArray]]:
-    """Times [s] and readings [V] of the rail of all servos, and of what is read beside their currents."""
+    """Times [s] and readings [V] of the rail of all servos, of columns of their own, and beside their currents."""
     try:
         beside = {source.voltage: None for source in current_sources(log, aircraft).values() if source.voltage}
     except NoMeasurement:
         beside = {}
-    found = [signal_of(log, SURROUNDINGS["servo_voltage_v"]), *(_volts(log, name) for name in beside)]
+    names = beside | {f"{name}_voltage_v": None for name in aircraft.surfaces}
+    found = [signal_of(log, SURROUNDINGS["servo_voltage_v"]), *(_volts(log, name) for name in names)]
     return [one for one in found if one[0].size]
 
 

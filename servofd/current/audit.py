@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.current_source import current_sources, read_current, supplies
+from servofd.aircraft.pace import OUTAGE_S
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.current.judge import faults_of, largest_of, limits_of, pushed, tells_motion, verdict_of
-from servofd.current.model import CurrentSeries, Motion, fit_current, see, widened
+from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
 from servofd.current.stream import motion_model
 from servofd.current.wear import features_of, wear_of
 from servofd.detection.causes import with_common_causes
+from servofd.detection.evidence import LEAST_OF_THE_LOG, MOST_OF_THE_LOG
 from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, CurrentAudit, SurfaceAudit, describe
 from servofd.servo.context import Context
@@ -64,12 +66,28 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
         elif names[0] in verdicts:
             name = names[0]
             currents[name] = _judged(log, aircraft, verdicts[name], sources[name], cycles.setdefault(name, []))
+    currents = {name: _of_the_log(current, log.duration_s) for name, current in currents.items()}
     surfaces = [_joined(surface, currents.get(surface.surface)) for surface in audit.surfaces]
     common, causes = tuple(surfaces), audit.common_causes
     if any(s.current.faults or s.current.suspicions for s in surfaces if s.current):
         common, new = with_common_causes(surfaces, supplies(log, aircraft))
         causes = (*(one for one in causes if all(abs(one.since_s - other.since_s) > _AGREE_S for other in new)), *new)
     return replace(audit, surfaces=common, common_causes=(*causes, *events))
+
+
+def _of_the_log(current: CurrentAudit, duration_s: float) -> CurrentAudit:
+    """What a current tells, and of how much of the log: of less than half of it clears nobody."""
+    if current.time_s is None or current.time_s.size < 2 or not duration_s > 0.0:
+        return current
+    steps_s = np.diff(current.time_s)
+    read_s = float(np.minimum(steps_s, max(3.0 * float(np.median(steps_s)), OUTAGE_S)).sum())
+    share = min(current.judged_share * read_s / duration_s, 1.0)
+    status, reason = current.status, current.reason
+    if status == "healthy" and share < LEAST_OF_THE_LOG:
+        status, reason = "unknown", f"judged for too little of the log; as far as it was judged, {reason}"
+    if share < MOST_OF_THE_LOG:
+        reason += f"; its current tells of {share:.0%} of the log"
+    return replace(current, status=status, reason=reason, judged_share=share)
 
 
 def _together(
@@ -94,8 +112,19 @@ def _together(
         return dict.fromkeys(names, CurrentAudit("unknown", str(error))), ()
     seen = {name: see(one, calibrated[name]) for name, one in own_currents(series, calibrated).items()}
     followed = {name for name, verdict in verdicts.items() if verdict.status == "healthy"}
-    faults, events = faults_of_wire(seen, followed)
-    return {name: verdict_of(seen[name], faults[name]) for name in names}, events
+    failed = {name: verdict.faults for name, verdict in verdicts.items() if name in seen}
+    faults, events, until_s = faults_of_wire(seen, followed, failed)
+    if np.isfinite(until_s):
+        seen = {name: _read_until(one, until_s) for name, one in seen.items()}
+    others = {name: [one for other in names if other != name for one in faults[other]] for name in names}
+    return {name: verdict_of(seen[name], faults[name], others=others[name]) for name in names}, events
+
+
+def _read_until(seen: Seen, until_s: float) -> Seen:
+    """The same, without what a sensor read after it failed."""
+    note = f"from {until_s:.0f} s on its sensor reads nothing while servos move: it failed"
+    series = replace(seen.series, notes=(*seen.series.notes, note))
+    return seen._replace(series=series, usable=seen.usable & (series.time_s < until_s))
 
 
 def healthy_currents(
@@ -200,6 +229,8 @@ def _judged(
     ):
         # What this servo draws when well is not known, and one that is blocked or has no power does not follow.
         return replace(found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=())
+    if surface.status == "healthy" and any(fault.kind in _AT_REST for fault in found.faults):
+        return replace(found, status="unknown", reason=f"{found.reason}; {_MOVES}", faults=(), suspicions=())
     still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]
     if still and not found.faults and surface.segment is not None:
         to_s = np.inf if still[0].end_s is None else still[0].end_s
@@ -213,6 +244,7 @@ def _judged(
 
 
 _FOLLOWED: Final = "but its position followed: calibrate what it draws on a good flight"
+_MOVES: Final = "but its position followed: the sensor of the current is at fault"
 _SENSOR: Final = "the position stands still, the current says that it moves: its sensor is at fault"
 
 

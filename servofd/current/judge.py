@@ -92,9 +92,18 @@ _ALWAYS: Final = 0.35
 """Share of its stall that a blocked servo draws in nine of ten readings at which it is asked to be elsewhere."""
 
 
-def verdict_of(seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] = ()) -> CurrentAudit:
-    """What is said of one surface by its current and its faults; of wear, with `features_of` cycles `before` it."""
+def verdict_of(
+    seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] = (), others: Sequence[Fault] = ()
+) -> CurrentAudit:
+    """What is said of one surface by its current and its faults; of wear, with `features_of` cycles `before` it.
+
+    While `others` on its wire are at fault the reading tells nothing of how much it draws.
+    """
     series, known = seen.series, seen.known
+    whole_share = float(np.mean(seen.usable)) if seen.usable.size else 0.0
+    for other in others if not found else ():
+        to_s = np.inf if other.end_s is None else other.end_s
+        seen = seen._replace(usable=seen.usable & ~((series.time_s >= other.start_s) & (series.time_s <= to_s)))
     faults = tuple(fault for fault in found if fault.level == "fault")
     suspicions = tuple(fault for fault in found if fault.level == "suspect") or (() if faults else worn(seen, before))
     rows = seen.usable & (seen.moving > 0.5)
@@ -102,7 +111,8 @@ def verdict_of(seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] 
         rows &= series.time_s >= faults[0].start_s
     good_a = float(np.mean(seen.healthy_a[rows])) if rows.any() else 0.0
     ratio = round(float(np.mean(series.current_a[rows])) / good_a, 3) if good_a > 0.0 else None
-    status, reason = _status(seen, faults, suspicions, ratio)
+    when = " while all others on its wire were well" if others else ""
+    status, reason = _status(seen, faults, suspicions, ratio, when)
     return CurrentAudit(
         status,
         "; ".join((reason, *series.notes)),
@@ -115,7 +125,7 @@ def verdict_of(seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] 
         seen.healthy_a,
         seen.sigma_a,
         (series.motion.time_s, series.motion.asked_deg),
-        float(np.mean(seen.usable)) if seen.usable.size else 0.0,
+        whole_share,
         asked=would_show(seen),
     )
 
@@ -181,7 +191,7 @@ def _nats(left: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def _status(
-    seen: Seen, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None
+    seen: Seen, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None, when: str
 ) -> tuple[Status, str]:
     known = seen.known
     if faults:
@@ -191,9 +201,10 @@ def _status(
     if suspicions:
         return "suspect", f"by its current: {'; '.join(describe(fault) for fault in suspicions)}"
     if not would_show(seen):
-        return "unknown", "too little motion for its current to tell a servo without power from one at rest"
+        return "unknown", f"too little motion{when} for its current to tell a servo without power from one at rest"
     if known.fitted_between_s is None:
-        return "healthy", f"its current is as in its good flights ({ratio or 1.0:.2f} times theirs in motion)"
+        times = "" if ratio is None else f" ({ratio:.2f} times theirs in motion)"
+        return "healthy", f"its current is as in its good flights{times}"
     from_s, to_s = known.fitted_between_s
     return "healthy", (
         f"its current is as from {from_s:.0f} to {to_s:.0f} s of this log: would have shown a servo that becomes "
@@ -387,12 +398,12 @@ def _best(seen: Seen, at_s: float, earliest_s: float, worth: Mapping[str, BoolAr
 
 
 def account_of(seen: Seen, from_s: float, to_s: float, kind: str = "") -> Account | None:
-    """The likeliest fault between two times, or of a kind, be it likelier than a good servo or not; None if none is."""
+    """The likeliest fault between two times, or the account of a kind; None if there is none, or nothing was read."""
     rows = _between(seen, from_s, to_s)
     if np.count_nonzero(seen.usable[rows]) < 2:
         return None
-    _, *others = _accounts(seen, rows)
-    return min((one for one in others if kind in ("", one.kind)), key=lambda one: one.total, default=None)
+    asked = {kind} if kind else set(FOLLOWED)
+    return min((one for one in _accounts(seen, rows) if one.kind in asked), key=lambda one: one.total, default=None)
 
 
 def more_of(seen: Seen, noise_a: FloatArray, from_s: float, to_s: float) -> float:

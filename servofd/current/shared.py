@@ -8,17 +8,18 @@ for the same, or the opposite, at once cannot be distinguished by what they draw
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.current.judge import SURE_NATS, account_of, faults_of, more_of
+from servofd.current.judge import SURE_NATS, account_of, faults_of, more_of, would_show
 from servofd.current.model import fit_current, terms
 from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import CommonCause, Fault, two_digits
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Mapping, Sequence
+    from collections.abc import Mapping, Sequence, Set
 
     from servofd.aircraft.current import CalibratedCurrent
     from servofd.core.types import FloatArray
@@ -29,6 +30,8 @@ _RIDGE: Final = 1e-3
 """Share of a column's square by which a joint fit prefers a small term: servos that move alike share what they draw."""
 _WHOSE_S: Final = 60.0
 """For so long after an alarm it is compared whose motion it goes with: a minute holds manoeuvres of all."""
+_EXPLAINS: Final = 0.5
+"""Share of what explains an event best that the motion of a servo has to explain, whose position is at fault then."""
 _ONE_EVENT_S: Final = 15.0
 """Faults of one wire that are noticed within so much of each other are one event: the longest window is 20 s."""
 
@@ -93,11 +96,13 @@ def _spoken(names: Sequence[str] | set[str]) -> str:
 
 
 def faults_of_wire(
-    seen: Mapping[str, Seen], followed: Container[str]
-) -> tuple[dict[str, list[Fault]], tuple[CommonCause, ...]]:
-    """Return the faults of each servo on a wire, and each event that may be of several of them.
+    seen: Mapping[str, Seen], followed: Set[str], failed: Mapping[str, Sequence[Fault]] = MappingProxyType({})
+) -> tuple[dict[str, list[Fault]], tuple[CommonCause, ...], float]:
+    """Return the faults of each servo on a wire, each event that may be of several, and until when it is read [s].
 
-    `followed` are servos whose position says that they do as asked: no event is of one of them if it may be of another.
+    `followed` are servos whose position says that they do as asked: no event is of one of them if it may be of another,
+    and none of them is blocked or without power. `failed` are the faults that positions tell: an event at the time of
+    one is of that servo, where its motion explains most of it.
     """
     found: dict[str, list[Fault]] = {name: [] for name in seen}
     causes: list[CommonCause] = []
@@ -111,10 +116,13 @@ def faults_of_wire(
         events = events[len(event) :]
         last_s = max(np.inf if one.end_s is None else one.end_s for one in event)
         span_s = min(one.start_s for one in event), min(last_s, first.alarm_s + _WHOSE_S, end_s)
-        accounts = _may_be(seen, whole, span_s)
-        accounts = {name: one for name, one in accounts.items() if name not in followed} or accounts
-        if any(one.end_s is None or one.end_s >= first.alarm_s for name in accounts for one in found[name]):
-            continue  # what was reported of them lasts
+        at_once = _failed_between(failed, span_s[0], first.alarm_s + _ONE_EVENT_S)
+        accounts = _may_be(seen, whole, span_s, followed, at_once)
+        if accounts is None:
+            return found, tuple(causes), span_s[0]
+        known = [one for name in accounts for one in found[name]]
+        if not accounts or any(one.end_s is None or one.end_s >= first.alarm_s for one in known):
+            continue  # it is of nobody, or what was reported of them lasts
         before = {name: found[name][-1] for name in accounts if found[name]}
         if len(before) == len(accounts) and all(one.kind == accounts[name].kind for name, one in before.items()):
             for name, one in before.items():  # it was hard to see for a while
@@ -124,28 +132,55 @@ def faults_of_wire(
             continue
         is_of_one = len(accounts) < len(seen) or any(one.kind != "unpowered" for one in accounts.values())
         for name, account in accounts.items():
-            known = first.probability / (len(accounts) if is_of_one else 1)
-            own = replace(first, kind=account.kind, parameters=account.parameters, alternatives=(), probability=known)
+            sure = first.probability / (len(accounts) if is_of_one else 1)
+            own = replace(first, kind=account.kind, parameters=account.parameters, alternatives=(), probability=sure)
             found[name].append(own)
         if len(accounts) > 1 and is_of_one:
             causes.append(_one_of(seen, found, list(accounts)))
-    return found, tuple(causes)
+    return found, tuple(causes), np.inf
 
 
-def _may_be(seen: Mapping[str, Seen], whole: Seen, span_s: tuple[float, float]) -> dict[str, Account]:
-    """What each servo does that an event between two times may be of: one, several alike, or all without power."""
+def _may_be(
+    seen: Mapping[str, Seen], whole: Seen, span_s: tuple[float, float], followed: Set[str], failed: Set[str]
+) -> dict[str, Account] | None:
+    """What each servo does that an event between two times may be of: one, several alike, or all without power.
+
+    None if positions say that servos move while nothing flows: then it is the sensor of the current that failed.
+    """
     accounts = {name: one for name, each in seen.items() if (one := account_of(each, *span_s)) is not None}
     least = min(accounts.values(), key=lambda one: one.total)
     rest = account_of(whole, *span_s, "unpowered")
     if rest is not None and rest.total < least.total:
-        return dict.fromkeys(seen, rest)
+        moves = any(_draws(seen[name], span_s) for name in followed & seen.keys())
+        return None if moves else dict.fromkeys(seen.keys() - followed or seen, rest)
     totals = {name: one.total for name, one in accounts.items()}
     if least.kind == "binding":  # whose motion it goes with: readings are as uncertain whoever it is
         totals = {name: more_of(each, whole.noise_a, *span_s) for name, each in seen.items()}
         bound = {name: account_of(each, *span_s, "binding") for name, each in seen.items()}
         accounts = {name: one for name, one in bound.items() if one is not None}
-    alike = min(totals[name] for name in accounts) + SURE_NATS
-    return {name: one for name, one in accounts.items() if totals[name] <= alike}
+
+    def likeliest(names: Set[str]) -> dict[str, Account]:
+        alike = min((totals[name] for name in names), default=0.0) + SURE_NATS
+        return {name: one for name, one in accounts.items() if name in names and totals[name] <= alike}
+
+    well, best = account_of(whole, *span_s, "healthy"), min(totals.values())
+    enough = best if well is None else well.total + _EXPLAINS * (best - well.total)
+    shown = {name for name in failed & accounts.keys() if totals[name] <= enough}
+    found = likeliest(shown or accounts.keys())
+    free = {name: one for name, one in found.items() if name not in followed}
+    return free or (found if least.kind == "binding" and not failed else likeliest(accounts.keys() - followed))
+
+
+def _draws(seen: Seen, span_s: tuple[float, float]) -> bool:
+    """Whether what a servo draws for its motion shows between two times."""
+    time_s = seen.series.time_s
+    return would_show(seen._replace(usable=seen.usable & (time_s >= span_s[0]) & (time_s <= span_s[1])))
+
+
+def _failed_between(failed: Mapping[str, Sequence[Fault]], from_s: float, to_s: float) -> set[str]:
+    """Servos with a fault that lasts at some time between two."""
+    lasts = [(name, one) for name, own in failed.items() for one in own if one.start_s <= to_s]
+    return {name for name, one in lasts if one.end_s is None or one.end_s >= from_s}
 
 
 def _whole(seen: Mapping[str, Seen]) -> Seen:

@@ -26,6 +26,9 @@ _AROUND_S: Final = 15.0
 _FALLEN, _UNDER_LOAD = 0.9, 0.1
 """Share of its volts below which a supply has fallen, each taken as those that it is below for a tenth of the time: the
 rail of the simulated motors sags by 5 % under load."""
+_EMPTY, _FULL = 0.75, 0.95
+"""Share of its highest volts at which a battery is empty (3.2 of 4.2 V a cell), and below which one is passed by for
+glitches: a share of its readings."""
 _FROZEN = ("stuck", "hardover", "deadband", "floating")
 _AT_START_S = 5.0
 """Time after the first sample within which a fault was there from the beginning [s]."""
@@ -89,8 +92,9 @@ def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
         after_v = volts_v[(time_s > at_s) & (time_s <= at_s + _AROUND_S)]
         if before_v.size and after_v.size:
             loaded_v, is_v = (float(np.quantile(one, _UNDER_LOAD)) for one in (before_v, after_v))
-            found.append((is_v < _FALLEN * loaded_v, float(np.median(before_v)), is_v))
-    fallen = [(was_v, is_v) for fell, was_v, is_v in found if fell]
+            fell = loaded_v > 0.0 and is_v < _FALLEN * loaded_v
+            found.append((fell, float(np.median(before_v)), is_v))
+    fallen = [(was_v, is_v) for has_fallen, was_v, is_v in found if has_fallen]
     if 2 * len(fallen) <= len(found):
         return ""
     was_v, is_v = np.median(fallen, axis=0).tolist()
@@ -112,7 +116,8 @@ def _rose(surfaces: Sequence[SurfaceAudit], cause: CommonCause) -> str:
 def before_it_fell(context: Context) -> Context:
     """What acts on servos as if their supply had not given way: one that its supply makes slow is no healthy one.
 
-    A supply that falls under load, or little by little as a battery empties, stays what it is.
+    A supply that falls under load, or little by little as a battery empties, stays what it is, down to where a battery
+    is empty.
 
     Examples
     --------
@@ -123,14 +128,18 @@ def before_it_fell(context: Context) -> Context:
     6.0
     """
     time_s, volts_v = context.voltage_s, context.voltage_v
-    for at_s in np.arange(time_s[0] + _AROUND_S, time_s[-1] - _AROUND_S) if time_s.size else ():
+    if not time_s.size or np.min(volts_v) >= _FALLEN * np.max(volts_v):
+        return context
+    low_s = time_s[volts_v < _FALLEN * np.maximum.accumulate(volts_v)]
+    for at_s in np.unique(np.floor(low_s)):
         first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-_AROUND_S, -1.0, 1.0, _AROUND_S]))
         if first < falls and fell < last:
             least_v, most_v = np.quantile(volts_v[first:falls], _UNDER_LOAD), np.quantile(volts_v[fell:last], 0.9)
-            if most_v < _FALLEN * least_v:
+            if least_v > 0.0 and most_v < _FALLEN * least_v:
                 low = (np.arange(time_s.size) >= falls) & (volts_v < _FALLEN * least_v)
-                return replace(context, voltage_v=np.where(low, np.median(volts_v[first:falls]), volts_v))
-    return context
+                volts_v = np.where(low, np.median(volts_v[first:falls]), volts_v)
+                break
+    return replace(context, voltage_v=np.maximum(volts_v, _EMPTY * np.quantile(volts_v, _FULL)))
 
 
 def _struck(surface: SurfaceAudit, at_s: float, within_s: float) -> Fault | None:

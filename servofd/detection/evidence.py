@@ -92,7 +92,8 @@ _JUDGED = 0.4
 _FEWEST_S = 3.0
 """Motion that counts [s]."""
 _LEAST = 0.5
-_LEAST_OF_THE_LOG = 0.5
+LEAST_OF_THE_LOG = 0.5
+"""Share of the log that must be judged before a surface is cleared."""
 _TRIED_DEG = 3.0
 """A surface that was asked to move by so much was tried, also where its threshold is too wide to show a jam."""
 _STOPS_S, _STOPS_SHARE = 3.0, 0.1
@@ -300,7 +301,7 @@ def reported(
     """The verdict with what was seen of the flight, and what was not."""
     asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
     uncovered, remarks = coverage(segment, residuals)
-    problem = uncovered or ("judged for too little of the log" if judged_share < _LEAST_OF_THE_LOG else "")
+    problem = uncovered or ("judged for too little of the log" if judged_share < LEAST_OF_THE_LOG else "")
     if status == "healthy" and problem:
         status, reason = "unknown", f"{problem}; as far as it was judged, {reason}"
     reason = "; ".join((reason, *remarks))

@@ -167,7 +167,7 @@ constants of the thesis' filter [s]."""
 _APART_S = 2.0 * LONGEST_PAUSE_S
 """Between records that are simulated as one [s]: after that pause each begins anew."""
 _LEAST_SUPPLY_V = 2.0
-_POWERS = (0.6, 1.4)
+_POWERS = (0.75, 1.4)
 """Supply over its usual value, at which it is cut off."""
 FINE_S = 0.01
 """Longest step between two samples over which load and supply are taken as constant [s]."""

@@ -144,6 +144,35 @@ def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
     assert "the end of its range" in servofd.audit(path)["aileron"].reason
 
 
+@pytest.mark.slow
+def test_a_current_that_dies_while_the_position_follows_is_no_fault_of_the_servo(tmp_path: Path) -> None:
+    goods = [tmp_path / f"good{k}.csv" for k in range(4)]
+    for k, good in enumerate(goods):
+        good.write_text(flown(70 + k, 10.0).csv("aileron", position=True))
+    plane = servofd.calibrate(goods).save(tmp_path / "plane.toml")
+    head, *rows = flown(5, 10.0).csv("aileron", position=True).splitlines()
+    read = [row.split(",") for row in rows]
+    dead = [[t, asked, "0.0", at] if a and float(t) > START_S else [t, asked, a, at] for t, asked, a, at in read]
+    (tmp_path / "flight.csv").write_text("\n".join([head, *map(",".join, dead)]) + "\n")
+    found = servofd.audit(tmp_path / "flight.csv", plane)["aileron"]
+    assert (found.status, found.faults) == ("healthy", ())
+    assert found.current is not None
+    assert "the sensor of the current is at fault" in found.current.reason
+
+
+def test_a_current_that_ends_in_the_first_half_of_a_flight_clears_nobody(tmp_path: Path) -> None:
+    """The servo blocks after that."""
+    log = written(tmp_path / "flight.csv", flown(5, 10.0, "blocked"))
+    head, *rows = _lines(log)
+    early = [row if float(row.partition(",")[0]) < 40.0 else row.rpartition(",")[0] + "," for row in rows]
+    Path(log).write_text("\n".join([head, *early]) + "\n")
+    assert main(["audit", log]) == 2
+    found = servofd.audit(log)["aileron"]
+    assert found.status == "unknown"
+    assert found.judged_share < 0.5
+    assert found.reason.startswith("judged for too little of the log")
+
+
 def test_a_current_that_begins_in_mid_flight_is_judged_from_there(tmp_path: Path) -> None:
     log = written(tmp_path / "flight.csv", flown(5, 10.0, "blocked"))
     head, *rows = _lines(log)

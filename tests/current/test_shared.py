@@ -23,8 +23,11 @@ PLANE = "".join(
 )
 
 
-def bench(seed: int, fault: str = "", lost: tuple[str, ...] = ()) -> str:
-    """A table of three servos, the ailerons of one command, and of the sum of what they draw, at 10 Hz."""
+def bench(seed: int, fault: str = "", lost: tuple[str, ...] = (), seen: tuple[str, ...] = ()) -> str:
+    """A table of three servos, the ailerons of one command, and of the sum of what they draw, at 10 Hz.
+
+    The positions of those that are `seen` stand in it as well.
+    """
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, SECONDS, 0.04)
     aileron_deg, elevator_deg = (gusty(time_s, np.random.default_rng([seed, k])) for k in range(2))
@@ -32,16 +35,20 @@ def bench(seed: int, fault: str = "", lost: tuple[str, ...] = ()) -> str:
     at_s = np.arange(0.05, SECONDS - 0.2, 0.1)
     at_s += rng.uniform(-0.005, 0.005, at_s.size)
     drawn_a = 0.01 * rng.standard_normal(at_s.size)
+    read = dict(asked)
     for k, name in enumerate(NAMES):
         kind, sensor = fault if name in lost else "", Sensor(125.0, step_a=0.0, noise_a=0.0)
         flown = fly(SECONDS, 10 * seed + k, sensor=sensor, fault=kind, start_s=START_S, command_deg=asked[name])
         drawn_a += flown.current_a[np.clip(np.searchsorted(flown.current_s, at_s) - 1, 0, None)]
+        now = np.clip(np.searchsorted(flown.current_s, time_s) - 1, 0, None)
+        read[name] = flown.position_deg[now] + rng.normal(0.0, 0.05, time_s.size)
+    columns = [*asked.values(), *(read[name] for name in seen)]
     rows = [
-        (t, f"{t:.4f},{','.join(f'{each:.3f}' for each in row)},")
-        for t, *row in zip(time_s, *asked.values(), strict=True)
+        (t, f"{t:.4f},{','.join(f'{each:.3f}' for each in row)},") for t, *row in zip(time_s, *columns, strict=True)
     ]
-    rows += [(t, f"{t:.4f},,,,{a:.2f}") for t, a in zip(at_s, drawn_a, strict=True)]
-    head = ",".join(["time_s", *(f"{name}_cmd_deg" for name in NAMES), "servo_current_a"])
+    rows += [(t, f"{t:.4f},{',' * len(columns)}{a:.2f}") for t, a in zip(at_s, drawn_a, strict=True)]
+    names = [*(f"{name}_cmd_deg" for name in NAMES), *(f"{name}_pos_deg" for name in seen)]
+    head = ",".join(["time_s", *names, "servo_current_a"])
     return "\n".join([head, *(row for _, row in sorted(rows))]) + "\n"
 
 
@@ -69,6 +76,10 @@ def test_who_is_asked_for_something_of_its_own_is_named_alone(tmp_path: Path, pl
     assert fault.kind == "blocked"
     assert START_S - 1.0 <= fault.start_s <= fault.alarm_s <= START_S + 10.0
     assert found.common_causes == ()
+    for name in NAMES[:2]:  # what a servo draws is no more because another one blocks
+        current = next(s.current for s in found.surfaces if s.surface == name)
+        assert current is not None
+        assert current.ratio_to_good == pytest.approx(1.0, abs=0.4)
 
 
 @pytest.mark.parametrize("lost", NAMES[:2])
@@ -87,6 +98,39 @@ def test_servos_of_one_command_are_named_together(
     for name in NAMES[:2]:
         (fault,) = found["surfaces"][name]["faults"]
         assert fault["probability"] <= 0.5  # one of two
+
+
+def with_positions(folder: Path, plane: str, names: tuple[str, ...]) -> Path:
+    """The aircraft file with the positions of some."""
+    text = Path(plane).read_text()
+    for name in names:
+        measured = f'measured = {{ channel = "{name}_pos_deg", unit = "deg" }}'
+        text = text.replace(f"[surfaces.{name}]\n", f"[surfaces.{name}]\n{measured}\n")
+    (folder / "seen.toml").write_text(text)
+    return folder / "seen.toml"
+
+
+def test_a_sensor_that_fails_while_positions_follow_is_no_fault_of_a_servo(tmp_path: Path, plane: str) -> None:
+    head, *rows = bench(11, seen=NAMES[2:]).splitlines()
+    dead = [
+        row.rpartition(",")[0] + ",0.00" if float(row.split(",")[0]) > 100.0 and row[-1] != "," else row for row in rows
+    ]
+    (tmp_path / "log.csv").write_text("\n".join([head, *dead]) + "\n")
+    found = servofd.audit(tmp_path / "log.csv", with_positions(tmp_path, plane, NAMES[2:]))
+    assert found.common_causes == ()
+    assert {s.surface: s.status for s in found.surfaces} == dict(
+        zip(NAMES, ("unknown", "unknown", "healthy"), strict=True)
+    )
+    assert "its sensor reads nothing while servos move" in found["aileron_left"].reason
+
+
+@pytest.mark.parametrize("lost", NAMES[:2])
+def test_a_jam_that_a_position_shows_is_what_a_wire_shows(tmp_path: Path, plane: str, lost: str) -> None:
+    """And none of the servo beside it, whose position nobody knows."""
+    (tmp_path / "log.csv").write_text(bench(21, "blocked", (lost,), NAMES[:2]))
+    found = servofd.audit(tmp_path / "log.csv", with_positions(tmp_path, plane, NAMES[:2]))
+    assert {s.surface for s in found.surfaces if s.status == "fault"} == {lost}
+    assert {s.surface for s in found.surfaces if s.status == "healthy"} == set(NAMES) - {lost}
 
 
 def test_a_wire_that_carries_nothing_is_a_supply_that_gave_way(tmp_path: Path, plane: str) -> None:

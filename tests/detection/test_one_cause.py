@@ -11,8 +11,9 @@ import pytest
 import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import BoolArray, FloatArray
-from servofd.detection.causes import with_common_causes
+from servofd.detection.causes import before_it_fell, with_common_causes
 from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
+from servofd.servo.context import Context
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import second_order
@@ -99,6 +100,26 @@ def test_two_that_become_slow_with_their_supply_are_at_fault_of_it(sags: bool) -
     assert "it fell from 6.0 to 4.2 V" in cause.text
 
 
+@pytest.mark.parametrize("column", ["servo_voltage_v", "servo1_voltage_v"])
+def test_a_supply_that_dies_little_by_little_makes_no_servo_well(column: str) -> None:
+    """Down to 2.4 of 6 V within a minute, which is no battery that empties."""
+    time_s = np.arange(0.0, 150.0, 0.02)
+    shares = np.clip(1.0 - 0.6 * (time_s - 45.0) / 60.0, 0.4, 1.0)
+    table = slowed(3, shares)
+    table[column] = 6.0 * shares + np.random.default_rng(1).normal(0.0, 0.05, time_s.size)
+    (result,) = servofd.audit(table)
+    assert {surface.status for surface in result.surfaces} == {"fault"}
+    assert {fault.kind for surface in result.surfaces for fault in surface.faults} == {"slow"}
+    assert any("it fell from" in cause.text for cause in result.common_causes)
+
+
+def test_a_clock_that_was_set_in_flight_does_not_keep_a_falling_supply_waiting() -> None:
+    time_s = np.append(0.0, 1.7e9 + np.arange(0.0, 60.0))
+    volts_v = np.where(time_s < 1.7e9 + 30.0, 6.0, 4.0)
+    held = before_it_fell(Context(voltage_s=time_s, voltage_v=volts_v))
+    assert held.voltage_v.min() == 6.0
+
+
 @pytest.mark.parametrize("fell_v", [0.0, 1.6])
 def test_volts_that_fall_while_amperes_rise_are_one_supply(fell_v: float) -> None:
     time_s = np.arange(0.0, 120.0, 0.1)
@@ -115,15 +136,18 @@ def test_volts_that_fall_while_amperes_rise_are_one_supply(fell_v: float) -> Non
     assert all("fell from 6.0 to 4.4 V while its servos drew 1 A instead of 0.4" in cause.text for cause in causes)
 
 
-def slowed(count: int, share: float) -> pd.DataFrame:
-    """Servos that have a share of their speed from 45 s on."""
-    time_s = np.arange(0.0, 90.0, 0.02)
+def slowed(count: int, share: float | FloatArray) -> pd.DataFrame:
+    """Servos that have a share of their speed from 45 s on, or at each instant."""
+    shares = np.where(np.arange(0.0, 90.0, 0.02) < 45.0, 1.0, share) if np.ndim(share) == 0 else np.asarray(share)
+    time_s: FloatArray = np.arange(0.0, shares.size) * 0.02
+    parts = np.linspace(shares.min(), shares.max(), 7)
     columns: dict[str, FloatArray] = {}
     for k in range(count):
         rng = np.random.default_rng(k)
         command_deg = doublets(time_s, rng) + 6.0 * np.sin((1.0 + 0.3 * k) * time_s)
-        before_deg, after_deg = (servo(part).simulate(time_s, command_deg, time_s) for part in (1.0, share))
-        measured_deg = np.where(time_s < 45.0, before_deg, after_deg) + rng.normal(0.0, 0.08, time_s.size)
+        moved_deg = np.array([servo(part).simulate(time_s, command_deg, time_s) for part in parts])
+        nearest = np.abs(shares[:, None] - parts).argmin(axis=1)
+        measured_deg = moved_deg[nearest, np.arange(time_s.size)] + rng.normal(0.0, 0.08, time_s.size)
         columns |= {f"servo{k}_cmd_deg": command_deg, f"servo{k}_pos_deg": measured_deg}
     return pd.DataFrame({"time_s": time_s, **columns})
 
