@@ -259,12 +259,13 @@ def test_the_tutorial_of_explain_is_what_its_script_makes(
 
 
 @pytest.mark.slow
-def test_the_calibration_page_shows_what_its_commands_print(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+@pytest.mark.parametrize("page", ["calibrate", "tutorial"])
+def test_a_page_shows_what_its_commands_print(
+    page: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
     codes = {}
-    for block in blocks((ROOT / "docs" / "calibrate.md").read_text(), "console"):
+    for block in blocks((ROOT / "docs" / f"{page}.md").read_text(), "console"):
         for shown in block.split("$ servofd ")[1:]:
             command, _, output = shown.partition("\n")
             words, _, target = command.partition(" > ")
@@ -274,5 +275,8 @@ def test_the_calibration_page_shows_what_its_commands_print(
                 (tmp_path / target).write_text(printed)
                 printed = ""
             assert plain(printed) == plain(output), command
-    assert codes["audit flight.bin -c plane.toml"] == 1
-    assert codes["audit --sweep ground.bin -c plane.toml"] == 0
+    known = {
+        "calibrate": {"audit flight.bin -c plane.toml": 1, "audit --sweep ground.bin -c plane.toml": 0},
+        "tutorial": {"audit flight.bin -o out --html report.html": 1, "audit small.bin -c plane.toml": 1},
+    }[page]
+    assert {command: codes[command] for command in known} == known
