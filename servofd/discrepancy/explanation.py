@@ -25,7 +25,7 @@ from servofd.discrepancy.sentences import (
 )
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.validity import check, clear_of, driven, share_followed
-from servofd.servo.catalogue import plain, told_apart
+from servofd.servo.catalogue import effects_named, plain, told_apart
 from servofd.servo.loop import scaled, split
 from servofd.servo.registry import is_built_in
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from servofd.discrepancy.record import Record
     from servofd.discrepancy.validity import Undriven
     from servofd.discrepancy.varying import Varying
+    from servofd.servo.effect import Effect
     from servofd.servo.physics import Physics
     from servofd.servo.servo_model import ServoModel
 
@@ -485,40 +486,7 @@ def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:
     return False
 
 
-_NAMES = {
-    "delay": "a longer delay",
-    "clock_offset": "positions stamped late",
-    "slow_dynamics": "slower dynamics",
-    "rate_limit": "a rate limit",
-    "voltage_rate": "a rate limit that falls with the supply",
-    "position_limit": "a stop",
-    "deadband": "a dead band",
-    "backlash": "play",
-    "friction": "friction",
-    "load_friction": "friction under load",
-    "gain": "another gain",
-    "bias": "an offset",
-    "airload": "a surface that yields to the airload",
-    "gravity_load": "a load that hangs on it",
-    "external_load": "the load that was logged",
-    "pwm_frame": "commands that wait for pulse frames",
-    "sensor_lag": "a sensor that lags",
-    "quantization": "coarse steps",
-    "current_limit": "a supply that limits its current",
-    "resonance": "a flexible linkage",
-    "damping": "another damping",
-    "supply_coupling": "a reading that moves with the current",
-    "linkage_nonlinearity": "a crooked linkage",
-    "linkage_nonlinearity (up and down)": "another gain up than down",
-}
 _UNITS = (("deg_s_per_v", " deg/s per V"), ("deg_s", " deg/s"), ("_deg", " deg"), ("_s", " s"), ("_hz", " Hz"))
-_SOUND = {
-    "backlash": (0.3, "check horn, rod and gear for play"),
-    "deadband": (0.4, "check the servo's electronics and its dead band setting"),
-    "friction": (0.3, "check for binding, and the gear"),
-    "bias": (1.0, "trim it, and check whether the horn slipped"),
-}
-"""Width or size that a sound hobby servo may have [deg], and what to do beyond: HS-225BB has 0.3 deg of free play."""
 _MOSTLY = 0.5
 """Share of the mean square that, left over, is most of it."""
 _ANOTHER = "compare it with a second servo of its kind"
@@ -575,7 +543,7 @@ def _advice(found: Explanation) -> list[str]:
     """What to do next."""
     steps, is_unknown = found.selection.steps, bool(found.record.known.starts)
     beyond = [] if _is_mostly_left(found) else _beyond_sound(found)
-    advice = [_SOUND[name][1] for name in beyond]
+    advice = [effect.advice for effect in beyond if effect.advice]
     if is_unknown and (beyond or (not steps and found.selection.adequacy.reasons)):
         advice.append(_ANOTHER)
     if found.fault_s is None and found.selection.adequacy.reasons and (not steps or _is_mostly_left(found)):
@@ -601,25 +569,28 @@ def _named(found: Explanation, index: int, *, judged: bool) -> str:
     else:
         size = f"{value['value']:.3g}{unit} ({value['low']:.3g} to {value['high']:.3g})"
     ties = next((tie[1:] for tie in found.selection.ties if tie[0] == effect.name), ())
-    instead = f", or else {' or '.join(_NAMES.get(n, n) for n in ties)} (the data cannot tell which)" if ties else ""
+    instead = (
+        f", or else {' or '.join(effects_named(n)[0].spoken for n in ties)} (the data cannot tell which)"
+        if ties
+        else ""
+    )
     sound = ""
-    if judged and effect.name in _SOUND:
-        limit = _SOUND[effect.name][0]
+    limit = effect.sound
+    if judged and limit is not None:
         if abs(value["value"]) <= limit:
             sound = f": acceptable, a sound hobby servo has up to {limit:g} deg"
         elif found.record.known.starts:  # an unknown servo may have been made so
             sound = f": more than the {limit:g} deg of a sound hobby servo, which may be how this one is made"
         else:
             sound = f": FAULT, a sound hobby servo has at most {limit:g} deg"
-    words = _NAMES.get(effect.key(), _NAMES.get(effect.name, effect.name))
-    return f"{words} of {size}{instead}{sound}"
+    return f"{effect.spoken} of {size}{instead}{sound}"
 
 
-def _beyond_sound(found: Explanation) -> list[str]:
+def _beyond_sound(found: Explanation) -> list[type[Effect]]:
     """Effects that are larger than a sound servo has them."""
-    names = []
+    larger = []
     for k, effect in enumerate(found.selection.final.effects):
         value = next(iter(effect_values(found.selection, k).values()))["value"]
-        if effect.name in _SOUND and abs(value) > _SOUND[effect.name][0]:
-            names.append(effect.name)
-    return names
+        if effect.sound is not None and abs(value) > effect.sound:
+            larger.append(effect)
+    return larger

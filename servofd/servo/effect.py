@@ -202,6 +202,12 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]]
     form: ClassVar[str] = ""
     """Which machine it is, where several go by one name."""
+    spoken: ClassVar[str] = ""
+    """How people call it, in "a servo with ..."; its name, if left out."""
+    sound: ClassVar[float | None] = None
+    """Most that a sound hobby servo has of its first number [deg]: beyond that it is a fault; if None, never."""
+    advice: ClassVar[str] = ""
+    """What to do on the ground beyond that."""
     family: ClassVar[str] = ""
     """Effects that are alike at low frequency, and hardly separated where anything else is unexplained."""
     needs: ClassVar[tuple[Surroundings, ...]] = ()
@@ -247,6 +253,7 @@ class Effect:
         cls.parameters = tuple(p if p.fields else replace(p, fields=(f"{cls.name}_{p.name}",)) for p in cls.parameters)
         if cls.places is None:
             cls.places = (BEFORE, INSIDE) if cls.slot in _IN_LOOP else ()
+        cls.spoken = cls.spoken or cls.name.replace("_", " ")
         if not cls.sees:
             cls.sees = tuple(dict.fromkeys(field for p in cls.parameters for field in p.fields))
 

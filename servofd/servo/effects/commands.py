@@ -19,6 +19,7 @@ class CommandSteps(Effect):
     """Steps of the command."""
 
     name, slot, form, rank, surprise = "quantization", Slot.EVENTS, "command", 23, 24.0
+    spoken = "coarse steps"
     parameters = (Parameter("step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
 
     @staticmethod
@@ -30,6 +31,7 @@ class PwmFrame(Effect):
     """Commands wait for the next pulse frame."""
 
     name, slot, rank = "pwm_frame", Slot.EVENTS, 21
+    spoken = "commands that wait for pulse frames"
     parameters = (
         Parameter("period_s", ("frame_s",), 2e-3, 0.2, 0.0, 0.02, (), kinked=True, width=2e-6),
         Parameter("phase", ("frame_phase",), -1.0, 2.0, 0.0, 0.5, (), kinked=True, width=0.06),
@@ -50,6 +52,7 @@ class Delay(Effect):
     """Total transport delay of the command."""
 
     name, slot, family, rank = "delay", Slot.EVENTS, "lag", 3
+    spoken = "a longer delay"
     varies = True
     parameters = (
         Parameter(
@@ -73,6 +76,7 @@ class ClockOffset(Effect):
     """Positions stamped too late (positive) or too early."""
 
     name, slot, family, rank = "clock_offset", Slot.EVENTS, "lag", 4
+    spoken = "positions stamped late"
     surprise, instead = 4.0, ("delay",)
     parameters = (
         Parameter(
@@ -107,6 +111,7 @@ class SetPointRate(Effect):
     """Largest speed of the set point: firmware that lets no step through to the position loop."""
 
     name, slot, form, rank, memory = "rate_limit", Slot.COMMAND, "set point", 8, 1
+    spoken = "a rate limit"
     longest_s, varies = 2.5e-3, True
     parameters = (
         Parameter("rate_limit_deg_s", ("set_point_deg_s",), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=float("inf")),

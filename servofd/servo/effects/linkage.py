@@ -22,6 +22,7 @@ class RateLimit(Effect):
     """Largest speed of the output, which follows what a faster servo would do."""
 
     name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 2
+    spoken = "a rate limit"
     longest_s, varies = 5e-3, True
     parameters = (
         Parameter(
@@ -117,6 +118,7 @@ class Resonance(Effect):
     """Flexible linkage between servo and surface."""
 
     name, slot, rank, memory = "resonance", Slot.OUTPUT, 33, 3
+    spoken = "a flexible linkage"
     longest_s, surprise = 5e-4, 8.0
     parameters = (
         Parameter(
@@ -155,6 +157,8 @@ class Backlash(Effect):
     """Free play of gear and linkage, through which the air pushes a surface to its loaded side."""
 
     name, slot, family, rank, memory = "backlash", Slot.OUTPUT, "hysteresis", 14, 1
+    spoken = "play"
+    sound, advice = 0.3, "check horn, rod and gear for play"  # the HS-225BB has so much free play when new
     places, varies, at_rest = (INSIDE, BEFORE, AFTER), True, 3
     sees = ("backlash_deg", "airload_per_pa", "air_trim_per_pa")
     parameters = (Parameter("width_deg", ("backlash_deg",), 0.0, 8.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.12),)
@@ -176,6 +180,7 @@ class LinkageNonlinearity(Effect):
     """Geometry of horn and rod: the ratio changes with the deflection."""
 
     name, slot, rank = "linkage_nonlinearity", Slot.OUTPUT, 32
+    spoken = "a crooked linkage"
     surprise, instead = 12.0, ("gravity_load",)
     parameters = (
         Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1),
@@ -191,6 +196,7 @@ class UpperGain(Effect):
     """Another ratio above zero than below: a horn that is set askew, or a sensor whose scale differs up and down."""
 
     name, slot, form, rank = "linkage_nonlinearity", Slot.OUTPUT, "up and down", 34
+    spoken = "another gain up than down"
     surprise, instead = 12.0, ("gravity_load",)
     parameters = (Parameter("upper_gain", ("upper_gain",), 0.5, 2.0, 1.0, 0.03, (0.9, 0.95, 1.05, 1.1), smallest=0.01),)
 
@@ -203,6 +209,7 @@ class Gain(Effect):
     """Horn or linkage of another ratio, or a sensor's scale."""
 
     name, slot, rank = "gain", Slot.OUTPUT, 2
+    spoken = "another gain"
     varies, at_rest = True, 2
     parameters = (Parameter("gain", ("gain",), 0.2, 2.0, 1.0, 0.03, (0.8, 0.95, 1.05, 1.2), smallest=0.02),)
 
@@ -215,6 +222,7 @@ class PositionLimit(Effect):
     """Stops of the linkage: the surface waits there while the servo goes on."""
 
     name, slot, form, rank = "position_limit", Slot.OUTPUT, "linkage", 10
+    spoken = "a stop"
     parameters = (
         Parameter("lower_deg", ("lower_deg",), -90.0, 0.0, -90.0, 2.0, (-15.0, -10.0, -6.0, -4.0, -2.0), -math.inf),
         Parameter("upper_deg", ("upper_deg",), 0.0, 90.0, 90.0, 2.0, (2.0, 4.0, 6.0, 10.0, 15.0), math.inf),

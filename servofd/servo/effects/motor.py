@@ -22,6 +22,8 @@ class DeadBand(Effect):
     """Position error that the servo's controller ignores, counted from the edge."""
 
     name, slot, form, family, rank = "deadband", Slot.ERROR, "error from the edge", "hysteresis", 12
+    spoken = "a dead band"
+    sound, advice = 0.4, "check the servo's electronics and its dead band setting"
     places, varies, at_rest = (BEFORE, INSIDE, AFTER), True, 4
     parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),)
 
@@ -34,6 +36,8 @@ class InsensitiveBand(Effect):
     """Position error below which the motor is off, and above which it sees all of it."""
 
     name, slot, form, family, rank = "deadband", Slot.ERROR, "whole error", "hysteresis", 13
+    spoken = "a dead band"
+    sound, advice = 0.4, "check the servo's electronics and its dead band setting"
     longest_s, at_rest = 1e-3, 5
     parameters = (
         Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),
@@ -52,6 +56,7 @@ class CurrentLimit(Effect):
     """
 
     name, slot, rank = "current_limit", Slot.ERROR, 30
+    spoken = "a supply that limits its current"
     varies, surprise = True, 8.0
     parameters = (
         Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0), off=math.inf),
@@ -66,6 +71,7 @@ class MotorRate(Effect):
     """Largest speed of the motor: the position error saturates, the loop waits."""
 
     name, slot, form, fixed, rank = "rate_limit", Slot.ERROR, "motor", UNFOLLOWED, 6
+    spoken = "a rate limit"
     places, varies = (BEFORE, INSIDE, AFTER), True
     parameters = (
         Parameter(
@@ -82,6 +88,7 @@ class AsymmetricRate(Effect):
     """Largest speed of the motor, different in the two directions: a load that pulls one way."""
 
     name, slot, form, fixed, rank = "rate_limit", Slot.ERROR, "motor, asymmetric", UNFOLLOWED, 31
+    spoken = "a rate limit"
     parameters = (
         Parameter("rate_up_deg_s", ("rate_up_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
         Parameter("rate_down_deg_s", ("rate_down_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
@@ -93,6 +100,7 @@ class VoltageRate(Effect):
     """Largest speed of the motor in proportion to its supply."""
 
     name, slot, fixed, rank = "voltage_rate", Slot.ERROR, UNFOLLOWED, 19
+    spoken = "a rate limit that falls with the supply"
     places, needs, instead = (BEFORE, INSIDE, AFTER), ("servo_voltage_v",), ("rate_limit",)
     parameters = (Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),)
 

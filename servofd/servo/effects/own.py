@@ -13,6 +13,7 @@ class SlowDynamics(Effect):
     """All poles scaled: a weak battery, a heavy surface."""
 
     name, slot, rank = "slow_dynamics", Slot.OWN, 5
+    spoken = "slower dynamics"
     parameters = (
         Parameter(
             "bandwidth_scale",
@@ -31,6 +32,7 @@ class Damping(Effect):
     """Damping of the fast pair of poles scaled."""
 
     name, slot, rank = "damping", Slot.OWN, 25
+    spoken = "another damping"
     surprise = 8.0
     parameters = (
         Parameter("damping_scale", ("damping_scale",), 0.1, 6.0, 1.0, 0.1, (0.4, 0.7, 1.4, 2.2), smallest=0.2),

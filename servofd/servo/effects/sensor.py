@@ -12,6 +12,7 @@ class SensorLag(Effect):
     """First-order filter of the position sensor."""
 
     name, slot, rank, memory = "sensor_lag", Slot.OUTPUT, 17, 2
+    spoken = "a sensor that lags"
     longest_s = 1e-3
     parameters = (
         Parameter(
@@ -40,6 +41,8 @@ class Bias(Effect):
     """Trim that was lost, or a sensor's zero."""
 
     name, slot, rank = "bias", Slot.READING, 1
+    spoken = "an offset"
+    sound, advice = 1.0, "trim it, and check whether the horn slipped"
     varies, at_rest = True, 1
     parameters = (Parameter("bias_deg", ("bias_deg",), -30.0, 30.0, 0.0, 0.3, (-1.0, 1.0), smallest=0.2),)
 
@@ -52,6 +55,7 @@ class SupplyCoupling(Effect):
     """Reading that moves with the servo's current, because both hang on one supply: nothing has moved."""
 
     name, slot, rank = "supply_coupling", Slot.READING, 24
+    spoken = "a reading that moves with the current"
     surprise = 8.0
     needs = ("servo_current_a",)
     parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
@@ -65,6 +69,7 @@ class Quantization(Effect):
     """Steps of the position sensor."""
 
     name, slot, form, rank, surprise = "quantization", Slot.READING, "position", 22, 24.0
+    spoken = "coarse steps"
     parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
 
     @staticmethod

@@ -23,6 +23,7 @@ class AirLoad(Effect):
     """Hinge moment of the air, which takes deflection away."""
 
     name, slot, rank = "airload", Slot.LOAD, 18
+    spoken = "a surface that yields to the airload"
     needs = ("airspeed_m_s",)
     sees = ("airload_per_pa",)
     parameters = (
@@ -53,6 +54,7 @@ class GravityLoad(Effect):
     """Weight on the horn, straight below it at 0 deg."""
 
     name, slot, rank = "gravity_load", Slot.LOAD, 26
+    spoken = "a load that hangs on it"
     varies = True
     sees = ("droop_deg", "hangs_deg")
     parameters = (
@@ -71,6 +73,7 @@ class TiltedLoad(Effect):
     """Weight on the horn of a servo whose angles are counted from elsewhere: the joint of an arm."""
 
     name, slot, form, rank = "gravity_load", Slot.LOAD, "hanging elsewhere", 27
+    spoken = "a load that hangs on it"
     sees = ("droop_deg", "hangs_deg")
     parameters = (
         Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (1.0, 3.0, 8.0, 20.0), smallest=0.1),
@@ -84,6 +87,7 @@ class ExternalLoad(Effect):
     """Force or torque that was logged, on the shaft: so many degrees for each of its units."""
 
     name, slot, rank = "external_load", Slot.LOAD, 28
+    spoken = "the load that was logged"
     needs = ("servo_load",)
     sees = ("load_deg",)
     parameters = (
@@ -101,6 +105,8 @@ class Friction(Effect):
     """Coulomb friction and stiction, as the position error that breaks it."""
 
     name, slot, family, rank = "friction", Slot.GRIP, "hysteresis", 15
+    spoken = "friction"
+    sound, advice = 0.3, "check for binding, and the gear"
     longest_s, places, varies, at_rest = 2e-3, (BEFORE, INSIDE, AFTER), True, 6
     sees = ("friction_deg", "stribeck")
     parameters = (
@@ -118,6 +124,8 @@ class StribeckFriction(Effect):
     """Friction that is larger at rest than at speed (Stribeck): usual of grease and bushings."""
 
     name, slot, form, family, rank = "friction", Slot.GRIP, "Stribeck", "hysteresis", 16
+    spoken = "friction"
+    sound, advice = 0.3, "check for binding, and the gear"
     longest_s, places, varies = 2e-3, (BEFORE, INSIDE, AFTER), True
     sees = ("friction_deg", "stribeck")
     parameters = (
@@ -131,6 +139,7 @@ class LoadFriction(Effect):
     """Friction that grows with the motor's effort."""
 
     name, slot, rank = "load_friction", Slot.GRIP, 29
+    spoken = "friction under load"
     longest_s, surprise, instead = 2e-3, 8.0, ("friction",)
     sees = ("load_friction",)
     parameters = (
@@ -147,6 +156,7 @@ class ShaftSpeed(Effect):
     """Largest speed of the shaft, whatever drives it: gear and bearings at their end, while the loop does not wait."""
 
     name, slot, form, fixed, rank = "rate_limit", Slot.SPEED, "shaft", UNFOLLOWED, 9
+    spoken = "a rate limit"
     longest_s, places, varies = 1.25e-3, (BEFORE, AFTER, INSIDE), True
     parameters = (
         Parameter(
@@ -163,6 +173,7 @@ class ShaftSpeedBySupply(Effect):
     """Largest speed of the shaft in proportion to the supply."""
 
     name, slot, form, fixed, rank = "voltage_rate", Slot.SPEED, "shaft", UNFOLLOWED, 20
+    spoken = "a rate limit that falls with the supply"
     longest_s, places, instead = 1.25e-3, (BEFORE, AFTER, INSIDE), ("rate_limit",)
     needs = ("servo_voltage_v",)
     parameters = (
@@ -179,6 +190,7 @@ class ServoStop(Effect):
     """Stops that block the servo itself."""
 
     name, slot, form, rank = "position_limit", Slot.STOP, "servo", 11
+    spoken = "a stop"
     parameters = (
         Parameter(
             "lower_deg", ("stop_lower_deg",), -90.0, 0.0, -90.0, 2.0, (-15.0, -10.0, -6.0, -4.0, -2.0), -math.inf
