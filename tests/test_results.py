@@ -212,6 +212,12 @@ def test_errors_are_in_words_of_python(tmp_path: Path) -> None:
     for level in (-1.0, 0.0, math.nan, math.inf):
         with pytest.raises(ConfigError, match="threshold_deg is a positive number of degrees"):
             servofd.audit(STUCK, threshold_deg=level)
+    with pytest.raises(ConfigError, match="a positive number of degrees, not '2'"):
+        servofd.audit(STUCK, threshold_deg="2")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"surface is the name of one surface, not \['rudder'\]"):
+        servofd.explain(STUCK, surface=["rudder"])  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^servofd\.trend: missing a required argument: 'aircraft'"):
+        servofd.trend([STUCK])  # type: ignore[call-arg]
     with pytest.raises(UnknownName, match=r"^fault=rudder:stick@3: .* did you mean stuck"):
         servofd.simulate(fault="rudder:stick@3")
     with pytest.raises(NoMeasurement, match=r"an aircraft file \(aircraft=\)"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast, overload
 
@@ -336,8 +337,8 @@ def audit(
     """
     if threshold not in (None, "constant", "interval"):
         raise ConfigError(f"threshold is 'constant' or 'interval'; a level in degrees is threshold_deg={threshold}")
-    if threshold_deg is not None and not 0.0 < threshold_deg < math.inf:
-        raise ConfigError(f"threshold_deg is a positive number of degrees, not {threshold_deg}")
+    if threshold_deg is not None and not (isinstance(threshold_deg, Real) and 0.0 < threshold_deg < math.inf):
+        raise ConfigError(f"threshold_deg is a positive number of degrees, not {threshold_deg!r}")
     known = known_aircraft(aircraft)
     if columns is not None:
         if known is not None:

@@ -12,7 +12,7 @@ from logparsers.units import MS_PER_S
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
-from servofd.core.errors import NoMeasurement, UnknownName, needs, suggest
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
 from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
@@ -140,6 +140,8 @@ def explain(
     >>> found.steps["effect"].tolist()
     ['as it was', 'backlash']
     """
+    if not isinstance(surface, str | None):
+        raise ConfigError(f"surface is the name of one surface, not {surface!r}")
     found = explain_logs(log_files(logs), aircraft, surfaces=(surface,) if surface else (), servo=servo, alone=True)
     if found.failures:
         raise NoMeasurement(found.failures[0])

@@ -6,6 +6,7 @@ import re
 from abc import ABC, abstractmethod
 from dataclasses import fields
 from functools import wraps
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
@@ -141,6 +142,10 @@ def shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable[
     @wraps(verb)
     @in_words_of_python
     def call(*args: P.args, **options: P.kwargs) -> Result:
+        try:
+            signature(verb).bind(*args, **options)
+        except TypeError as error:
+            raise TypeError(f"servofd.{name}: {error}; help(servofd.{name}) lists them") from None
         return kind._of(verb(*args, **options))
 
     call.__name__ = call.__qualname__ = name
