@@ -35,6 +35,8 @@ class Fault:
     kind: ClassVar[str]
     positive: ClassVar[tuple[str, ...]] = ()
     """Parameters that must be greater than zero."""
+    pushes: ClassVar[bool] = True
+    """Whether the motor still works against what keeps the surface from its command."""
     start_s: float
     """When it sets in [s]."""
     end_s: float = field(default=math.inf, kw_only=True)
@@ -271,6 +273,7 @@ class Floating(Fault):
     """
 
     kind: ClassVar[str] = "floating"
+    pushes: ClassVar[bool] = False
     positive: ClassVar[tuple[str, ...]] = ("amplitude_deg", "bandwidth_hz")
     amplitude_deg: float = 4.0
     bandwidth_hz: float = 1.0

@@ -130,7 +130,11 @@ def simulate_flight(
             asked_deg = received_deg = outputs[index].deflection_deg(pulses[-1])
         what = failing.get(name, ())
         moved.append(failing_deflection(models[name], what, time_s, received_deg, time_s, context))
-        received.append(latest(*as_received(what, time_s, received_deg), time_s))
+        meant_deg = latest(*as_received(what, time_s, received_deg), time_s)
+        for fault in (each for each in what if not each.pushes):
+            loose = (time_s >= fault.start_s) & (time_s < fault.end_s)
+            meant_deg[loose] = moved[-1][loose]
+        received.append(meant_deg)
         commanded.append(asked_deg)
         noise.append(noise_deg * rng.standard_normal(time_s.size))
     deflection_deg = np.column_stack(moved)
