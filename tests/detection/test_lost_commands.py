@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+import servofd
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.pace import Rhythm, link_period_s, sent_period_s
 from servofd.aircraft.priors import PRIORS
@@ -17,6 +18,7 @@ from servofd.detection.faults import judged
 from servofd.detection.seen import Pace, healthy_of
 from servofd.estimate.family import new_state, simulated, variants
 from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg
+from servofd.simulation.flight import simulate_flight
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -149,3 +151,24 @@ def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     known = segment.measured_s <= segment.command_s[-1]
     assert np.array_equal(residual_deg[known], whole.error_deg[known], equal_nan=True)
     assert np.array_equal(sigma_deg[known], whole.sigma_deg[known])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("servo", ["s9254", "hs225bb-eq31"])
+def test_what_a_servo_was_asked_between_rare_commands_accuses_nobody(servo: str) -> None:
+    """Commands at 50 Hz of which a table holds six a second: two of three healthy surfaces were at fault or suspect."""
+    command = "flight" if servo == "s9254" else "steps"
+    flown = simulate_flight(
+        plain_aircraft(["a", "b", "c"], servo), command=command, duration_s=120.0, rate_hz=50.0, seed=1, noise_deg=0.02
+    )
+    logged = np.where(np.arange(flown.time_s.size) % 8 == 0, 1.0, np.nan)
+    log = {"time_s": flown.time_s}
+    for k, name in enumerate("abc"):
+        log |= {f"{name}_cmd_deg": flown.command_deg[:, k] * logged, f"{name}_pos_deg": flown.measured_deg[:, k]}
+    (found,) = servofd.audit(log)
+    assert all(surface.status in ("healthy", "unknown") for surface in found.surfaces)
+    assert any("commands come at 6.2 Hz" in surface.reason for surface in found.surfaces)
+    # The same servos with all that they were asked are cleared.
+    log |= {f"{name}_cmd_deg": flown.command_deg[:, k] for k, name in enumerate("abc")}
+    (found,) = servofd.audit(log)
+    assert all(surface.status == "healthy" for surface in found.surfaces)
