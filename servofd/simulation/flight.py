@@ -130,11 +130,7 @@ def simulate_flight(
             asked_deg = received_deg = outputs[index].deflection_deg(pulses[-1])
         what = failing.get(name, ())
         moved.append(failing_deflection(models[name], what, time_s, received_deg, time_s, context))
-        meant_deg = latest(*as_received(what, time_s, received_deg), time_s)
-        for fault in (each for each in what if not each.pushes):
-            loose = (time_s >= fault.start_s) & (time_s < fault.end_s)
-            meant_deg[loose] = moved[-1][loose]
-        received.append(meant_deg)
+        received.append(_meant_deg(what, time_s, received_deg, moved[-1]))
         commanded.append(asked_deg)
         noise.append(noise_deg * rng.standard_normal(time_s.size))
     deflection_deg = np.column_stack(moved)
@@ -151,6 +147,17 @@ def simulate_flight(
         seed,
         context,
     )
+
+
+def _meant_deg(
+    faults: Sequence[Fault], time_s: FloatArray, received_deg: FloatArray, moved_deg: FloatArray
+) -> FloatArray:
+    """Where the motor of a servo wants to be: as it takes its command, or wherever it is where nothing holds it."""
+    meant_deg = latest(*as_received(faults, time_s, received_deg), time_s)
+    for fault in (each for each in faults if not each.pushes):
+        loose = (time_s >= fault.start_s) & (time_s < fault.end_s)
+        meant_deg[loose] = moved_deg[loose]
+    return meant_deg
 
 
 def _with_current(
