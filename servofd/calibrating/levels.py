@@ -116,7 +116,7 @@ def _under(model: ServoModel, tolerance: Tolerance, segment: Series) -> Watched:
     """A run beside a servo that may differ by so much from its model."""
     plain = plain_aircraft(["surface"]).surfaces["surface"]
     surface = plain.model_copy(update={"tolerance": tolerance, "threshold": "interval", "persistence": PERSISTENCE})
-    moving = NamedMoving(surface, model, segment.period_s)
+    moving = NamedMoving(surface, model, segment.period_s, segment.context)
     return watched_segment(moving.known, segment, moving)
 
 

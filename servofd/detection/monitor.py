@@ -464,7 +464,7 @@ class SurfaceMonitor:
             return
         named_s = fault.alarm_s + _NAMED_S
         if fault.probability >= SURE and look.at_s - fault.alarm_s >= _LOOKS_S[1]:
-            self._looks_s = [at_s for at_s in self._looks_s if not at_s < named_s]
+            self._looks_s = [at_s for at_s in self._looks_s if not at_s < named_s] or [fault.alarm_s + _LOOKS_AGAIN_S]
         if look.at_s >= fault.alarm_s + _LOOKS_S[-2] and self._looks_s == [fault.alarm_s + _LOOKS_S[-1]]:
             self._looks_s = [fault.alarm_s + _LOOKS_AGAIN_S]
 

@@ -186,11 +186,14 @@ class Alarms:
         of_surface = [alarm for alarm in self.all if alarm.surface == event.surface and alarm.boot == self.boot]
         open_ = [alarm for alarm in of_surface if alarm.end_s is None]
         same = next((a for a in reversed(open_) if event.fault is None or a.covers(event.fault)), None)
+        if event.event != "alarm":  # of the one that stands, however early its onset is put now
+            same = same or next(reversed(open_), None)
         if event.event == "clear":
-            return self._cleared(same or next(reversed(open_), None), event)
+            return self._cleared(same, event)
         if same is not None:
             return self._named(same, event)
-        if event.event == "named" or (event.fault is not None and any(a.covers(event.fault) for a in of_surface)):
+        known = [alarm for alarm in of_surface if not alarm.dismissed]  # what was taken back has to be reported anew
+        if event.event == "named" or (event.fault is not None and any(a.covers(event.fault) for a in known)):
             return []
         number = self._counts[event.surface] = self._counts.get(event.surface, 0) + 1
         alarm = Alarm(f"{self.vehicle}/{event.surface}/{number}", event.surface, event.time_s, boot=self.boot)

@@ -65,9 +65,9 @@ class Now(NamedTuple):
     pressure_pa: float
     """Dynamic pressure; 0 if never logged."""
     supply_v: float
-    """Of the servo; infinite if never logged."""
+    """Of the servo; infinite if it was never logged, or not yet: ask `math.isfinite`."""
     power: float
-    """Supply over the usual one; 1 if never logged."""
+    """Supply over the usual one; 1 if never logged, or where no calibration knows the usual one."""
     current_a: float
     """Drawn by the servo; 0 if never logged."""
     external: float
@@ -205,7 +205,7 @@ class Effect:
     spoken: ClassVar[str] = ""
     """How people call it, in "a servo with ..."; its name, if left out."""
     sound: ClassVar[float | None] = None
-    """Most that a sound hobby servo has of its first number [deg]: beyond that it is a fault; if None, never."""
+    """Most that a sound hobby servo has of its first number, an angle [deg]: beyond that it is a fault; if None, never."""
     advice: ClassVar[str] = ""
     """What to do on the ground beyond that."""
     family: ClassVar[str] = ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,9 @@ def test_what_was_hidden_is_named_with_its_size(name: str, tmp_path: Path, capsy
     for pair in SIZES[name].split(":"):
         key, _, value = pair.partition("=")
         assert parameters[key]["value"] == pytest.approx(float(value), rel=0.04)
+    better = tmp_path / "better.toml"
+    assert main(["explain", str(path), "-s", "elevator", "--servo", "hs225bb-eq31", "--save", str(better)]) == 0
+    assert tomllib.loads(better.read_text())["surfaces"]["elevator"]["threshold_deg"] < 1.0  # in the air of the log
 
 
 def test_the_log_holds_what_the_servos_felt(tmp_path: Path) -> None:

@@ -70,3 +70,14 @@ def test_an_onset_that_moves_is_the_same_alarm(moves_s: list[float]) -> None:
     told = alarms.publish(seen)
     assert [event.event for event in told].count("alarm") == 1
     assert {event.id for event in told} == {"1/rudder/1"}
+
+
+def test_what_was_taken_back_is_reported_when_it_comes_again() -> None:
+    """An offset that grows was one that a working servo may have at first, and then said nothing up to 8 deg."""
+    offset = Fault("bias", 31.1, 32.5, None, {}, 0.9, ())
+    alarms = Alarms(1)
+    first = alarms.publish([Event(32.5, "rudder", "alarm", "bias", 0.4, 1.9, fault=offset)])
+    assert [event.event for event in first] == ["alarm"]
+    assert [event.event for event in alarms.publish([Event(34.5, "rudder", "clear", "healthy")])] == ["clear"]
+    (again,) = alarms.publish([Event(38.7, "rudder", "alarm", "bias", 1.5, 1.9, fault=offset)])
+    assert (again.event, again.id) == ("alarm", "1/rudder/2")
