@@ -205,7 +205,7 @@ class Effect:
     spoken: ClassVar[str] = ""
     """How people call it, in "a servo with ..."; its name, if left out."""
     sound: ClassVar[float | None] = None
-    """Most that a sound hobby servo has of its first number, an angle [deg]: beyond that it is a fault; if None, never."""
+    """Most that a sound hobby servo has of its first number, an angle [deg]; more is a fault, or never if None."""
     advice: ClassVar[str] = ""
     """What to do on the ground beyond that."""
     family: ClassVar[str] = ""
