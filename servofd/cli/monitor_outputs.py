@@ -91,7 +91,7 @@ class Outputs:
     def tick(self, now_s: float) -> None:
         """Draw, print and complain, each not too often."""
         for note in self._session.notes:
-            self._note(f"   link    {note}")
+            self._note(f"   note    {note}")
         self._session.notes.clear()
         self._complain()
         self._view.dropped = self._dropped()

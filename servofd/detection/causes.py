@@ -11,7 +11,7 @@ from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, SurfaceAudit
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import Fault
@@ -23,7 +23,7 @@ _WHILE_IT_FALLS, _WITH_IT_S = 2, 5.0
 """So many do not while their supply falls, within so much of each other: onsets of currents are less sharp [s]."""
 _AROUND_S: Final = 15.0
 """Time before and after an instant in which volts and amperes are compared [s]."""
-_FALLEN, _UNDER_LOAD = 0.9, 0.1
+FALLEN, _UNDER_LOAD = 0.9, 0.1
 """Share of its volts below which a supply has fallen, each taken as those that it is below for a tenth of the time: the
 rail of the simulated motors sags by 5 % under load."""
 _EMPTY, _FULL = 0.75, 0.95
@@ -77,6 +77,22 @@ def with_common_causes(
     return tuple(result), tuple(causes)
 
 
+def cause_of_alarms(faults: Mapping[str, Fault], watched: int, first_s: float, fell: str) -> CommonCause | None:
+    """What the alarms that stand have in common; None if it may be chance.
+
+    `faults` are those of each surface that has an alarm, `watched` is how many are watched since `first_s` [s], and
+    `fell` says by how much their supply fell, if it did. Two of two that never followed are no chance either.
+    """
+    fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
+    for at_s in sorted(fault.start_s for fault in faults.values()):
+        struck = [(name, fault) for name, fault in faults.items() if _is_at(fault.start_s, at_s, within_s)]
+        is_first = at_s - first_s <= _AT_START_S
+        if len(struck) >= max(min(fewest, watched) if is_first and watched > 1 else fewest, _MOST_SHARE * watched):
+            cause = _cause(struck, (), at_s, first_s)
+            return replace(cause, kind="supply", text=f"{cause.text}; {fell}") if fell and not is_first else cause
+    return None
+
+
 def _first_s(surfaces: Sequence[SurfaceAudit]) -> float:
     """When the first surface is seen [s]."""
     seen = (s.residuals or s.current for s in surfaces)
@@ -92,12 +108,16 @@ def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
         after_v = volts_v[(time_s > at_s) & (time_s <= at_s + _AROUND_S)]
         if before_v.size and after_v.size:
             loaded_v, is_v = (float(np.quantile(one, _UNDER_LOAD)) for one in (before_v, after_v))
-            fell = loaded_v > 0.0 and is_v < _FALLEN * loaded_v
+            fell = loaded_v > 0.0 and is_v < FALLEN * loaded_v
             found.append((fell, float(np.median(before_v)), is_v))
     fallen = [(was_v, is_v) for has_fallen, was_v, is_v in found if has_fallen]
     if 2 * len(fallen) <= len(found):
         return ""
-    was_v, is_v = np.median(fallen, axis=0).tolist()
+    return fell_from(*np.median(fallen, axis=0).tolist())
+
+
+def fell_from(was_v: float, is_v: float) -> str:
+    """A supply that gave way, in words."""
     return f"it fell from {was_v:.1f} to {is_v:.1f} V"
 
 
@@ -113,11 +133,11 @@ def _rose(surfaces: Sequence[SurfaceAudit], cause: CommonCause) -> str:
     return f" while its servos drew {two_digits(is_a)} A instead of {two_digits(was_a)}" if is_a > was_a > 0.0 else ""
 
 
-def before_it_fell(context: Context) -> Context:
+def before_it_fell(context: Context, *, is_over: bool = True) -> Context:
     """What acts on servos as if their supply had not given way: one that its supply makes slow is no healthy one.
 
     A supply that falls under load, or little by little as a battery empties, stays what it is, down to where a battery
-    is empty.
+    is empty. While a flight is not over, whether volts that fell come back is known 15 s later.
 
     Examples
     --------
@@ -128,15 +148,17 @@ def before_it_fell(context: Context) -> Context:
     6.0
     """
     time_s, volts_v = context.voltage_s, context.voltage_v
-    if not time_s.size or np.min(volts_v) >= _FALLEN * np.max(volts_v):
+    if not time_s.size or np.min(volts_v) >= FALLEN * np.max(volts_v):
         return context
-    low_s = time_s[volts_v < _FALLEN * np.maximum.accumulate(volts_v)]
-    for at_s in np.unique(np.floor(low_s)):
+    low_s = np.unique(np.floor(time_s[volts_v < FALLEN * np.maximum.accumulate(volts_v)]))
+    if not is_over:  # what fell before was looked at before
+        low_s = low_s[(low_s <= time_s[-1] - _AROUND_S) & (low_s > time_s[-1] - _AROUND_S - 2.0)]
+    for at_s in low_s:
         first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-_AROUND_S, -1.0, 1.0, _AROUND_S]))
         if first < falls and fell < last:
             least_v, most_v = np.quantile(volts_v[first:falls], _UNDER_LOAD), np.quantile(volts_v[fell:last], 0.9)
-            if least_v > 0.0 and most_v < _FALLEN * least_v:
-                low = (np.arange(time_s.size) >= falls) & (volts_v < _FALLEN * least_v)
+            if least_v > 0.0 and most_v < FALLEN * least_v:
+                low = (np.arange(time_s.size) >= falls) & (volts_v < FALLEN * least_v)
                 volts_v = np.where(low, np.median(volts_v[first:falls]), volts_v)
                 break
     return replace(context, voltage_v=np.maximum(volts_v, _EMPTY * np.quantile(volts_v, _FULL)))
@@ -190,7 +212,9 @@ def _cause(struck: Sequence[tuple[str, Fault]], still: Sequence[str], at_s: floa
     count = f"{len(names)} surfaces left their models together at {at_s:.2f} s"
     slow = [fault for fault in faults if "slow" in (fault.kind, *fault.alternatives)]
     if at_s - first_s <= _AT_START_S:
-        text = f"{count}: look for a wrong servo type, calibration or pairing (--servo unknown fits servos to this log)"
+        text = (
+            f"{count}: look for another aircraft's file, a wrong servo type or pairing (--servo unknown fits to a log)"
+        )
         return CommonCause("servo_type", at_s, end_s, names, text)
     if 2 * sum("unpowered" in (fault.kind, *_confirming(fault)) for fault in faults) > len(faults):
         text = f"{len(names)} servos draw no current since {at_s:.2f} s: look at their supply, its fuse and its plugs"

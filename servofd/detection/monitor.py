@@ -46,11 +46,11 @@ if TYPE_CHECKING:
 
 
 _NAMED_S = 2.0
-"""A name follows its alarm within this time, or is not reported [s]."""
+"""A name follows its alarm within this time, or is reported where it is sure [s]."""
 _LOOKS_S = (*LOOKS_S[1:], 6.0)
 """How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
 _LOOKS_AGAIN_S = 30.0
-"""and how often after that."""
+"""and how often after that: sooner while no name is likely, after as long as the alarm has stood."""
 _AGAIN_S = 1.0
 """When a look has found nothing of a fault that one before has named, the next one follows so much later [s]."""
 _LIKELY = 0.5
@@ -375,15 +375,17 @@ class SurfaceMonitor:
         at_s = history.first_from(self._looks_s[0])  # what has come since is for the next look
         while self._looks_s and self._looks_s[0] <= at_s:
             last_s = self._looks_s.pop(0)
-        if not self._looks_s and self.standing:
-            self._looks_s.append(last_s + _LOOKS_AGAIN_S)
+        if not self._looks_s and self._alarm is not None:
+            fault, age_s = self._alarm.fault, last_s - self._alarm.raised_s
+            is_likely = fault is not None and fault.probability >= _LIKELY
+            self._looks_s.append(last_s + (_LOOKS_AGAIN_S if is_likely else min(age_s, _LOOKS_AGAIN_S)))
         return self._look(at_s)
 
     def events_of(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
         """Take what the bank made of a look.
 
-        A fault that only the bank finds is one event, an alarm with its name. A name that comes later than `_NAMED_S`
-        after the alarm, or after its end, would be taken for another fault's: it is kept for the report.
+        A fault that only the bank finds is one event, an alarm with its name. Later than `_NAMED_S` after the alarm a
+        name that is sure takes the place of another one; all else is kept for the report.
         """
         faults, self.suspicions, self.problem = verdict
         alarm, events, is_seen = self._alarm, [], False
@@ -410,7 +412,7 @@ class SurfaceMonitor:
             if not self._may_be_named(look, alarm, fault):
                 return [replace(self._event(look, "alarm", fault), kind="unknown", fault=None)]
             events.append(self._event(look, "alarm", fault))
-        elif fault.kind != alarm.kind and look.at_s - alarm.raised_s <= _NAMED_S:
+        elif fault.kind != alarm.kind and (look.at_s - alarm.raised_s <= _NAMED_S or fault.probability >= SURE):
             if not self._may_be_named(look, alarm, fault):
                 return events
             events.append(self._event(look, "named", fault))

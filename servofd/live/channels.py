@@ -11,6 +11,7 @@ import numpy as np
 from logparsers.mavlink import dialect
 from logparsers.protocol import Component
 from servofd.aircraft.series import SURROUNDINGS
+from servofd.detection.causes import FALLEN, before_it_fell, fell_from
 from servofd.detection.stream import MEMORY_S
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -146,6 +147,8 @@ def stamp_of(message: str) -> Stamp | None:
 
 _PERIOD_S = 0.1
 """Airspeed and supply change slowly; more than that is not kept."""
+_BEFORE = 10
+"""So many samples before a supply fell say what it was."""
 
 
 class Surroundings:
@@ -161,6 +164,7 @@ class Surroundings:
             for rank, (channel, scale) in enumerate(SURROUNDINGS[need].items())
         }
         self._received: dict[str, tuple[int, deque[tuple[float, float]]]] = {}
+        self._held_v = self._was_v = self._latest_v = 0.0
 
     @property
     def channels(self) -> list[str]:
@@ -178,11 +182,30 @@ class Surroundings:
             self._received[need] = rank, samples
         if rank > known_rank or (samples and not time_s - samples[-1][0] >= _PERIOD_S):
             return False
-        samples.append((time_s, scale * value))
+        known = scale * value
+        if need == "servo_voltage_v":
+            self._held_v, self._latest_v = (self._held_v if known < FALLEN * self._held_v else 0.0), known
+            known = self._held_v or known
+        samples.append((time_s, known))
         return True
 
+    @property
+    def fell(self) -> str:
+        """By how much the supply has fallen, in words; empty if it has not."""
+        return fell_from(self._was_v, self._latest_v) if self._held_v else ""
+
     def context(self) -> Context:
-        """All that is known; what came last holds until something else comes."""
+        """All that is known, as if no supply had given way; what came last holds until something else comes."""
         columns = {need: np.array(samples).T for need, (_, samples) in self._received.items()}
         nothing = (NO_CONTEXT.airspeed_s, NO_CONTEXT.airspeed_m_s)
-        return Context(*columns.get("airspeed_m_s", nothing), *columns.get("servo_voltage_v", nothing))
+        known = Context(*columns.get("airspeed_m_s", nothing), *columns.get("servo_voltage_v", nothing))
+        held = before_it_fell(known, is_over=False)
+        if held.voltage_s.size and known.voltage_v[-1] < FALLEN * held.voltage_v[-1]:
+            if not self._held_v:
+                first = int(np.argmax(held.voltage_v > known.voltage_v))
+                self._was_v = float(np.median(known.voltage_v[max(first - _BEFORE, 0) : first + 1]))
+            self._held_v = float(held.voltage_v[-1])
+            samples = self._received["servo_voltage_v"][1]
+            samples.clear()
+            samples.extend(zip(held.voltage_s.tolist(), held.voltage_v.tolist(), strict=True))
+        return held

@@ -182,6 +182,7 @@ class Session:
                 monitor.listener = self.listener if monitor.quantity == "position" else None
             seen = [*vehicle.evaluate(final=final), *vehicle.silence(arrival_now_s), *self._look(vehicle)]
             mine = vehicle.alarms.publish(seen)
+            vehicle.look_for_causes()
             self._speak(vehicle, mine, arrival_now_s)
             self._inquire(vehicle, arrival_now_s)
             self._compare(vehicle)
@@ -204,6 +205,7 @@ class Session:
         events: list[Published] = []
         for vehicle in self.vehicles.values():
             mine = vehicle.alarms.publish(self._finished_looks(vehicle) + vehicle.finish())
+            vehicle.look_for_causes()
             self._speak(vehicle, mine, arrival_now_s)
             events += mine
         return events

@@ -15,6 +15,7 @@ from servofd.aircraft.outputs import output_of
 from servofd.aircraft.watch import Bus
 from servofd.core.errors import ConfigError
 from servofd.current.stream import OfCurrent, motion_model
+from servofd.detection.causes import cause_of_alarms
 from servofd.detection.event import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.live.alarms import Alarms, Published, travel_deg
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from logparsers.codec import Received
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.core.types import FloatArray
+    from servofd.detection.verdict import CommonCause
     from servofd.live.axes import AxisWatch
 
 Samples = tuple[list[float], list[float]]
@@ -156,6 +158,10 @@ class Vehicle:
     """Messages that tell of airspeed and supply, if its servos depend on them."""
     news: list[str] = field(default_factory=list)
     """What is to be reported of it, and then forgotten."""
+    causes: list[CommonCause] = field(default_factory=list)
+    """What alarms of its latest boot have in common."""
+    _watched_s: float = math.nan
+    """When the first surface was watched [s]."""
     axes: AxisWatch | None = None
     """Its axes, if the aircraft file knows its motion."""
     requests: Requests = field(init=False)
@@ -293,6 +299,8 @@ class Vehicle:
         self._samples.clear()
         self._held_s.clear()
         self._bus, self._around = self._new_bus(), Surroundings(self._needs)
+        self._watched_s = math.nan
+        self.causes.clear()
         if self.axes is not None:
             self.axes.restart()
         text = f"vehicle {self.system} has restarted; the monitor begins anew"
@@ -377,6 +385,8 @@ class Vehicle:
                 self._samples[name] = later
         by_position = {name: now for name, now in ready.items() if self.monitors[name].quantity == "position"}
         stands = self._bus.take({name: self.monitors[name].uncorrected(*now) for name, now in by_position.items()})
+        if ready and not math.isfinite(self._watched_s):
+            self._watched_s = self.now_s
         for name, now in ready.items():
             events += self.monitors[name].feed(*now, stands.get(name))
         if self.now_s - self._checked_s >= _CHECK_S:
@@ -388,6 +398,16 @@ class Vehicle:
         if self.axes is not None and math.isfinite(self.now_s):
             events += self.axes.due(self.now_s)
         return events
+
+    def look_for_causes(self) -> None:
+        """Say once what alarms that stand have in common."""
+        alarms = [alarm for alarm in self.alarms.all if alarm.end_s is None and alarm.fault is not None]
+        faults = {alarm.surface: alarm.fault for alarm in alarms if alarm.fault is not None}
+        if len(faults) > 1:
+            cause = cause_of_alarms(faults, len(self.monitors), self._watched_s, self._around.fell)
+            if cause is not None and not any(set(cause.surfaces) <= set(known.surfaces) for known in self.causes):
+                self.causes.append(cause)
+                self.news.append(cause.text)
 
     def silence(self, arrival_now_s: float) -> list[Event]:
         """Tell that nothing comes from this vehicle any more; `arrival_now_s` is the receiver's clock [s]."""

@@ -66,7 +66,8 @@ def event_line(event: Published) -> str:
     more = f": {event.text}" if event.text else ""
     by_current = event.fault is not None and event.fault.witness == "current" and event.event == "alarm"
     if event.fault is not None and (event.event == "named" or by_current):
-        what, more = f"{_STATUS[event.severity]}, {describe(event.fault)}", ""
+        said = re.sub(r" \(alarm at [^)]*\)", "", describe(event.fault))  # it is this one, whatever an audit would say
+        what, more = f"{_STATUS[event.severity]}, {said}", ""
     return f"{event.time_s:7.2f} s  {who}{what}{more}"
 
 

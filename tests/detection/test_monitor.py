@@ -232,8 +232,11 @@ class TestWhatTheBankTells:
         floating = replace(self.stuck, kind="floating")
         assert self.told(monitor, 14.0, floating) == [(14.0, "named", "floating")]
         bias = replace(self.stuck, kind="bias")
-        assert self.told(monitor, 15.0, bias) == []  # more than 2 s after the alarm: for the report alone
+        unsure = replace(bias, probability=0.9)
+        assert self.told(monitor, 15.0, unsure) == []  # more than 2 s after the alarm: for the report alone
         assert monitor.standing == "bias"
+        assert self.told(monitor, 15.5, self.stuck) == [(15.5, "named", "stuck")]
+        assert self.told(monitor, 15.7, bias) == [(15.7, "named", "bias")]
         over = replace(bias, end_s=14.5)
         assert self.told(monitor, 16.0, over) == [(16.0, "clear", "bias")]
         assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", True, (over,))

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import servofd
-from servofd.aircraft.schema import plain_aircraft
+from logparsers.codec import Codec
+from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.core.types import BoolArray, FloatArray
 from servofd.detection.causes import before_it_fell, with_common_causes
 from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
+from servofd.feedback.flown import one_log
+from servofd.live.alarms import Published
+from servofd.live.run import Pace, replay_log
+from servofd.live.session import Session
+from servofd.live.vehicle import Vehicle
 from servofd.servo.context import Context
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
@@ -98,6 +106,65 @@ def test_two_that_become_slow_with_their_supply_are_at_fault_of_it(sags: bool) -
     assert (cause.kind, cause.surfaces) == ("supply", ("servo0", "servo1"))
     assert result.sentence.startswith("SUPPLY GAVE WAY at 0:45: 2 servos have")
     assert "it fell from 6.0 to 4.2 V" in cause.text
+
+
+@pytest.mark.parametrize("least_v", [4.3, 5.6])
+def test_a_monitor_names_the_supply_that_gave_way(tmp_path: Path, least_v: float) -> None:
+    """What its model knows of the supply makes no slow servo well; and while volts stay, two slow ones are two."""
+    table = slowed(2, 0.4)
+    time_s = table["time_s"].to_numpy()
+    volts_v = np.where(time_s < 45.0, 6.0, least_v)
+    table["servo_voltage_v"] = volts_v + np.random.default_rng(1).normal(0.0, 0.05, time_s.size)
+    table.to_csv(path := tmp_path / "flight.csv", index=False)
+    table[time_s < 42.0].to_csv(good := tmp_path / "good.csv", index=False)
+    events, vehicle = replayed(path, servofd.calibrate(good, force=True).aircraft)
+    assert not any(each.event == "clear" for each in events)
+    assert {alarm.surface: alarm.kind for alarm in vehicle.alarms.all} == {"servo0": "slow", "servo1": "slow"}
+    causes = [(cause.kind, cause.surfaces) for cause in vehicle.causes]
+    assert causes == ([("supply", ("servo0", "servo1"))] if least_v < 5.0 else [])
+    assert all(re.search(r"it fell from (5\.9|6\.[01]) to 4\.\d V", cause.text) for cause in vehicle.causes)
+
+
+def replayed(path: Path, aircraft: Aircraft) -> tuple[list[Published], Vehicle]:
+    """What a monitor publishes of a table, and the vehicle it was watching."""
+    session, seen = Session(Codec(0, 191), {0: aircraft}, is_stream=False), Seen()
+    now_s = replay_log(session, one_log(path), seen, Pace(0.0), float("inf"))
+    seen.events(session.finish(now_s))
+    return seen.all, session.vehicles[0]
+
+
+class Seen:
+    """Keeps what a monitor publishes."""
+
+    def __init__(self) -> None:
+        self.all: list[Published] = []
+
+    def events(self, events: list[Published]) -> None:
+        self.all += events
+
+    def tick(self, now_s: float) -> None:
+        pass
+
+
+def test_an_offset_that_looked_like_a_jam_at_rest_has_its_name_as_it_moves(tmp_path: Path) -> None:
+    """Nothing tells them apart before the surface is asked to move; then a monitor corrects itself."""
+    time_s = np.arange(0.0, 90.0, 0.02)
+    rng = np.random.default_rng(3)
+    command_deg = 8.0 * np.sin(1.3 * time_s) + 6.0 * np.sign(np.sin(0.7 * time_s))
+    moved_deg = servo(1.0).simulate(time_s, command_deg, time_s) + rng.normal(0.0, 0.08, time_s.size)
+    columns = {"time_s": time_s, "rudder_cmd_deg": command_deg, "rudder_pos_deg": moved_deg}
+    pd.DataFrame(columns).to_csv(good := tmp_path / "good.csv", index=False)
+    asked_deg = np.where(time_s < 15.0, 0.0, command_deg)
+    off_deg = servo(1.0).simulate(time_s, asked_deg, time_s) + 10.0 + rng.normal(0.0, 0.08, time_s.size)
+    columns |= {"rudder_cmd_deg": asked_deg, "rudder_pos_deg": off_deg}
+    pd.DataFrame(columns).to_csv(path := tmp_path / "flight.csv", index=False)
+    events, vehicle = replayed(path, servofd.calibrate(good, force=True).aircraft)
+    (alarm,) = vehicle.alarms.all
+    assert (alarm.kind, alarm.end_s) == ("bias", None)
+    assert events[-1].kind == "bias"
+    assert events[-1].time_s < 32.0
+    assert alarm.fault is not None
+    assert alarm.fault.parameters["bias_deg"].value == pytest.approx(10.0, abs=0.5)
 
 
 @pytest.mark.parametrize("column", ["servo_voltage_v", "servo1_voltage_v"])
