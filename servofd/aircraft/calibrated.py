@@ -132,7 +132,7 @@ class CalibratedServo(BaseModel):
 
     @property
     def covariance(self) -> FloatArray:
-        """Between good flights, shape (13, 13)."""
+        """Between good flights, shape (parameters, parameters)."""
         out = np.zeros((len(NAMES), len(NAMES)))
         for i, row in enumerate(self.between):
             out[i, : i + 1] = out[: i + 1, i] = row

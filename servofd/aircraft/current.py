@@ -153,7 +153,7 @@ class CalibratedCurrent(BaseModel):
 
     @property
     def covariance(self) -> FloatArray:
-        """Between good flights, shape (13, 13)."""
+        """Between good flights, shape (terms, terms)."""
         return _symmetric(self.between)
 
 

@@ -167,7 +167,7 @@ def averaged(values: FloatArray, width_s: float) -> FloatArray:
 def terms(
     series: CurrentSeries, known: CalibratedCurrent | _Seeing, columns: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Terms of a healthy current at its readings, shape (m, 13), and how much it moves, from 0 to 1, shape (m,).
+    """Terms of a healthy current at its readings, shape (m, terms), and how much it moves, from 0 to 1, shape (m,).
 
     `columns` are those of its motion (`_columns`), for whoever sees them with several lags.
     """
@@ -177,7 +177,7 @@ def terms(
 
 
 def _columns(series: CurrentSeries, known: CalibratedCurrent | _Seeing) -> FloatArray:
-    """The same on the grid of the motion, shape (n, 14)."""
+    """The same on the grid of the motion, shape (n, terms + 1)."""
     motion = series.motion
     y, v = motion.deflection_deg, motion.speed_deg_s
     way = np.tanh(v / _DIRECTION_DEG_S)
@@ -214,7 +214,7 @@ class CurrentFit:
 
     known: CalibratedCurrent
     covariance: FloatArray
-    """Of the fit, shape (13, 13)."""
+    """Of the fit, shape (terms, terms)."""
     left_a: tuple[FloatArray, ...]
 
 
@@ -389,7 +389,7 @@ class Seen(NamedTuple):
     series: CurrentSeries
     known: CalibratedCurrent
     slopes: FloatArray
-    """Terms, shape (m, 13)."""
+    """Terms, shape (m, terms)."""
     healthy_a: FloatArray
     moving: FloatArray
     """From 0 to 1, shape (m,)."""

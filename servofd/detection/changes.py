@@ -152,7 +152,7 @@ def follow(
 ) -> Tested:
     """Take the next samples: times [s], residuals [deg], NaN where none is judged, and sigma of their noise, (m,) each.
 
-    `slopes` (m, 15) are sensitivities and patterns.
+    `slopes` (m, parameters + patterns) are sensitivities and patterns.
     """
     m = time_s.size
     if not m:
@@ -416,7 +416,7 @@ class Moved(NamedTuple):
     time_s: FloatArray
     reading_deg: FloatArray
     slopes: FloatArray
-    """Sensitivities and patterns, shape (m, 15)."""
+    """Sensitivities and patterns, shape (m, parameters + patterns)."""
     speed_deg_s: FloatArray
     """Of the servo, and the one that its drive aims at, shape (m, 2)."""
     start_deg: FloatArray
@@ -496,7 +496,7 @@ class Watched:
     reading_deg: FloatArray
     """Of the healthy servo."""
     slopes: FloatArray
-    """Sensitivities and patterns, shape (m, 15)."""
+    """Sensitivities and patterns, shape (m, parameters + patterns)."""
     judged: BoolArray
     noise_deg: FloatArray
     """Of the reading, and of the commands that were lost."""

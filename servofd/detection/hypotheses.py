@@ -154,7 +154,7 @@ class Window:
     def reading(
         self, theta: FloatArray, power: float = 0.0, *, behind: bool = False, outages: tuple[Outage, ...] = ()
     ) -> tuple[FloatArray, FloatArray]:
-        """Reading and sensitivities of a servo, shapes (m,) and (m, 13)."""
+        """Reading and sensitivities of a servo, shapes (m,) and (m, parameters)."""
         table = variants(theta, patterns=False, middle_deg=self.known.middle_deg)
         table[:, FITTED] = power
         record = self.record

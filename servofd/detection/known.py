@@ -156,7 +156,7 @@ def after_more_flights(known: CalibratedServo, fitted: Fit) -> CalibratedServo:
 
 
 def changes_of(fitted: Fit, records: Sequence[Record]) -> FloatArray:
-    """How each flight alone would change the parameters, as far as it tells; shape (flights, 13)."""
+    """How each flight alone would change the parameters, as far as it tells; shape (flights, parameters)."""
     between = np.array([prior.between for prior in PRIORS])
     out = []
     for record in records:

@@ -205,7 +205,7 @@ def record_of(
         starts_s += times[1:][np.diff(times) > hole_s].tolist()
     begin = np.sort(np.array(starts_s))
     last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
-    counts = seen & (time_s - last >= start_s) & _was_asked(segment.command_s, hole_s, time_s)
+    counts = seen & (time_s - last >= start_s) & _has_command(segment.command_s, hole_s, time_s)
     if not at_rest:
         counts &= segment.counts
     if segment.command_period_s is None:
@@ -238,7 +238,7 @@ def record_of(
     )
 
 
-def _was_asked(command_s: FloatArray, hole_s: float, time_s: FloatArray) -> BoolArray:
+def _has_command(command_s: FloatArray, hole_s: float, time_s: FloatArray) -> BoolArray:
     """Samples at which the last command is known, shape (n,): it holds for a period where a hole follows."""
     step_s = np.append(np.diff(command_s), 0.0)
     holds_s = np.where(step_s > hole_s, min(hole_s, float(np.median(step_s))), hole_s)

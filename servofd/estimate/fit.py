@@ -71,7 +71,7 @@ _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high 
 def predicted(
     theta: FloatArray, record: Record, reach_deg: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How well parameters predict a record: reading (m,) [deg], sensitivities (m, 13), largest speed (m,) [deg/s]."""
+    """How well parameters predict a record: reading (m,) [deg], sensitivities (m, parameters), largest speed (m,) [deg/s]."""
     table = variants(theta, patterns=False, middle_deg=middle_of(reach_deg))
     state = new_state(table.shape[0])
     position_deg, speed_deg_s = simulated(
@@ -228,7 +228,7 @@ class _Flights(NamedTuple):
         return error_deg[self.whole.usable], speed_deg_s[self.whole.usable]
 
     def slopes(self, theta: FloatArray) -> FloatArray:
-        """Derivatives of the errors, shape (n, 13)."""
+        """Derivatives of the errors, shape (n, parameters)."""
         with np.errstate(over="ignore", invalid="ignore"):
             reading_deg, slopes, _ = predicted(theta, self.whole, self.reach_deg)
         inside = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[1]
@@ -314,7 +314,7 @@ class _LeftOut(NamedTuple):
 
     error_deg: FloatArray
     changes: FloatArray
-    """Of the parameters, from all records to each half of them; shape (2, 13)."""
+    """Of the parameters, from all records to each half of them; shape (2, parameters)."""
     rms_deg: float
 
 

@@ -207,7 +207,7 @@ class _Servo:
     before: FloatArray
     """Standard deviations of what is known without the flight."""
     covariance: FloatArray
-    """With it, shape (13, 13)."""
+    """With it, shape (parameters, parameters)."""
     noise_deg: Estimate
 
     @classmethod

@@ -6,6 +6,7 @@ import pytest
 
 from servofd.cli import build_parser, main
 from servofd.cli.options import VERBS, WAYS
+from servofd.servo.faults import FAULTS
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -17,6 +18,12 @@ def test_help_of_a_verb_is_what_its_option_prints(verb: str, capsys: pytest.Capt
     assert capsys.readouterr().out == shown
     assert shown.startswith(f"usage: servofd {verb}")
     assert "%%" not in shown
+
+
+def test_help_of_simulate_names_every_fault_that_it_makes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help", "simulate"]) == 0
+    words = capsys.readouterr().out.replace(",", " ").split()
+    assert set(FAULTS) <= set(words)
 
 
 def test_help_alone_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
