@@ -71,7 +71,7 @@ _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high 
 def predicted(
     theta: FloatArray, record: Record, reach_deg: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How parameters predict a record: reading (m,) [deg], sensitivities (m, parameters), largest speed (m,) [deg/s]."""
+    """How parameters predict a record: reading (m,) [deg], sensitivities (m, parameters), top speed (m,) [deg/s]."""
     table = variants(theta, patterns=False, middle_deg=middle_of(reach_deg))
     state = new_state(table.shape[0])
     position_deg, speed_deg_s = simulated(
