@@ -22,15 +22,18 @@ from servofd.cli.terminal import (
 )
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
+from servofd.detection.kinds import KINDS
 from servofd.feedback.flown import layout_of
 from servofd.fleets.overview import Overview, overview
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore, by_path, read_logs
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import FLEET_PAGE
-from servofd.outputs.sentence import spoken
+from servofd.outputs.sentence import gravity_of, spoken
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.batch.find import Found, LogSource
     from servofd.batch.key import Job
     from servofd.cli.options import Options
@@ -81,15 +84,21 @@ def _print(seen: Overview, page: str = "") -> None:
     """Print what they come to, and a line for each flight, the worst first."""
     document = seen.document()
     say(f"{fleet_report(document).sentence}{f' → {page}' if page else ''}")
-    print_lines([_brief(one) for one in document["flights"][:_MOST]])
+    print_lines([_brief(one, document["faults"]) for one in document["flights"][:_MOST]])
     if len(seen.flights) > _MOST:
         say(f"and {len(seen.flights) - _MOST} more{', on the page' if page else ''}")
 
 
-def _brief(flight: dict[str, Any]) -> tuple[str, str, str]:
-    """Status, name and sentence of a flight."""
-    said = flight["sentence"].replace(" Do not fly.", "")
-    return spoken(flight["status"]), one_line(flight_name(flight)), one_line(said)
+def _brief(flight: dict[str, Any], faults: Sequence[dict[str, Any]]) -> tuple[str, str, tuple[str, ...]]:
+    """Status, name and sentence of a flight; and where there is no room for that, its faults without their numbers."""
+    said = one_line(flight["sentence"].replace(" Do not fly.", ""))
+    mine = [one for one in faults if (one["path"], one["run"]) == (flight["path"], flight["run"])]
+    states: dict[str, list[str]] = {}
+    for one in sorted(mine, key=lambda one: gravity_of([one["kind"]])):
+        states.setdefault(spoken(one["surface"]).upper(), []).append(KINDS[one["kind"]].state)
+    short = [f"{name} {', '.join(dict.fromkeys(each))}" for name, each in states.items()]
+    forms = (said, one_line("; ".join(short))) if len(mine) > 1 else (said,)
+    return spoken(flight["status"]), one_line(flight_name(flight)), forms
 
 
 def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) -> list[JudgedLog]:

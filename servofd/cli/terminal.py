@@ -137,20 +137,26 @@ def print_table(
             shown.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
 
 
-def print_lines(rows: Sequence[tuple[str, str, str]]) -> None:
-    """Print status, name and words of each row on a line, cut where the terminal ends; of a pipe at 80 columns."""
+def print_lines(rows: Sequence[tuple[str, str, Sequence[str]]]) -> None:
+    """Print status, name and words of each row on a line, cut where the terminal ends; of a pipe at 80 columns.
+
+    Of the words the first are taken that have room.
+    """
     from rich.cells import cell_len
     from rich.text import Text
 
     shown = console()
     if not shown.is_terminal:
         shown = console(width=_PIPED)
-    first, second = (max((cell_len(row[k]) for row in rows), default=0) for k in (0, 1))
-    for status, name, words in rows:
+    first = max((cell_len(status) for status, _, _ in rows), default=0)
+    second = max((cell_len(name) for _, name, _ in rows), default=0)
+    for status, name, forms in rows:
         line, named = Text(status, style=_style(status)), Text(name)
         line.pad_right(first + 1 - line.cell_len)
         named.truncate(min(second, shown.width // 3), overflow="ellipsis", pad=True)
-        line.append_text(named).append(f" {words}")
+        line.append_text(named)
+        room = shown.width - line.cell_len - 1
+        line.append(f" {next((words for words in forms if cell_len(words) <= room), forms[-1])}")
         line.truncate(shown.width, overflow="ellipsis")
         shown.print(line, no_wrap=True)
 

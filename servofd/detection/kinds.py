@@ -5,6 +5,7 @@ A sentence has forms for the parameters that may be known; the first is taken wh
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from string import Formatter
 from typing import TYPE_CHECKING, Final, Literal
@@ -39,6 +40,17 @@ class Kind:
     """What it does to the aircraft: control lost, control worse, or as much as it is large."""
     stands_still: bool = False
     """Whether no servo with other numbers is an account of it."""
+
+    @property
+    def state(self) -> str:
+        """The headline without when and how much.
+
+        Examples
+        --------
+        >>> KINDS["stuck"].state, KINDS["hardover"].state, KINDS["worn"].state
+        ('JAMMED', 'RAN TO ONE END', 'WORN')
+        """
+        return re.split(" at | since |,", self.headline[-1])[0]
 
 
 def filled(forms: tuple[str, ...], values: Mapping[str, float | str]) -> str:

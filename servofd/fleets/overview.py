@@ -117,11 +117,17 @@ def _flight(log: dict[str, Any]) -> dict[str, Any]:
     return _where(log) | {
         "duration_s": document["duration_s"],
         "status": log_status(log),
-        "sentence": document.get("sentence") or document["error"] or "",
+        "sentence": document.get("sentence") or _why(document),
         "page": page_name(document["path"], log.get("content") or ""),
         "surface": name,
         "outline": outline,
     }
+
+
+def _why(document: dict[str, Any]) -> str:
+    """Why a log was not judged, without its name, which stands beside it."""
+    said = str(document["error"] or "").removeprefix(document["path"])
+    return said.removeprefix(f" (run {document.get('run')})").removeprefix(": ")
 
 
 def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]]) -> dict[str, Any]:
