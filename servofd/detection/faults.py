@@ -261,8 +261,7 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
 
     A servo that is a little slow is still a good one, on a cold day or a low supply; and none is worn, weak or bent for
     a moment only, nor is an offset one that may as well be none. Where the residual itself stays within what good
-    flights do, wear of no size is none, what raised the alarm has to tell of it before, and what has no name and is
-    over was none.
+    flights do, wear of no size is none, and what raised the alarm has to tell of it before.
     """
     speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
     still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
@@ -277,11 +276,10 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     size, least = _LEAST_DEG.get(fault.kind, ("", 0.0))
     tiny = size in fault.parameters and fault.parameters[size].value < least
     is_early = fault.kind in _SHOWN_EARLY and fault.start_s >= fault.alarm_s
-    is_past = fault.kind == "unknown" and fault.end_s is not None
     if (
         still_fast
         or tiny
-        or (not is_far and (is_early or is_past))
+        or (not is_far and is_early)
         or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown"))
     ):
         own = () if fault.kind == "unknown" else (fault.kind,)

@@ -392,7 +392,8 @@ class SurfaceMonitor:
         for fault in faults:
             before_s = np.inf if alarm is None else alarm.raised_s
             # An earlier look has seen it end, or it was over before anything was raised: what a fault leaves behind.
-            if fault.alarm_s >= self._from_s and (fault.end_s is None or not fault.end_s < before_s < np.inf):
+            is_new = fault.alarm_s >= self._from_s and (fault.end_s is None or not fault.end_s < before_s < np.inf)
+            if is_new and (alarm is not None or fault.end_s is None or fault.kind != "unknown"):
                 events += self._seen(look, fault)
                 is_seen = True
         if alarm is not None and alarm is self._alarm:

@@ -74,7 +74,7 @@ def test_a_folder_is_many_flights_with_a_page_each(flight: Path, capsys: pytest.
     assert code == 1
     assert lines[0] == f"2 of 2 judged logs show a fault. → {folder / 'fleet.html'}"
     assert len(lines) == 3
-    assert re.match(r"fault +flight\.csv +ELEVATOR JAMMED at", lines[1])
+    assert re.match(r"fault +flight\.mat +ELEVATOR JAMMED at", lines[1])
     assert lines[2].endswith(" ELEVATOR JAMMED, IGNORES SMALL COMMANDS; RUDDER OFF")  # no room for their numbers
     assert all(len(line) <= 80 for line in lines[1:])
     links = re.findall(r'<a href="(.*?)">', (folder / "fleet.html").read_text())
