@@ -89,13 +89,13 @@ LOOKS = {
         ("roll_rate", 1.0),
         ("roll_acceleration", 2.5),
         ((0.029**2, -0.001, 1.0), (0.036**2, -0.017, 1.0), (0.045**2, -0.027, 1.0)),
-        8.7,
+        10.2,
     ),
     "pitch": Look(
         ("pitch_inverse", 0.4),
         ("pitch_inverse", 1.0),
         ((0.097**2, 0.087, 3.3**2), (0.084**2, 0.032, 3.8**2), (0.088**2, 0.026, 3.7**2)),
-        19.7,
+        12.2,
     ),
 }
 """The side axis is left out: its sizes made no sense in healthy flights (lambda from -1.3 to 5.8)."""
@@ -301,7 +301,7 @@ class Compared:
     """An axis, window by window, against what was flown before each.
 
     `found`, `away`: estimates, and how far beyond what is expected, for the windows of each length. `shares`, `held`
-    (shape (3, n)): J over its limit, where its size means something, before and after persistence.
+    (shape (3, n)): J over its limit, of the sizes that mean something, before and after persistence.
     """
 
     seconds: Seconds
@@ -319,7 +319,7 @@ class Compared:
             one.beyond(expected(one, length_s, spread), np.zeros((2, 2)))
             for one, length_s, spread in zip(found, WINDOWS_S, spreads, strict=True)
         ]
-        shares = np.array([_means_something(one) * distance(far) for one, far in zip(found, away, strict=True)])
+        shares = np.array([_that_counts(one, far) for one, far in zip(found, away, strict=True)])
         shares /= look.limit
         return cls(seconds, tuple(found), tuple(away), shares, lasting(shares, _HELD_S))
 
@@ -331,14 +331,16 @@ class Compared:
 
     def shown_loss(self, look: Look) -> float:
         """Loss that half of the judged seconds would have shown."""
-        return float(np.median(np.min([least(one, look.limit) for one in self.away], axis=0)[self.judged]))
+        return float(np.median(np.min([least(one.only(0), look.limit) for one in self.away], axis=0)[self.judged]))
 
 
-def _means_something(window: Sizes) -> BoolArray:
-    loss, offset = window.value
-    large = (loss >= _LEAST_LOSS) | ((np.abs(offset) >= _LEAST_US) & (loss > _LEAST_GAIN))
-    means: BoolArray = large & (loss <= _MOST_LOSS)
-    return means
+def _that_counts(found: Sizes, away: Sizes) -> FloatArray:
+    """J of the sizes that mean something, whatever the other is: a small offset is no reason to believe a loss."""
+    loss, offset = found.value
+    lost = (loss >= _LEAST_LOSS) & (loss <= _MOST_LOSS)
+    stands_away = (np.abs(offset) >= _LEAST_US) & (loss > _LEAST_GAIN) & (loss <= _MOST_LOSS)
+    of_loss, of_offset = distance(away.only(0)), distance(away.only(1), None)
+    return np.select([lost & stands_away, lost, stands_away], [distance(away), of_loss, of_offset], 0.0)
 
 
 def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, reference_m_s: float) -> AxisChange:
