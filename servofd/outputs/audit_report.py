@@ -180,7 +180,7 @@ def _alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
                 Curve("limit", "threshold", time_s[[0, -1]], np.ones(2)),
             )
             panels.append(
-                Panel(f"{axis}: distance from its own past", "limits", curves, 0.0, max(1.2, float(score.max())))
+                Panel(f"{axis}: distance from its own past", "limits", curves, 0.0, max(1.2, float(np.nanmax(score))))
             )
     marks = [Mark("onset", one.since_s, f"{one.axis} changed") for one in axes.values() if one.since_s is not None]
     text = "An axis whose distance from its own past exceeds 1 for three seconds no longer answers as it did."

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from servofd.axes.motion import Motion
-from servofd.flight.change import airborne, judge_motion_alone
+from servofd.core.windows import Sizes
+from servofd.flight.change import airborne, counted, judge_motion_alone
 from tests.axes.flights import flown
 
 
@@ -73,3 +74,15 @@ def test_two_flights_in_one_log_are_judged_without_the_ground_between() -> None:
     flies, _ = airborne(flight)
     assert not flies[(flight.time_s > 107.5) & (flight.time_s < 134.5)].any()
     assert judge_motion_alone(flight)["roll"].status != "look"
+
+
+def test_an_axis_in_which_one_jam_of_two_would_not_show_is_not_called_fine() -> None:
+    flight = flown(1, duration_s=51.0)  # a loss of 56 % would show
+    assert judge_motion_alone(replace(flight, members={"roll": ("aileron",)}))["roll"].status == "ok"
+    assert judge_motion_alone(flight)["roll"].status == "unknown"
+
+
+def test_a_small_offset_is_no_reason_to_believe_a_loss() -> None:
+    sizes = Sizes(np.array([[0.33, 0.33, 0.0], [18.0, 30.0, 30.0]]), np.diag([0.2**2, 6.0**2])[..., None])
+    at_most = (0.33 / 0.2) ** 2
+    assert counted(sizes, sizes) == pytest.approx([at_most, at_most + 25.0, 25.0])
