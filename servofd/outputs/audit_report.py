@@ -75,6 +75,9 @@ _BY_MOTION = """An axis without measured deflections is judged by the motion of 
 healthy flights says which part of the motion the command should cause. What the motion shows instead is a share of
 the command that was lost, and an offset; the alarm is raised when both together are further from those of healthy
 flights than any of these ever was from the others."""
+_BY_ITSELF = """Without positions and other flights the reference is the flight's own past. Every second the motion of
+roll and pitch is fitted to all that was flown before, and what the last 5, 10 and 20 s leave is compared with what
+healthy flights of other aircraft leave, and with what this one left so far."""
 _BY_CURRENT = """A current is judged beside what a good servo draws for the motion that was asked for: what its
 electronics take, holding against the air, friction either way, and acceleration. A servo that pushes with all it has
 wherever it is asked to be elsewhere is blocked; one that draws nothing for its motion has no power; one that draws more
@@ -89,9 +92,10 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     logs = [_failed(result) if isinstance(result, FailedLog) else _log(result) for result in results]
     data = audit_document(results)
     moved = any(not isinstance(one, FailedLog) and one.axes for one in results)
-    measured = any(not isinstance(one, FailedLog) and one.surfaces for one in results) or not moved
     drawn = any(s.current is not None for one in results if not isinstance(one, FailedLog) for s in one.surfaces)
-    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_CURRENT, drawn))
+    alone = any(isinstance(one, FailedLog) and one.flight is not None for one in results)
+    measured = any(not isinstance(one, FailedLog) and one.surfaces for one in results) or not (moved or alone)
+    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_ITSELF, alone), (_BY_CURRENT, drawn))
     method = Section("How this was found", [Words(text) for text, is_used in methods if is_used], folded=True)
     if len(logs) == 1:
         return replace(logs[0], evidence=[method], data=data)

@@ -146,3 +146,23 @@ def test_a_short_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     capsys.readouterr()
     assert main(["audit", str(log), "--json", str(tmp_path / "short.json")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_folder_of_crash_logs_has_an_answer_and_a_page_for_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in ("3", "9"):
+        words = ["simulate", "-o", str(tmp_path / f"flight{seed}.bin"), "--airframe", "plain", "--seed", seed]
+        assert main([*words, "--duration", "90"]) == 0
+    capsys.readouterr()
+    out = tmp_path / "out"
+    assert main(["audit", str(tmp_path), "-o", str(out)]) == 2
+    said = capsys.readouterr().out
+    assert said.count("nothing looks wrong in") == 2
+    assert str(tmp_path) not in said.partition("\n")[2]
+    pages = [page.read_text() for page in out.glob("*.html") if page.name != "fleet.html"]
+    assert len(pages) == 2
+    for page in pages:
+        assert "What this flight says by itself" in page
+        assert "the reference is the flight's own past" in page.replace("&#39;", "'").replace("\n", " ")
+        assert "nullspace filter" not in page.partition("What the words mean")[0]
