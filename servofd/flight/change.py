@@ -20,7 +20,7 @@ import numpy as np
 
 from servofd.axes.model import FORMS, Filtered
 from servofd.axes.motion import FLIES_M_S
-from servofd.axes.verdict import left_out, named
+from servofd.axes.verdict import excludes_none, left_out, named
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
 from servofd.core.windows import Sizes, Sums, distance, fitted, lasting, least, split
 
@@ -444,17 +444,22 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
 
 
 def _changed(known: AxisChange, compared: Compared, at: int, begin_s: float) -> AxisChange:
-    """An axis that stopped answering as before, as it could be reported at a second."""
-    window = compared.found[int(np.argmax(compared.held[:, at]))].at(np.array([at]))
+    """An axis that stopped answering as before, as it could be reported at a second.
+
+    Its sizes are of the window that showed it, without what came before the change.
+    """
+    since = onset(compared.seconds, at + 1)
+    length_s = WINDOWS_S[int(np.argmax(compared.held[:, at]))]
+    begin, end = np.array([max(int(since), at + 1 - length_s)]), np.array([at + 1])
+    window, _ = compared.seconds.compared(compared.seconds.fitted(np.array([int(since)])), begin, end)
     lost, offset = (
         Estimate.of(float(window.value[k, 0]), math.sqrt(float(window.covariance[k, k, 0]))) for k in range(2)
     )
-    since_s, alarm_s = begin_s + onset(compared.seconds, at + 1), begin_s + at + 1.0
-    what = (
-        f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
-        if lost.value >= _LEAST_LOSS
-        else f"acts as if {offset.value:+.0f} us [{offset.low:+.0f}, {offset.high:+.0f}] away"
-    )
+    since_s, alarm_s = begin_s + since, begin_s + at + 1.0
+    loss = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
+    away = f"acts as if {offset.value:+.0f} us [{offset.low:+.0f}, {offset.high:+.0f}] away"
+    sure = [text for text, is_sure in ((loss, lost.low > 0.0), (away, excludes_none(offset))) if is_sure]
+    what = " and ".join(sure) or f"{loss}, or {away} (this motion hardly tells which)"
     text = (
         f"{known.axis} {what} since about {since_s:.0f} s, as was clear at {alarm_s:.0f} s: look at the "
         f"{named(known.members, known.axis)}{_OR_ELSE[known.axis]}"
