@@ -72,7 +72,8 @@ def _sentence(found: tuple[Check, ...], axes: Mapping[str, AxisChange]) -> str:
     if said:
         parts.append("; ".join(said))
     if fine:
-        parts.append(f"nothing looks wrong in {' and '.join(fine)}")
+        which = " and ".join(fine)
+        parts.append(f"{which} answered as before" if said else f"nothing looks wrong in {which}")
     if unjudged:
         parts.append(f"{' and '.join(unjudged)} cannot be judged")
     if begins_s and ends_s:

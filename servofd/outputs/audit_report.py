@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.units import MS_PER_S
-from servofd.aircraft.outputs import ROTORCRAFT
+from servofd.aircraft.outputs import WITHOUT_SURFACES
 from servofd.axes.model import FORMS
 from servofd.axes.verdict import named, shown
 from servofd.detection.verdict import meaning, next_step
@@ -136,7 +136,7 @@ def _failed(result: FailedLog) -> Document:
     if result.flight is not None:
         return _alone(name, result.flight, result.error.replace(result.path, name))
     sentence = "Could not be read." if result.log is None else "Could not be judged."
-    if result.log is not None and result.log.vehicle in ROTORCRAFT:
+    if result.log is not None and result.log.vehicle in WITHOUT_SURFACES:
         sentence = f"No control surfaces: a {result.log.vehicle}."
     return Document(name, "unknown", sentence, result.error.replace(result.path, name), log=name)
 

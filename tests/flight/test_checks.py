@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import logparsers
+from logparsers.dataflash.encode import encode
 from servofd.axes.motion import Series
 from servofd.cli import main
 from servofd.flight import checks
 from servofd.flight.columns import Flight, Output, flight_of
 from servofd.simulation.airframe import fly_airframe
 from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.dataflash_writer import pulses, words
 from tests.axes.flights import flown
 
 NAMES = ["surface_check", "saturation", "trim", "travel", "limit_cycle", "asymmetry", "supply", "axis_change"]
@@ -72,10 +74,10 @@ def test_reversed_and_swapped_surfaces_are_found_from_the_first_turns(tmp_path: 
     ailerons = [name for name, value in swapped.items() if name.endswith("_FUNCTION") and value == 4.0]
     elevators = [name for name, value in swapped.items() if name.endswith("_FUNCTION") and value == 19.0]
     swapped |= dict.fromkeys(ailerons, 19.0) | dict.fromkeys(elevators, 4.0)
-    for parameters, words in ((reversed_, "turned against its command"), (swapped, "turned with the command of")):
+    for parameters, says in ((reversed_, "turned against its command"), (swapped, "turned with the command of")):
         found = checks.surface_check(flight_of(replace(log, parameters=parameters)))
         assert found.status == "look"
-        assert words in found.text
+        assert says in found.text
 
 
 def test_trim_and_asymmetry_are_those_of_level_flight() -> None:
@@ -166,3 +168,18 @@ def test_a_folder_of_crash_logs_has_an_answer_and_a_page_for_each(
         assert "What this flight says by itself" in page
         assert "the reference is the flight's own past" in page.replace("&#39;", "'").replace("\n", " ")
         assert "nullspace filter" not in page.partition("What the words mean")[0]
+
+
+@pytest.mark.parametrize(
+    ("banner", "kind"), [("ArduRover V4.5.0 (1a2b3c4d)", "ground rover"), ("ArduSub V4.5.0", "submarine")]
+)
+def test_what_has_no_surfaces_is_said_to_be_what_it_is_and_gets_no_advice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], banner: str, kind: str
+) -> None:
+    path, stamps = tmp_path / "drive.bin", np.arange(1_000_000, 61_000_000, 40_000)
+    path.write_bytes(encode([*words(stamps[:1], {"SERVO1_FUNCTION": 26.0}, banner), pulses(stamps, {1: 1500.0})]))
+    assert main(["audit", str(path), "--html", str(tmp_path / "drive.html")]) == 2
+    said = capsys.readouterr()
+    assert f"No control surfaces: a {kind}." in said.out
+    assert "calibrate" not in said.err
+    assert said.err.count("\n") == 1
