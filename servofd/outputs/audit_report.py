@@ -91,12 +91,7 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     """
     logs = [_failed(result) if isinstance(result, FailedLog) else _log(result) for result in results]
     data = audit_document(results)
-    moved = any(not isinstance(one, FailedLog) and one.axes for one in results)
-    drawn = any(s.current is not None for one in results if not isinstance(one, FailedLog) for s in one.surfaces)
-    alone = any(isinstance(one, FailedLog) and one.flight is not None for one in results)
-    measured = any(not isinstance(one, FailedLog) and one.surfaces for one in results) or not (moved or alone)
-    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_ITSELF, alone), (_BY_CURRENT, drawn))
-    method = Section("How this was found", [Words(text) for text, is_used in methods if is_used], folded=True)
+    method = _how_found(results)
     if len(logs) == 1:
         return replace(logs[0], evidence=[method], data=data)
     logs.sort(key=lambda log: ("fault", "suspect", log.status).index(log.status))
@@ -129,6 +124,17 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
         evidence=[method],
         data=data,
     )
+
+
+def _how_found(results: Sequence[LogAudit | FailedLog]) -> Section:
+    """Methods that some verdict rests on; that of positions where none does."""
+    audits = [one for one in results if not isinstance(one, FailedLog)]
+    moved = any(one.axes for one in audits)
+    alone = any(isinstance(one, FailedLog) and one.flight is not None for one in results)
+    measured = any(one.surfaces for one in audits) or not (moved or alone)
+    drawn = any(s.current is not None for one in audits for s in one.surfaces)
+    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_ITSELF, alone), (_BY_CURRENT, drawn))
+    return Section("How this was found", [Words(text) for text, is_used in methods if is_used], folded=True)
 
 
 def _failed(result: FailedLog) -> Document:
