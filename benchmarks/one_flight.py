@@ -98,8 +98,9 @@ def main(folder: Path) -> None:
         days = sorted({day for _, day, _ in tops})
         print(f"{name}: limit {1.25 * max(tops)[0]:.1f}; without a day, and the largest J of that day:")
         for day in days:
-            others, own = (max(top for top, d, _ in tops if (d == day) == same) for same in (False, True))
-            print(f"    {day}: {1.25 * others:.1f}, {own:.1f}")
+            others = 1.25 * max(top for top, d, _ in tops if d != day)
+            own = [top for top, d, _ in tops if d == day]
+            print(f"    {day}: {others:.1f}, {max(own):.1f}, {sum(top > others for top in own)} of {len(own)} over it")
     healthy_s, false = 0.0, 0
     for flight in flights:
         axes = judge_motion_alone(flight.motion)

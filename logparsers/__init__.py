@@ -20,7 +20,7 @@ from logparsers.errors import (
     UnreadableLog,
 )
 from logparsers.only import Only
-from logparsers.records import Channel, Damage, FlightLog, Text
+from logparsers.records import Channel, Damage, FlightLog, Setting, Text
 from logparsers.source import LogFile, sources
 from logparsers.table import TableLayout
 
@@ -37,6 +37,7 @@ __all__ = [
     "LogFile",
     "MissingChannel",
     "MissingLog",
+    "Setting",
     "SeveralRuns",
     "TableLayout",
     "Text",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +30,34 @@ _MOST_CELLS = 100_000_000
 
 _SHORTEST_FLIGHT_S = 3.0
 """What a vehicle logs between two boots in less is no flight."""
+
+
+class Setting(NamedTuple):
+    """A setting of the autopilot that became another one while the log ran."""
+
+    time_s: float
+    """When, on the time base of the log [s]."""
+    name: str
+    before: float
+    value: float
+
+
+def settings_changed(rows: Iterable[tuple[float, str, float]]) -> tuple[Setting, ...]:
+    """Changes among settings as they were logged: when [s], which, and its value.
+
+    Examples
+    --------
+    >>> settings_changed([(0.0, "A", 1.0), (1.0, "B", 2.0), (9.0, "A", 1.0), (10.0, "A", 3.0)])
+    (Setting(time_s=10.0, name='A', before=1.0, value=3.0),)
+    """
+    known: dict[str, float] = {}
+    found = []
+    for time_s, name, value in rows:
+        before = known.setdefault(name, value)
+        if before != value and not math.isnan(time_s):
+            found.append(Setting(time_s, name, before, value))
+        known[name] = value
+    return tuple(found)
 
 
 def rows_text(number: int) -> str:
@@ -217,6 +246,8 @@ class FlightLog:
         Date and time at ``time_s = 0``, when the vehicle was booted; None if the log does not say.
     span_s : tuple of float, or None
         First and last time of the flight [s]: messages that come once tell nothing of it. None: those of the channels.
+    changed : tuple of Setting
+        Settings of the autopilot that became other ones while the log ran, in order of time.
     """
 
     source: Path
@@ -230,6 +261,7 @@ class FlightLog:
     firmware: str = ""
     start_utc: datetime | None = None
     span_s: tuple[float, float] | None = None
+    changed: tuple[Setting, ...] = ()
 
     def __post_init__(self) -> None:
         channels = dict(self.channels) if isinstance(self.channels, dict) else self.channels  # a lazy one stays lazy

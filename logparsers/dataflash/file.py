@@ -18,7 +18,7 @@ from logparsers.dataflash.report import Boots, describe
 from logparsers.dataflash.text import TextStore
 from logparsers.errors import MissingChannel, UnreadableLog
 from logparsers.protocol import kind_of
-from logparsers.records import Text
+from logparsers.records import Text, settings_changed
 from logparsers.source import mapped
 from logparsers.texts import split_rows
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from logparsers.dataflash.formats import Layout
     from logparsers.dataflash.store import Store, Stretch
     from logparsers.only import Only
-    from logparsers.records import Damage, FlightLog
+    from logparsers.records import Damage, FlightLog, Setting
     from logparsers.source import LogBytes
 
     Group = tuple[str, Any]
@@ -116,6 +116,7 @@ class DataFlashFile:
             vehicle=self.vehicle,
             firmware=self.firmware,
             start_utc=self.start_utc,
+            changed=self.changed,
         )
 
     def series(self) -> dict[str, Series]:
@@ -246,6 +247,13 @@ class DataFlashFile:
     def parameters(self) -> Mapping[str, float]:
         """The last value of each parameter."""
         return MappingProxyType(dict(self._store.rows("PARM", {"Name": WORDS, "Value": NUMBER})))
+
+    @property
+    def changed(self) -> tuple[Setting, ...]:
+        """Parameters that became other ones while the log ran."""
+        rows = self._store.rows("PARM", {"Name": WORDS, "Value": NUMBER})
+        times_s = self.times_s("PARM").tolist() if rows else []
+        return settings_changed((time_s, *row) for time_s, row in zip(times_s, rows, strict=True))
 
     @cached_property
     def texts(self) -> tuple[Text, ...]:

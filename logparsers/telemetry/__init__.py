@@ -37,6 +37,7 @@ def read_telemetry(source: Source, only: Only) -> FlightLog:
         vehicle=kind_of(craft.type, parameters) if craft else "",
         firmware=_firmware(craft) if craft else "",
         start_utc=file.start_utc,
+        changed=file.changed,
     )
 
 

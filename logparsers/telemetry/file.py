@@ -20,14 +20,14 @@ from logparsers.errors import UnreadableLog
 from logparsers.mavlink import DEFAULT_DIALECT, Dialect, enum_name, rival_names, version_text
 from logparsers.mavlink import dialect as dialect_called
 from logparsers.protocol import LONGEST_TEXT, Autopilot, Capability, Kind, ParameterType
-from logparsers.records import Damage, Text
+from logparsers.records import Damage, Setting, Text, settings_changed
 from logparsers.source import mapped
 from logparsers.telemetry import frames
 from logparsers.telemetry.clock import TelemetryClock
 from logparsers.telemetry.messages import MessageTable
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterable, Mapping
     from datetime import datetime
 
     from numpy.typing import NDArray
@@ -238,7 +238,16 @@ class TelemetryFile(MessageTable):
     @cached_property
     def parameters(self) -> Mapping[str, float]:
         """Last value of each parameter of the vehicle."""
-        return _read_parameters(self)
+        return MappingProxyType({name: value for _, name, value in self._settings})
+
+    @cached_property
+    def _settings(self) -> tuple[tuple[float, str, float], ...]:
+        return tuple(_read_parameters(self))
+
+    @property
+    def changed(self) -> tuple[Setting, ...]:
+        """Parameters that became other ones while the log ran."""
+        return settings_changed(self._settings)
 
     @cached_property
     def texts(self) -> tuple[Text, ...]:
@@ -328,11 +337,11 @@ def _firmware(file: TelemetryFile, source: Sender) -> str:
     return next((said.text for said in file.texts if _BANNER.match(said.text)), "")
 
 
-def _read_parameters(file: TelemetryFile) -> Mapping[str, float]:
-    """Parameters the vehicle reported; the last value counts."""
+def _read_parameters(file: TelemetryFile) -> Iterable[tuple[float, str, float]]:
+    """When the vehicle reported a parameter [s], which, and its value."""
     source = _vehicle_source(file, "PARAM_VALUE")
     if source is None:
-        return MappingProxyType({})
+        return ()
     values = file.column("PARAM_VALUE", "param_value", source=source)
     numbers = as_float(values)
     if _sends_bytes(file, source):
@@ -343,7 +352,8 @@ def _read_parameters(file: TelemetryFile) -> Mapping[str, float]:
             width = np.dtype(dtype).itemsize
             numbers[rows] = np.ascontiguousarray(raw[:, :width]).view(dtype).reshape(-1)
     names = file.column("PARAM_VALUE", "param_id", source=source)
-    return MappingProxyType(dict(zip(names.tolist(), numbers.tolist(), strict=True)))
+    times_s = file.time_s("PARAM_VALUE", source=source)
+    return zip(times_s.tolist(), names.tolist(), numbers.tolist(), strict=True)
 
 
 def _sends_bytes(file: TelemetryFile, source: Sender) -> bool:

@@ -31,6 +31,7 @@ def read_ulog(source: Source, only: Only) -> FlightLog:
         vehicle=file.vehicle,
         firmware=file.firmware,
         start_utc=file.start_utc,
+        changed=file.changed,
     )
     if log.span_s and log.span_s[0] < file.begin_s < log.span_s[1]:  # topics published once, before the log began
         return replace(log, span_s=(file.begin_s, log.span_s[1]))

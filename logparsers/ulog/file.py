@@ -19,7 +19,7 @@ from logparsers.clock import utc_date
 from logparsers.errors import EmptyLog, MissingChannel
 from logparsers.mavlink import enum_name, version_text
 from logparsers.only import Only
-from logparsers.records import Damage, Text
+from logparsers.records import Damage, Setting, Text, settings_changed
 from logparsers.source import mapped
 from logparsers.texts import distinct_texts, split_rows
 from logparsers.ulog.bounded import load
@@ -203,6 +203,13 @@ class UlogFile:
         changed = {name: value for _, name, value in self._log.changed_parameters}
         known = {**self._log.initial_parameters, **changed}
         return MappingProxyType({k: float(v) for k, v in known.items() if isinstance(v, int | float)})
+
+    @property
+    def changed(self) -> tuple[Setting, ...]:
+        """Parameters that became other ones while the log ran."""
+        first = [(-np.inf, *each) for each in self._log.initial_parameters.items()]
+        later = [(time_us * S_PER_US, name, value) for time_us, name, value in self._log.changed_parameters]
+        return settings_changed((t, name, float(v)) for t, name, v in (*first, *later) if isinstance(v, int | float))
 
     @cached_property
     def texts(self) -> tuple[Text, ...]:

@@ -278,7 +278,15 @@ _FASTEST_HZ = 25.0
 _OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
 """Share of the throttle below which a motor does not lift."""
+FLIES_M_S = 5.0
+"""Airspeed above which an aircraft may fly [m/s]."""
+GPS = "GPS and wind"
+"""Source of an airspeed that is there though the aircraft stands still."""
 _MEASURES_M_S = 1.0
+"""What an airspeed that measures something exceeds at some time [m/s]."""
+_AS_LONG = 0.8
+"""Share of the time in the air by the best witness that another must show: a dead pitot reads noise, and one that gets
+blocked ends the flight."""
 _RATES = (
     ("IMU[0].Gyr{}", "IMU.Gyr{}", "XYZ", np.degrees(1.0)),
     ("RAW_IMU.{}gyro", "SCALED_IMU2.{}gyro", "xyz", 1e-3 * np.degrees(1.0)),
@@ -429,22 +437,24 @@ def _attitude(log: FlightLog) -> tuple[Series, Series]:
 
 def _airspeed(log: FlightLog) -> tuple[Series, str]:
     """A sensor that measures something; else ground speed less wind; else the autopilot's own estimate."""
-    for name in ("ARSP[0].Airspeed", "ARSP.Airspeed"):
-        sensor = series_of(log, name)
-        if sensor is not None and float(np.max(sensor.values)) > _MEASURES_M_S:
-            return sensor, "sensor"
-    for north, east, down, wind_north, wind_east in _WINDS:
-        estimate = through_the_wind(log, (north, east, down, wind_north, wind_east))
-        if estimate is not None:
-            return estimate, "GPS and wind"
-    for name in ("CTUN.As", "VFR_HUD.airspeed"):
-        estimate = series_of(log, name)
-        if estimate is not None and float(np.max(estimate.values)) > _MEASURES_M_S:
-            return estimate, "the autopilot's estimate"
-    raise NoMeasurement(
-        f"{log.label}: no airspeed that measures anything: the effect of a surface grows with its square; log a sensor "
-        "(ARSP), or the estimator's velocity and wind (XKF1, XKF2)"
-    )
+    witnesses = [(series_of(log, name), "sensor") for name in ("ARSP[0].Airspeed", "ARSP.Airspeed")]
+    witnesses += [(through_the_wind(log, names), GPS) for names in _WINDS]
+    witnesses += [(series_of(log, name), "the autopilot's estimate") for name in ("CTUN.As", "VFR_HUD.airspeed")]
+    found = airspeed_among(witnesses)
+    if found is None:
+        raise NoMeasurement(
+            f"{log.label}: no airspeed that measures anything: the effect of a surface grows with its square; log a "
+            "sensor (ARSP), or the estimator's velocity and wind (XKF1, XKF2)"
+        )
+    return found
+
+
+def airspeed_among(witnesses: Sequence[tuple[Series | None, str]]) -> tuple[Series, str] | None:
+    """First airspeed that shows the aircraft in the air for as long as the others do, nearly; None if none measures."""
+    there = [(one, source) for one, source in witnesses if one is not None]
+    known = [each for each in there if each[1] == GPS or float(np.max(each[0].values)) > _MEASURES_M_S]
+    flown_s = [float(np.sum(np.diff(one.time_s)[one.values[1:] > FLIES_M_S])) for one, _ in known]
+    return next((one for one, at in zip(known, flown_s, strict=True) if at >= _AS_LONG * max(flown_s)), None)
 
 
 def at_times_of_first(parts: Sequence[Series]) -> list[FloatArray]:

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.outputs import PX4_TYPES, WITHOUT_SURFACES
-from servofd.axes.motion import Series, at_times_of_first, on_one_grid, series_of, through_the_wind
+from servofd.axes.motion import (
+    GPS,
+    Series,
+    airspeed_among,
+    at_times_of_first,
+    on_one_grid,
+    series_of,
+    through_the_wind,
+)
 from servofd.core.errors import NoMeasurement
 
 if TYPE_CHECKING:
@@ -151,18 +159,18 @@ def _attitude(q: list[Series]) -> tuple[Series, Series]:
 
 
 def _airspeed(log: FlightLog) -> tuple[Series, str]:
-    for name in ("airspeed_validated[0].true_airspeed_m_s", "airspeed[0].true_airspeed_m_s"):
-        sensor = series_of(log, name)
-        if sensor is not None and float(np.max(sensor.values)) > 1.0:
-            return sensor, "sensor"
+    sensors = ("airspeed_validated[0].true_airspeed_m_s", "airspeed[0].true_airspeed_m_s")
     ground = [f"vehicle_local_position[0].v{axis}" for axis in "xyz"]
-    for topic in ("wind[0]", "wind_estimate[0]"):
-        estimate = through_the_wind(log, [*ground, f"{topic}.windspeed_north", f"{topic}.windspeed_east"])
-        if estimate is not None:
-            return estimate, "GPS and wind"
-    raise NoMeasurement(
-        f"{log.label}: no airspeed_validated, nor ground speed with wind: motion cannot be judged without"
+    winds = [[f"{topic}.windspeed_{way}" for way in ("north", "east")] for topic in ("wind[0]", "wind_estimate[0]")]
+    found = airspeed_among(
+        [(series_of(log, name), "sensor") for name in sensors]
+        + [(through_the_wind(log, [*ground, *wind]), GPS) for wind in winds]
     )
+    if found is None:
+        raise NoMeasurement(
+            f"{log.label}: no airspeed_validated, nor ground speed with wind: motion cannot be judged without"
+        )
+    return found
 
 
 def _throttle(log: FlightLog) -> Series | None:

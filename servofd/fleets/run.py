@@ -68,13 +68,16 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
         content = content_key(source.path)
     except OSError:
         content = ""  # reading it tells what is wrong, in its own words
-    audits, runs = [], []
+    audits: list[LogAudit | FailedLog] = []
+    runs = []
     try:
         with fetched(source.path) as local:
             for result in judged(local, job, threads=1):  # the logs run side by side already
                 if isinstance(result, FailedLog):
-                    failure = FailedLog(source.path, result.error.replace(local, source.path), result.log)
+                    failure = replace(result, path=source.path, error=result.error.replace(local, source.path))
                     runs.append(_not_judged(failure))
+                    if job.pages and failure.flight is not None:
+                        audits.append(failure)
                     continue
                 if job.pages:
                     audits.append(result)
@@ -86,7 +89,7 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
         return failed(source, str(error), content)
 
 
-def _page(audits: Sequence[LogAudit]) -> str:
+def _page(audits: Sequence[LogAudit | FailedLog]) -> str:
     """Page of a log, which leads back to that of all."""
     return html_page(replace(audit_report(audits), links=[("All flights", FLEET_PAGE)]))
 

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from servofd.axes.model import FORMS, Filtered
-from servofd.axes.verdict import named
+from servofd.axes.motion import FLIES_M_S
+from servofd.axes.verdict import excludes_none, left_out, named
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
 from servofd.core.windows import Sizes, Sums, distance, fitted, lasting, least, split
 
@@ -89,13 +90,13 @@ LOOKS = {
         ("roll_rate", 1.0),
         ("roll_acceleration", 2.5),
         ((0.029**2, -0.001, 1.0), (0.036**2, -0.017, 1.0), (0.045**2, -0.027, 1.0)),
-        8.7,
+        10.2,
     ),
     "pitch": Look(
         ("pitch_inverse", 0.4),
         ("pitch_inverse", 1.0),
         ((0.097**2, 0.087, 3.3**2), (0.084**2, 0.032, 3.8**2), (0.088**2, 0.026, 3.7**2)),
-        19.7,
+        12.2,
     ),
 }
 """The side axis is left out: its sizes made no sense in healthy flights (lambda from -1.3 to 5.8)."""
@@ -233,7 +234,7 @@ def airborne(motion: Motion) -> tuple[BoolArray, float]:
     """Where an aircraft surely flies, and its usual airspeed [m/s]: not soon after a take-off, nor before a landing."""
     from scipy import ndimage
 
-    moving = motion.present & (motion.airspeed_m_s > _MEANS_FLIGHT_M_S)
+    moving = motion.present & (motion.airspeed_m_s > FLIES_M_S)
     if not moving.any():
         return moving, 1.0
     usual_m_s = float(np.median(motion.airspeed_m_s[moving]))
@@ -245,8 +246,57 @@ def airborne(motion: Motion) -> tuple[BoolArray, float]:
     return sure, usual_m_s
 
 
-_MEANS_FLIGHT_M_S = 5.0
-"""Airspeed above which an aircraft may fly [m/s]."""
+_TURNING = {"roll": ("roll_acceleration", 2.5), "pitch": ("pitch_acceleration", 2.5)}
+"""Form and corner [Hz] by which the way an axis turns is seen."""
+_FIRST_S = (5, 10, 20, 40)
+"""Flight after which it is asked which way the axes turn [s]."""
+_SURE_SIGMAS, _OWN_SIGMAS = 5.0, 2.0
+"""Of an effect that is there, and below which it may be none. In ten healthy flights of ArduPlane at 25 Hz an axis has
++2 to +30 on its own command and -1.6 to +2.2 on the other's. Slower logs do not tell cause from answer: ALFA, at 10 Hz
+and with commands at 3 Hz, has -5 to +5."""
+
+
+def first_turns(motion: Motion) -> list[tuple[str, str, float]]:
+    """Axes that turn against their command, or with another's, from the first turns on.
+
+    Result: axis, the command that turns it, and how much flight it took to be sure [s].
+    """
+    moving = motion.present & (motion.airspeed_m_s > FLIES_M_S)
+    if motion.rate_hz < _SLOW_HZ or not moving.any():
+        return []
+    usual_m_s = float(np.median(motion.airspeed_m_s[moving]))
+    flies = motion.present & (motion.airspeed_m_s > _AIRBORNE * usual_m_s)
+    enough = np.searchsorted(np.cumsum(flies), (_FIRST_S[-1] + 1) * motion.rate_hz)
+    first = motion.until(float(motion.time_s[min(int(enough), motion.time_s.size - 1)]))
+    flies, found = flies[: first.time_s.size], []
+    asked = [axis for axis in _TURNING if np.any(np.ptp(first.commands_us.get(axis, np.zeros(1))))]
+    for axis in asked:
+        form_name, corner_hz = _TURNING[axis]
+        effects = {
+            by: effect_of(regressed(replace(FORMS[form_name], command=by), first, flies, corner_hz, usual_m_s))
+            for by in asked
+        }
+        for flown_s, *at in zip(_FIRST_S, *effects.values(), strict=True):
+            now = dict(zip(effects, at, strict=True))
+            other = max(now, key=lambda by: abs(now[by]) if by != axis else 0.0)
+            if now[axis] < -_SURE_SIGMAS:
+                found.append((axis, axis, float(flown_s)))
+            elif other != axis and abs(now[other]) > _SURE_SIGMAS and now[axis] < _OWN_SIGMAS:
+                found.append((axis, other, float(flown_s)))
+            else:
+                continue
+            break
+    return found
+
+
+def effect_of(seconds: Seconds) -> list[float]:
+    """Effect of a form's command in its standard deviations, after so much flight as `first_turns` asks for."""
+    last = seconds.sums.samples.size - 1
+    upto = np.minimum(np.searchsorted(seconds.sums.samples, np.array(_FIRST_S) * seconds.rate_hz), last)
+    past = seconds.fitted(upto)
+    inverse = np.linalg.inv(np.moveaxis(past.precision, 2, 0))[:, 0, 0]
+    variance = inverse * past.variance * _COLOUR_S * seconds.rate_hz
+    return [float(each) for each in past.coefficients[0] / np.sqrt(np.maximum(variance, _LEAST_VARIANCE))]
 
 
 def as_flown_before(motion: Motion, flies: BoolArray) -> BoolArray:
@@ -290,10 +340,11 @@ class AxisChange:
     """Of its answer by the command and the rest of the motion, over the whole flight."""
     judged_share: float = 0.0
     """Share of the time in the air."""
+    judged_from_s: float | None = None
     judged_until_s: float | None = None
     time_s: tuple[float, ...] = ()
     score: tuple[float, ...] = ()
-    """J over its limit at each second."""
+    """J over its limit at each second; NaN where nothing was judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +352,7 @@ class Compared:
     """An axis, window by window, against what was flown before each.
 
     `found`, `away`: estimates, and how far beyond what is expected, for the windows of each length. `shares`, `held`
-    (shape (3, n)): J over its limit, where its size means something, before and after persistence.
+    (shape (3, n)): J over its limit, of the sizes that mean something, before and after persistence.
     """
 
     seconds: Seconds
@@ -319,7 +370,7 @@ class Compared:
             one.beyond(expected(one, length_s, spread), np.zeros((2, 2)))
             for one, length_s, spread in zip(found, WINDOWS_S, spreads, strict=True)
         ]
-        shares = np.array([_means_something(one) * distance(far) for one, far in zip(found, away, strict=True)])
+        shares = np.array([counted(one, far) for one, far in zip(found, away, strict=True)])
         shares /= look.limit
         return cls(seconds, tuple(found), tuple(away), shares, lasting(shares, _HELD_S))
 
@@ -331,14 +382,16 @@ class Compared:
 
     def shown_loss(self, look: Look) -> float:
         """Loss that half of the judged seconds would have shown."""
-        return float(np.median(np.min([least(one, look.limit) for one in self.away], axis=0)[self.judged]))
+        return float(np.median(np.min([least(one.only(0), look.limit) for one in self.away], axis=0)[self.judged]))
 
 
-def _means_something(window: Sizes) -> BoolArray:
-    loss, offset = window.value
-    large = (loss >= _LEAST_LOSS) | ((np.abs(offset) >= _LEAST_US) & (loss > _LEAST_GAIN))
-    means: BoolArray = large & (loss <= _MOST_LOSS)
-    return means
+def counted(found: Sizes, away: Sizes) -> FloatArray:
+    """J of the sizes that mean something, whatever the other is: a small offset is no reason to believe a loss."""
+    loss, offset = found.value
+    lost = (loss >= _LEAST_LOSS) & (loss <= _MOST_LOSS)
+    stands_away = (np.abs(offset) >= _LEAST_US) & (loss > _LEAST_GAIN) & (loss <= _MOST_LOSS)
+    of_loss, of_offset = distance(away.only(0)), distance(away.only(1), None)
+    return np.select([lost & stands_away, lost, stands_away], [distance(away), of_loss, of_offset], 0.0)
 
 
 def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, reference_m_s: float) -> AxisChange:
@@ -356,10 +409,11 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
     if not judged.any():
         text = f"{name}: {air_s:.0f} s in the air; {LEAST_PAST_S + WINDOWS_S[0]} s are needed"
         if not flies.any():
-            flew = np.any(motion.present & (motion.airspeed_m_s > _MEANS_FLIGHT_M_S))
+            flew = np.any(motion.present & (motion.airspeed_m_s > FLIES_M_S))
             broken = f"no {_AFTER_TAKEOFF_S + _BEFORE_LANDING_S:.0f} s of flight without a gap in what it needs"
-            text = f"{name}: {broken if flew else 'it never flew'}"
+            text = f"{name}: {broken if flew else 'it never flew'}{left_out(motion.lifted_share)}"
         return AxisChange(name, "unknown", text, members)
+    from_s = float(second_s[judged][0]) - WINDOWS_S[0]
     until_s = min(float(second_s[judged][-1]), float(motion.time_s[usable][-1]))
     known = AxisChange(
         name,
@@ -368,9 +422,10 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
         members,
         explained_share=compared.seconds.explained,
         judged_share=min(float(judged.sum()) / air_s, 1.0),
+        judged_from_s=from_s,
         judged_until_s=until_s,
         time_s=tuple(second_s.tolist()),
-        score=tuple(np.max(compared.shares, axis=0).tolist()),
+        score=tuple(np.where(judged, np.max(compared.shares, axis=0), np.nan).tolist()),
     )
     reported = np.flatnonzero(compared.held.max(axis=0) > 1.0)
     if reported.size:
@@ -378,28 +433,33 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
     if compared.seconds.explained < _LEAST_EXPLAINED:
         text = f"{name}: command and motion explain {compared.seconds.explained:.0%} of it only, too little to compare"
         return replace(known, text=text)
-    shown = compared.shown_loss(look)
-    if not shown <= 1.0:
+    shown = max(compared.shown_loss(look), _LEAST_LOSS)
+    if not shown <= max(1.0 / max(len(members), 1), _LEAST_LOSS):  # one of them that stands still
         return known
     text = (
-        f"{name} answered as it had before until {until_s:.0f} s; the loss of {max(shown, _LEAST_LOSS):.0%} of its "
-        "effect would have shown in half of that time"
+        f"{name} answered from {from_s:.0f} to {until_s:.0f} s as it had before; the loss of {shown:.0%} of its effect "
+        "would have shown in half of that time"
     )
     return replace(known, status="ok", text=text)
 
 
 def _changed(known: AxisChange, compared: Compared, at: int, begin_s: float) -> AxisChange:
-    """An axis that stopped answering as before, as it could be reported at a second."""
-    window = compared.found[int(np.argmax(compared.held[:, at]))].at(np.array([at]))
+    """An axis that stopped answering as before, as it could be reported at a second.
+
+    Its sizes are of the window that showed it, without what came before the change.
+    """
+    since = onset(compared.seconds, at + 1)
+    length_s = WINDOWS_S[int(np.argmax(compared.held[:, at]))]
+    begin, end = np.array([max(int(since), at + 1 - length_s)]), np.array([at + 1])
+    window, _ = compared.seconds.compared(compared.seconds.fitted(np.array([int(since)])), begin, end)
     lost, offset = (
         Estimate.of(float(window.value[k, 0]), math.sqrt(float(window.covariance[k, k, 0]))) for k in range(2)
     )
-    since_s, alarm_s = begin_s + onset(compared.seconds, at + 1), begin_s + at + 1.0
-    what = (
-        f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
-        if lost.value >= _LEAST_LOSS
-        else f"acts as if {offset.value:+.0f} us [{offset.low:+.0f}, {offset.high:+.0f}] away"
-    )
+    since_s, alarm_s = begin_s + since, begin_s + at + 1.0
+    loss = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of its effect"
+    away = f"acts as if {offset.value:+.0f} us [{offset.low:+.0f}, {offset.high:+.0f}] away"
+    sure = [text for text, is_sure in ((loss, lost.low > 0.0), (away, excludes_none(offset))) if is_sure]
+    what = " and ".join(sure) or f"{loss}, or {away} (this motion hardly tells which)"
     text = (
         f"{known.axis} {what} since about {since_s:.0f} s, as was clear at {alarm_s:.0f} s: look at the "
         f"{named(known.members, known.axis)}{_OR_ELSE[known.axis]}"

@@ -9,9 +9,10 @@ import numpy as np
 
 from servofd.axes.motion import Series
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.flight.change import first_turns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from servofd.core.types import BoolArray, FloatArray
     from servofd.flight.change import AxisChange, Status
@@ -51,7 +52,8 @@ def saturation(flight: Flight) -> Check:
         return Check("saturation", "unknown", _NEVER_FLEW)
     longest_s, begin_s, which = 0.0, 0.0, flight.outputs[0]
     for output in flight.outputs:
-        at_end = (np.abs(output.share) >= _AT_END) & (output.time_s >= flight.span_s[0])
+        in_flight = flight.flown_at(output.time_s) | (output.time_s >= flight.span_s[1])
+        at_end = (np.abs(output.share) >= _AT_END) & in_flight
         for first, last in _runs(at_end):
             end_s = float(output.time_s[min(last, output.time_s.size - 1)])
             lasted_s = end_s - float(output.time_s[first])
@@ -61,7 +63,7 @@ def saturation(flight: Flight) -> Check:
         seen = "for no longer than a moment" if longest_s == 0.0 else f"for {longest_s:.1f} s at most ({which.name})"
         return Check("saturation", "ok", f"commands stood at their ends {seen}")
     late = begin_s + longest_s >= flight.span_s[1]
-    then = ", up to the end of the flight: it was asked for all it has, and the aircraft did not obey" if late else ""
+    then = f", up to the end of the flight{_answer(flight, begin_s, begin_s + longest_s)}" if late else ""
     return Check(
         "saturation",
         "look",
@@ -70,6 +72,29 @@ def saturation(flight: Flight) -> Check:
     )
 
 
+_OBEYS_DEG_S = 5.0
+"""Rate below which an aircraft does not obey full travel: a hundredth of what it gives an aerobatic one [deg/s]."""
+
+
+def _answer(flight: Flight, begin_s: float, end_s: float) -> str:
+    """How the aircraft turned meanwhile, about the axis that was asked for most."""
+    motion = flight.motion
+    if motion is None:
+        return ""
+    at = (motion.time_s >= begin_s) & (motion.time_s <= end_s)
+    if not at.any() or not motion.commands_us:
+        return ""
+    asked = {axis: float(np.mean(values[at])) for axis, values in motion.commands_us.items()}
+    axis = max(asked, key=lambda each: abs(asked[each]))
+    place, does = _TURNS[axis]
+    rate_deg_s = float(np.mean(motion.rates_deg_s[place][at])) * np.sign(asked[axis])
+    if rate_deg_s < _OBEYS_DEG_S:
+        return f": it was asked for all it has, and the aircraft did not {does} that way ({rate_deg_s:+.0f} deg/s)"
+    return f": the aircraft did {does} that way, by {rate_deg_s:.0f} deg/s"
+
+
+_TURNS = {"roll": (0, "roll"), "pitch": (1, "pitch"), "yaw": (2, "yaw")}
+"""Place of an axis among the body rates, and what an aircraft does about it."""
 _FAR_TRIM = 0.4
 """Of half the travel: twice as far as ArduPilot's automatic trim goes (SRV_Channel::adjust_trim stops at 40 and 60 % of
 the range)."""
@@ -93,7 +118,7 @@ def _level_means(flight: Flight) -> dict[str, float]:
     level = flight.flies & (np.abs(flight.motion.roll_deg) < _LEVEL_DEG)
     found = {}
     for output in flight.outputs:
-        at = _sampled(flight.motion.time_s, level, output.time_s)
+        at = flight.flown_at(output.time_s, level)
         if np.count_nonzero(at) > _FEW:
             found[output.name] = float(np.mean(output.share[at]))
     return found
@@ -228,9 +253,25 @@ _FOLLOWS, _STICK_US = 0.7, 100.0
 
 
 def surface_check(flight: Flight) -> Check:
-    """What was moved in the minute before take-off, how far, and the way the sticks asked."""
+    """What was moved in the minute before take-off, how far and which way, and which way the aircraft answered."""
     if not flight.outputs:
         return Check("surface_check", "unknown", _NO_OUTPUTS)
+    wrong = [] if flight.motion is None else first_turns(flight.motion)
+    return _wrong_way(wrong) if wrong else _on_the_ground(flight)
+
+
+def _wrong_way(turns: Sequence[tuple[str, str, float]]) -> Check:
+    said = " and ".join(
+        f"{axis} turned against its command: reversed" if axis == by else f"{axis} turned with the command of {by}"
+        for axis, by, _ in turns
+    )
+    after_s = max(flown_s for *_, flown_s in turns)
+    swapped = any(axis != by for axis, by, _ in turns)
+    which = ": outputs swapped, or one surface of a pair reversed" if swapped else ""
+    return Check("surface_check", "look", f"in the first {after_s:.0f} s of flight {said}{which}")
+
+
+def _on_the_ground(flight: Flight) -> Check:
     if not np.isfinite(flight.span_s[0]):
         return Check("surface_check", "unknown", _NEVER_FLEW)
     takeoff_s = flight.span_s[0]
@@ -281,17 +322,14 @@ def axis_change(axes: Mapping[str, AxisChange]) -> Check:
     judged = [one for one in axes.values() if one.status == "ok"]
     if judged:
         return Check("axis_change", "ok", "; ".join(one.text for one in judged))
-    return Check("axis_change", "unknown", "; ".join(one.text for one in axes.values()) or "no axis could be judged")
+    why: dict[str, list[str]] = {}
+    for one in axes.values():
+        why.setdefault(one.text.removeprefix(f"{one.axis}: "), []).append(one.axis)
+    reasons = "; ".join(f"{' and '.join(names)}: {reason}" for reason, names in why.items())
+    return Check("axis_change", "unknown", reasons or "no axis could be judged")
 
 
 def _runs(at: BoolArray) -> list[tuple[int, int]]:
     """First row, and the row behind the last, of each stretch."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
     return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _sampled(grid_s: FloatArray, flags: BoolArray, time_s: FloatArray) -> BoolArray:
-    """Flags of a grid at other times."""
-    place = np.clip(np.searchsorted(grid_s, time_s), 0, grid_s.size - 1)
-    inside: BoolArray = flags[place] & (time_s >= grid_s[0]) & (time_s <= grid_s[-1])
-    return inside

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,6 +48,11 @@ class Output:
     trim_share: float
     span_us: float
 
+    def within(self, begin_s: float, end_s: float) -> Output:
+        """What was asked of it in a part of the log."""
+        at = (self.time_s >= begin_s) & (self.time_s <= end_s)
+        return replace(self, time_s=self.time_s[at], share=self.share[at])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
@@ -68,6 +74,8 @@ class Flight:
         What the pilot asked of each axis [us].
     supply_v : Series or None
         Voltage of the servos' rail.
+    left_out : str
+        Why a part of the log was not judged; empty if all was.
     """
 
     outputs: tuple[Output, ...]
@@ -77,17 +85,31 @@ class Flight:
     span_s: tuple[float, float]
     sticks: Mapping[str, Series]
     supply_v: Series | None
+    left_out: str = ""
+
+    def flown_at(self, time_s: FloatArray, flags: BoolArray | None = None) -> BoolArray:
+        """Whether it surely flew, or other flags on the grid of `motion`, at some times."""
+        if self.motion is None:
+            return np.zeros(time_s.size, dtype=bool)
+        grid_s = self.motion.time_s
+        place = np.clip(np.searchsorted(grid_s, time_s), 0, grid_s.size - 1)
+        inside: BoolArray = (time_s >= grid_s[0]) & (time_s <= grid_s[-1])
+        inside &= (self.flies if flags is None else flags)[place]
+        return inside
 
 
+_DECIDES = re.compile(r"SERVO\d+_(FUNCTION|REVERSED)|CA_SV_CS\d_(TYPE|TRQ_[RPY])")
+"""Settings that decide which surface an output turns, and which way."""
 _STICKS = {"roll": ("RCMAP_ROLL", 1), "pitch": ("RCMAP_PITCH", 2), "yaw": ("RCMAP_YAW", 4)}
 """Parameter that names the channel of each stick, and ArduPilot's default."""
 
 
 def flight_of(log: FlightLog) -> Flight:
     """Outputs, motion, sticks and supply of a log, as far as it has them."""
+    log, (begin_s, end_s), left_out = _as_set(log)
     motion, lacking = None, ""
     try:
-        motion = motion_of(log)
+        motion = motion_of(log).within([(begin_s, end_s)])
     except NoMeasurement as error:
         lacking = str(error).removeprefix(f"{log.label}: ")
     flies, span_s = np.zeros(0, dtype=bool), (np.nan, np.nan)
@@ -96,7 +118,32 @@ def flight_of(log: FlightLog) -> Flight:
         if flies.any():
             sure_s = motion.time_s[flies]
             span_s = (float(sure_s[0]), float(sure_s[-1]))
-    return Flight(_outputs(log), motion, lacking, flies, span_s, _sticks(log), _supply(log))
+    outputs = tuple(one for each in _outputs(log) if (one := each.within(begin_s, end_s)).time_s.size > 1)
+    return Flight(outputs, motion, lacking, flies, span_s, _sticks(log), _supply(log), left_out)
+
+
+def _as_set(log: FlightLog) -> tuple[FlightLog, tuple[float, float], str]:
+    """The longest part of a log in which each output turned the same surface, with the settings that it began with.
+
+    And what is said of the rest. A trim that the autopilot moves in flight stays the one that its pilot had set.
+    """
+    first_s, last_s = log.ends_s
+    swapped = [one for one in log.changed if _DECIDES.fullmatch(one.name) and first_s < one.time_s < last_s]
+    edges_s = [first_s, *(one.time_s for one in swapped), last_s]
+    k = int(np.argmax(np.diff(edges_s)))
+    begin_s, end_s = (edges_s[k], edges_s[k + 1]) if swapped else (-np.inf, np.inf)
+    settings = dict(log.parameters)
+    settings |= {one.name: one.before for one in reversed(log.changed)}
+    settings |= {one.name: one.value for one in log.changed if one.time_s <= begin_s}
+    parts = [f"before {begin_s:.0f} s"] * (k > 0) + [f"after {end_s:.0f} s"] * (k < len(swapped))
+    names = sorted({one.name for one in swapped})
+    which = " and ".join(names) if len(names) < _MANY else f"{names[0]} and {len(names) - 1} more settings"
+    said = f"{which} changed while the log ran: nothing {' or '.join(parts)} was judged" if swapped else ""
+    return replace(log, parameters=settings), (begin_s, end_s), said
+
+
+_MANY = 3
+"""Names from which on a sentence gives the first and the number of the rest."""
 
 
 def _outputs(log: FlightLog) -> tuple[Output, ...]:

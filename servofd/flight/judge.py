@@ -50,7 +50,8 @@ def judge_flight(log: FlightLog) -> FlightAlone | None:
         checks.supply(flight),
         change,
     )
-    return FlightAlone(found, axes, _sentence(found, axes), flight.motion)
+    sentence = "; ".join(filter(None, [_sentence(found, axes), flight.left_out]))
+    return FlightAlone(found, axes, sentence, flight.motion)
 
 
 _SPOKEN = {"side": "the rudder"}
@@ -65,14 +66,19 @@ def _sentence(found: tuple[Check, ...], axes: Mapping[str, AxisChange]) -> str:
     unjudged = [_SPOKEN.get(axis.axis, axis.axis) for axis in axes.values() if axis.status == "unknown"]
     if not said and not fine:
         return next(check.text for check in found if check.name == "axis_change")
-    until = max((axis.judged_until_s for axis in judged if axis.judged_until_s is not None), default=None)
+    begins_s = [axis.judged_from_s for axis in judged if axis.judged_from_s is not None]
+    ends_s = [axis.judged_until_s for axis in judged if axis.judged_until_s is not None]
     parts = []
     if said:
         parts.append("; ".join(said))
     if fine:
-        parts.append(f"nothing looks wrong in {' and '.join(fine)}")
+        which = " and ".join(fine)
+        parts.append(f"{which} answered as before" if said else f"nothing looks wrong in {which}")
     if unjudged:
         parts.append(f"{' and '.join(unjudged)} cannot be judged")
-    if until is not None:
-        parts.append(f"judged until {until:.0f} s; a servo that sticks near its trim would not show")
+    if begins_s and ends_s:
+        parts.append(
+            f"judged from {max(begins_s):.0f} to {min(ends_s):.0f} s by what was flown before; a servo that failed "
+            "earlier, sticks near its trim, stands a few degrees off or is slow would not show"
+        )
     return "; ".join(parts)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.units import MS_PER_S
-from servofd.aircraft.outputs import ROTORCRAFT
+from servofd.aircraft.outputs import WITHOUT_SURFACES
 from servofd.axes.model import FORMS
 from servofd.axes.verdict import named, shown
 from servofd.detection.verdict import meaning, next_step
@@ -75,6 +75,9 @@ _BY_MOTION = """An axis without measured deflections is judged by the motion of 
 healthy flights says which part of the motion the command should cause. What the motion shows instead is a share of
 the command that was lost, and an offset; the alarm is raised when both together are further from those of healthy
 flights than any of these ever was from the others."""
+_BY_ITSELF = """Without positions and other flights the reference is the flight's own past. Every second the motion of
+roll and pitch is fitted to all that was flown before, and what the last 5, 10 and 20 s leave is compared with what
+healthy flights of other aircraft leave, and with what this one left so far."""
 _BY_CURRENT = """A current is judged beside what a good servo draws for the motion that was asked for: what its
 electronics take, holding against the air, friction either way, and acceleration. A servo that pushes with all it has
 wherever it is asked to be elsewhere is blocked; one that draws nothing for its motion has no power; one that draws more
@@ -88,11 +91,7 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     """
     logs = [_failed(result) if isinstance(result, FailedLog) else _log(result) for result in results]
     data = audit_document(results)
-    moved = any(not isinstance(one, FailedLog) and one.axes for one in results)
-    measured = any(not isinstance(one, FailedLog) and one.surfaces for one in results) or not moved
-    drawn = any(s.current is not None for one in results if not isinstance(one, FailedLog) for s in one.surfaces)
-    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_CURRENT, drawn))
-    method = Section("How this was found", [Words(text) for text, is_used in methods if is_used], folded=True)
+    method = _how_found(results)
     if len(logs) == 1:
         return replace(logs[0], evidence=[method], data=data)
     logs.sort(key=lambda log: ("fault", "suspect", log.status).index(log.status))
@@ -127,12 +126,23 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     )
 
 
+def _how_found(results: Sequence[LogAudit | FailedLog]) -> Section:
+    """Methods that some verdict rests on; that of positions where none does."""
+    audits = [one for one in results if not isinstance(one, FailedLog)]
+    moved = any(one.axes for one in audits)
+    alone = any(isinstance(one, FailedLog) and one.flight is not None for one in results)
+    measured = any(one.surfaces for one in audits) or not (moved or alone)
+    drawn = any(s.current is not None for one in audits for s in one.surfaces)
+    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_ITSELF, alone), (_BY_CURRENT, drawn))
+    return Section("How this was found", [Words(text) for text, is_used in methods if is_used], folded=True)
+
+
 def _failed(result: FailedLog) -> Document:
     name = Path(result.path).name
     if result.flight is not None:
         return _alone(name, result.flight, result.error.replace(result.path, name))
     sentence = "Could not be read." if result.log is None else "Could not be judged."
-    if result.log is not None and result.log.vehicle in ROTORCRAFT:
+    if result.log is not None and result.log.vehicle in WITHOUT_SURFACES:
         sentence = f"No control surfaces: a {result.log.vehicle}."
     return Document(name, "unknown", sentence, result.error.replace(result.path, name), log=name)
 
@@ -180,7 +190,7 @@ def _alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
                 Curve("limit", "threshold", time_s[[0, -1]], np.ones(2)),
             )
             panels.append(
-                Panel(f"{axis}: distance from its own past", "limits", curves, 0.0, max(1.2, float(score.max())))
+                Panel(f"{axis}: distance from its own past", "limits", curves, 0.0, max(1.2, float(np.nanmax(score))))
             )
     marks = [Mark("onset", one.since_s, f"{one.axis} changed") for one in axes.values() if one.since_s is not None]
     text = "An axis whose distance from its own past exceeds 1 for three seconds no longer answers as it did."

@@ -79,7 +79,7 @@ def _about(log: FlightLog) -> dict[str, Any]:
     }
 
 
-_OF_CHANGE = ("alarm_s", "explained_share", "judged_share", "judged_until_s", "since_s", "status")
+_OF_CHANGE = ("alarm_s", "explained_share", "judged_share", "judged_from_s", "judged_until_s", "since_s", "status")
 _OF_AXIS = ("status", "reason", "since_s", "false_alarms_per_hour", "judged_share")
 _OF_EVENT = ("start_s", "alarm_s", "end_s", "from_start")
 

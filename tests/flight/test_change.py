@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import logparsers
 from servofd.axes.motion import Motion
-from servofd.flight.change import airborne, judge_motion_alone
+from servofd.axes.read import motion_of
+from servofd.core.windows import Sizes
+from servofd.flight.change import AxisChange, airborne, counted, judge_motion_alone
+from servofd.simulation.airframe import AirframeFault, AirframeFlight, fly_airframe
+from servofd.simulation.airframe_log import airframe_log
 from tests.axes.flights import flown
+
+
+def motion_alone(flight: AirframeFlight) -> dict[str, AxisChange]:
+    """Axes of a simulated aeroplane, from its log."""
+    return judge_motion_alone(motion_of(logparsers.read(io.BytesIO(airframe_log(flight)))))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -73,3 +84,42 @@ def test_two_flights_in_one_log_are_judged_without_the_ground_between() -> None:
     flies, _ = airborne(flight)
     assert not flies[(flight.time_s > 107.5) & (flight.time_s < 134.5)].any()
     assert judge_motion_alone(flight)["roll"].status != "look"
+
+
+def test_an_axis_in_which_one_jam_of_two_would_not_show_is_not_called_fine() -> None:
+    flight = flown(1, duration_s=51.0)  # a loss of 56 % would show
+    assert judge_motion_alone(replace(flight, members={"roll": ("aileron",)}))["roll"].status == "ok"
+    assert judge_motion_alone(flight)["roll"].status == "unknown"
+
+
+def test_a_small_offset_is_no_reason_to_believe_a_loss() -> None:
+    sizes = Sizes(np.array([[0.33, 0.33, 0.0], [18.0, 30.0, 30.0]]), np.diag([0.2**2, 6.0**2])[..., None])
+    at_most = (0.33 / 0.2) ** 2
+    assert counted(sizes, sizes) == pytest.approx([at_most, at_most + 25.0, 25.0])
+
+
+def test_calm_healthy_flights_with_little_to_tell_are_no_reason_to_look() -> None:
+    flights = [fly_airframe(seed, turbulence=turbulence, duration_s=240.0) for seed, turbulence in CALM]
+    looks = [axis.text for flight in flights for axis in motion_alone(flight).values() if axis.status == "look"]
+    assert looks == []
+
+
+CALM = ((207, 0.55), (215, 0.58), (223, 0.57), (239, 1.09), (283, 0.76), (289, 0.57))
+"""Healthy flights that read "lost 63 % [-2, 128]" while sizes that mean nothing counted."""
+
+
+@pytest.mark.parametrize(("kind", "value"), [("bias", 3.0), ("stuck", 10.0)])
+def test_an_offset_is_no_loss_and_the_intervals_hold_the_truth(kind: str, value: float) -> None:
+    surfaces = ("aileron_left", "aileron_right") if kind == "bias" else ("aileron_left",)
+    true_us, true_loss = value / 0.05 * len(surfaces) / 2.0, 0.0 if kind == "bias" else 0.5
+    found = []
+    for seed in range(402, 418, 2):
+        faults = tuple(AirframeFault(surface, kind, 110.0, value) for surface in surfaces)
+        roll = motion_alone(fly_airframe(seed, turbulence=0.8, duration_s=140.0, faults=faults))["roll"]
+        if roll.lost_share is not None and roll.offset_us is not None:
+            found.append((roll.lost_share, roll.offset_us))
+    assert len(found) >= 4
+    assert sum(away.low < true_us < away.high for _, away in found) >= 0.75 * len(found)
+    assert sum(lost.low < true_loss < lost.high for lost, _ in found) >= 0.75 * len(found)
+    if kind == "bias":
+        assert sum(lost.low > 0.0 for lost, _ in found) <= 0.25 * len(found)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import logparsers
+from logparsers.dataflash.encode import encode
 from servofd.axes.motion import Series
 from servofd.cli import main
 from servofd.flight import checks
-from servofd.flight.columns import Flight, Output
+from servofd.flight.columns import Flight, Output, flight_of
+from servofd.simulation.airframe import fly_airframe
+from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.dataflash_writer import pulses, words
 from tests.axes.flights import flown
 
 NAMES = ["surface_check", "saturation", "trim", "travel", "limit_cycle", "asymmetry", "supply", "axis_change"]
@@ -38,7 +43,41 @@ def test_a_command_that_stands_at_its_end_to_the_last_is_said() -> None:
     late = checks.saturation(flight_with(np.where(TIME_S > 176.0, 1.0, wave())))
     assert late.status == "look"
     assert late.since_s == pytest.approx(176.0, abs=0.1)
-    assert "the aircraft did not obey" in late.text
+    assert "the aircraft did not roll that way" in late.text
+
+
+def test_an_aircraft_that_obeys_to_the_last_is_not_said_to_disobey() -> None:
+    flight = flight_with(np.where(TIME_S > 176.0, 1.0, wave()))
+    assert flight.motion is not None
+    late = flight.motion.time_s > 176.0
+    flight.motion.commands_us["roll"][late] = 400.0
+    flight.motion.rates_deg_s[0][late] = 80.0
+    assert "the aircraft did roll that way, by 8" in checks.saturation(flight).text
+
+
+def test_full_elevator_on_the_ground_between_two_flights_is_no_saturation() -> None:
+    flight = flight_with(np.where((TIME_S > 120.0) & (TIME_S < 130.0), 1.0, wave()))
+    assert checks.saturation(flight).status == "look"
+    assert flight.motion is not None
+    flight.flies[(flight.motion.time_s > 115.0) & (flight.motion.time_s < 135.0)] = False
+    assert checks.saturation(flight).status == "ok"
+
+
+@pytest.mark.parametrize("seed", [101, 103, 105])
+def test_reversed_and_swapped_surfaces_are_found_from_the_first_turns(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(airframe_log(fly_airframe(seed, duration_s=60.0)))
+    log = logparsers.read(path)
+    assert "turned" not in checks.surface_check(flight_of(log)).text
+    reversed_ = dict(log.parameters) | {f"SERVO{k}_REVERSED": 1.0 for k in (1, 2)}
+    swapped = dict(log.parameters)
+    ailerons = [name for name, value in swapped.items() if name.endswith("_FUNCTION") and value == 4.0]
+    elevators = [name for name, value in swapped.items() if name.endswith("_FUNCTION") and value == 19.0]
+    swapped |= dict.fromkeys(ailerons, 19.0) | dict.fromkeys(elevators, 4.0)
+    for parameters, says in ((reversed_, "turned against its command"), (swapped, "turned with the command of")):
+        found = checks.surface_check(flight_of(replace(log, parameters=parameters)))
+        assert found.status == "look"
+        assert says in found.text
 
 
 def test_trim_and_asymmetry_are_those_of_level_flight() -> None:
@@ -109,3 +148,38 @@ def test_a_short_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     capsys.readouterr()
     assert main(["audit", str(log), "--json", str(tmp_path / "short.json")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_folder_of_crash_logs_has_an_answer_and_a_page_for_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in ("3", "9"):
+        words = ["simulate", "-o", str(tmp_path / f"flight{seed}.bin"), "--airframe", "plain", "--seed", seed]
+        assert main([*words, "--duration", "90"]) == 0
+    capsys.readouterr()
+    out = tmp_path / "out"
+    assert main(["audit", str(tmp_path), "-o", str(out)]) == 2
+    said = capsys.readouterr().out
+    assert said.count("nothing looks wrong in") == 2
+    assert str(tmp_path) not in said.partition("\n")[2]
+    pages = [page.read_text() for page in out.glob("*.html") if page.name != "fleet.html"]
+    assert len(pages) == 2
+    for page in pages:
+        assert "What this flight says by itself" in page
+        assert "the reference is the flight's own past" in page.replace("&#39;", "'").replace("\n", " ")
+        assert "nullspace filter" not in page.partition("What the words mean")[0]
+
+
+@pytest.mark.parametrize(
+    ("banner", "kind"), [("ArduRover V4.5.0 (1a2b3c4d)", "ground rover"), ("ArduSub V4.5.0", "submarine")]
+)
+def test_what_has_no_surfaces_is_said_to_be_what_it_is_and_gets_no_advice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], banner: str, kind: str
+) -> None:
+    path, stamps = tmp_path / "drive.bin", np.arange(1_000_000, 61_000_000, 40_000)
+    path.write_bytes(encode([*words(stamps[:1], {"SERVO1_FUNCTION": 26.0}, banner), pulses(stamps, {1: 1500.0})]))
+    assert main(["audit", str(path), "--html", str(tmp_path / "drive.html")]) == 2
+    said = capsys.readouterr().err
+    assert f"No control surfaces: a {kind}." in (tmp_path / "drive.html").read_text()
+    assert "calibrate" not in said
+    assert said.count("\n") == 1

@@ -199,6 +199,16 @@ def test_parameters_texts_and_firmware() -> None:
     assert dict(log.parameters) == {"SERVO1_FUNCTION": 4.0, "SERVO1_TRIM": 1512.0}
     assert (log.firmware, log.vehicle) == ("ArduPlane V4.5.1 (1a2b3c4d)", "fixed wing")
     assert log.texts[1].text == "Throttle armed"
+    assert log.changed == ((7.0, "SERVO1_TRIM", 1500.0, 1512.0),)
+
+
+def test_a_parameter_that_was_set_in_flight_is_said_with_its_time() -> None:
+    rows: dict[str, Any] = {"TimeUS": [1_000_000, 1_000_000, 90_000_000], "Value": [4.0, 1.0, 19.0]}
+    rows = rows | {"Name": ["SERVO1_FUNCTION", "TRIM", "SERVO1_FUNCTION"]}
+    parm = Message("PARM", "QfN", rows, "s--", "F--")
+    log = DataFlashFile.open(encode([parm]))
+    assert log.changed == ((90.0, "SERVO1_FUNCTION", 4.0, 19.0),)
+    assert log.parameters["SERVO1_FUNCTION"] == 19.0
 
 
 def test_gps_tells_when_the_vehicle_was_booted() -> None:

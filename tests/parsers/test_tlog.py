@@ -245,6 +245,10 @@ def test_long_texts_are_put_together_and_px4_integers_restored() -> None:
     log = TelemetryFile.open(writer.log(entries))
     assert [said.text for said in log.texts] == ["a" * 50 + "tail"]
     assert log.parameters == {"PWM_MAIN_FUNC1": 42.0}
+    assert log.changed == ()
+    again = {"param_id": "PWM_MAIN_FUNC1", "param_value": 0.0, "param_type": 6}
+    (changed,) = TelemetryFile.open(writer.log([*entries, (9.0, writer.frame("PARAM_VALUE", again))])).changed
+    assert changed[1:] == ("PWM_MAIN_FUNC1", 42.0, 0.0)
 
 
 # ------------------------------------------------------------------ time

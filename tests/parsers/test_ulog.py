@@ -57,6 +57,9 @@ def test_a_generated_log_is_read_back() -> None:
     assert found["actuator_outputs[1].output[0]"].values[0] == 1000.0
     assert servo.origin == "actuator_servos.control[3]"
     assert log.parameters == {"MAV_TYPE": 1.0, "TRIM": 0.75}
+    ((time_s, name, before, value),) = log.changed
+    assert (name, before, value) == ("TRIM", 0.5, 0.75)
+    assert 1.0 + 0.02 * 19 <= time_s <= 1.0 + 0.02 * 21
     assert log.vehicle == "fixed wing"
     assert log.firmware == "PX4 1.15.1"
     assert [(said.severity, said.text) for said in log.texts] == [(4, "[commander] low battery")]

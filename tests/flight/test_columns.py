@@ -1,0 +1,70 @@
+"""What one flight is judged by: settings that changed on the way, and airspeeds that measure nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logparsers.records import Channel, FlightLog, Setting
+from servofd.axes.motion import motion_of_autopilot
+from servofd.flight.columns import flight_of
+from servofd.flight.judge import judge_flight
+from tests.axes.flights import flown
+from tests.axes.test_bad_input import log_of
+
+
+def changed(log: FlightLog, *settings: Setting) -> FlightLog:
+    """A log in which settings became others; its parameters are the last, as every reader gives them."""
+    return replace(log, parameters=dict(log.parameters) | {s.name: s.value for s in settings}, changed=settings)
+
+
+def test_an_output_that_got_another_function_is_judged_by_the_one_that_it_had() -> None:
+    log = log_of(flown(1, duration_s=200.0))
+    whole = flight_of(log)
+    swapped = flight_of(changed(log, Setting(150.0, "SERVO1_FUNCTION", 4.0, 0.0)))
+    assert [one.name for one in swapped.outputs] == [one.name for one in whole.outputs]
+    assert swapped.outputs[0].time_s[-1] <= 150.0
+    assert swapped.motion is not None
+    assert not swapped.motion.present[swapped.motion.time_s > 150.5].any()
+    assert "SERVO1_FUNCTION changed while the log ran: nothing after 150 s was judged" in swapped.left_out
+    on_the_ground = flight_of(changed(log, Setting(20.0, "SERVO1_FUNCTION", 0.0, 4.0)))
+    assert on_the_ground.outputs[0].time_s[0] >= 20.0
+    assert "nothing before 20 s" in on_the_ground.left_out
+
+
+def test_a_trim_that_the_autopilot_moved_leaves_nothing_out_and_hides_no_asymmetry() -> None:
+    log = log_of(flown(1, duration_s=200.0))
+    moved = flight_of(changed(log, Setting(150.0, "SERVO1_TRIM", 1500.0, 1560.0)))
+    assert moved.left_out == ""
+    assert moved.outputs[0].trim_share == flight_of(log).outputs[0].trim_share
+
+
+def with_pitot(log: FlightLog, airspeed_m_s: np.ndarray, time_s: np.ndarray) -> FlightLog:
+    pitot = Channel("ARSP[0].Airspeed", time_s, airspeed_m_s, "m/s", "ARSP[0].Airspeed")
+    return replace(log, channels={**log.channels, pitot.name: pitot})
+
+
+def test_a_pitot_that_is_dead_or_gets_blocked_does_not_end_the_flight() -> None:
+    flight = flown(1, duration_s=200.0)
+    log = log_of(flight)
+    noise = np.abs(np.random.default_rng(1).normal(0.0, 1.2, flight.time_s.size))
+    good = motion_of_autopilot(with_pitot(log, flight.airspeed_m_s, flight.time_s))
+    assert good.airspeed_source == "sensor"
+    blocked = np.where(flight.time_s > 120.0, noise, flight.airspeed_m_s)
+    for reading in (noise, blocked):
+        motion = motion_of_autopilot(with_pitot(log, reading, flight.time_s))
+        assert motion.airspeed_source == "the autopilot's estimate"
+        assert motion.airspeed_m_s[-1] == pytest.approx(good.airspeed_m_s[-1])
+
+
+def test_what_was_judged_is_said_from_when_until_when_and_what_would_not_show() -> None:
+    found = judge_flight(log_of(flown(1, duration_s=200.0)))
+    assert found is not None
+    roll = found.axes["roll"]
+    assert roll.status == "ok"
+    assert roll.judged_from_s == pytest.approx(40.0, abs=1.5)
+    assert f"judged from {roll.judged_from_s:.0f} to {roll.judged_until_s:.0f} s" in found.sentence
+    for word in ("failed earlier", "near its trim", "a few degrees off", "slow"):
+        assert word in found.sentence
