@@ -92,6 +92,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
     servo = linear_servo(fitted.theta, f"fitted to {logs}")
     estimates = {key: _estimate(fitted, first, place) for place, key in enumerate(NAMES)}
+    estimates["delay_s"] = fitted.delay_s
     return CalibratedSurface(
         name,
         known,

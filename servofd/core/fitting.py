@@ -188,13 +188,15 @@ class Solution:
             change[free] = inverse(left[np.ix_(free, free)]) @ down[free]
         return found
 
-    def covariance(self, memory: float = 1.0, count: int = 0, lasting: float = 1.0) -> FloatArray:
+    def covariance(
+        self, memory: float = 1.0, count: int = 0, lasting: float = 1.0, least: float = 0.0
+    ) -> FloatArray:
         """Of the numbers, shape (k, k): that of noise, of which so many samples tell as much as one.
 
         What is left may be the model's own error, which no average makes smaller. Of `count` parts of the samples in
-        order each pulls the numbers its own way; where they do so by more than noise, what these pulls move the numbers
-        by (a jackknife to first order: a part that alone tells of a number is not left out) comes on top, `lasting`
-        times as large for what the parts have in common, which no part shows.
+        order each pulls the numbers its own way, and what these pulls move them by (a jackknife to first order: a part
+        that alone tells of a number is not left out) comes on top. Where they do so by more than noise, it counts
+        `lasting` times for what the parts have in common, which no part shows; else `least` times.
 
         Examples
         --------
@@ -215,13 +217,12 @@ class Solution:
         parts = np.array_split(np.arange(self.error.size), count)
         pulls = np.array([weighted[part].T @ self.error[part] for part in parts])
         pulls -= pulls.mean(axis=0)
-        least = _HARDLY * np.diag(np.diag(self.curvature))
-        curvatures = (inverse(weighted[part].T @ self.slopes[part] + least) for part in parts)
+        hardly = _HARDLY * np.diag(np.diag(self.curvature))
+        curvatures = (inverse(weighted[part].T @ self.slopes[part] + hardly) for part in parts)
         surprise = sum(float(pull @ each @ pull) for pull, each in zip(pulls, curvatures, strict=True)) / memory
         usual = float(np.count_nonzero(self.slopes.any(axis=0)) * (count - 1))
-        if surprise < usual + _BY_CHANCE * (2.0 * usual) ** 0.5:
-            return by_noise
-        moved = lasting * pulls @ inverse(self.curvature)
+        by_chance = surprise < usual + _BY_CHANCE * (2.0 * usual) ** 0.5
+        moved = (least if by_chance else lasting) * pulls @ inverse(self.curvature)
         return by_noise + count / (count - 1) * moved.T @ moved
 
 
