@@ -188,9 +188,7 @@ class Solution:
             change[free] = inverse(left[np.ix_(free, free)]) @ down[free]
         return found
 
-    def covariance(
-        self, memory: float = 1.0, count: int = 0, lasting: float = 1.0, least: float = 0.0
-    ) -> FloatArray:
+    def covariance(self, memory: float = 1.0, count: int = 0, lasting: float = 1.0, least: float = 0.0) -> FloatArray:
         """Of the numbers, shape (k, k): that of noise, of which so many samples tell as much as one.
 
         What is left may be the model's own error, which no average makes smaller. Of `count` parts of the samples in

@@ -68,9 +68,9 @@ they have one that is lower by 1 to 10 % (32 simulated flights, poles scaled by 
 _THIRD_POLE: Final = 0.6
 """The most that a third pole adds to a delay, times the bandwidth: 0.41 for the poles of an HS-225BB, and up to 0.6 on
 even seeds of `benchmarks/intervals.py calibrate`."""
-_PARTS, _LASTING, _LEAST = 8, 5.0, 2.5
+_PARTS, _LASTING = 8, 5.0
 """Parts of the flights whose disagreement shows the model's own error, and by how much it is enlarged for what they
-have in common, and where noise may be all that it is: chosen there too."""
+have in common: chosen there too."""
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 
 
@@ -296,7 +296,7 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
     halves = left.changes[0] - left.changes[1]
     apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
-    scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LEAST)
+    scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
     estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 import servofd
-from servofd.aircraft.schema import load_aircraft
+from servofd.aircraft.schema import Surface, load_aircraft, plain_aircraft
+from servofd.aircraft.series import Series
+from servofd.calibrating.levels import levels_of
 from servofd.cli import main
+from servofd.detection.audit import audit_segment
 
 
 @pytest.mark.slow
@@ -120,6 +123,20 @@ def test_a_servo_that_does_not_explain_its_own_test_is_not_saved(
     assert main(["identify", "sample_logs/faser_loss_flight.mat", "-s", "rudder", "--save", str(saved)]) == 2
     assert "no servo model explains this motion" in capsys.readouterr().err
     assert not saved.exists()
+
+
+def test_a_model_that_no_tolerance_fits_accuses_not_its_own_run() -> None:
+    """A position that jumps by 6 deg twice a second, whatever the command: no tolerance of a servo allows that."""
+    plane = plain_aircraft(["rudder"], "s9256")
+    time_s = np.arange(3000) / 50.0
+    command_deg = 8.0 * np.sin(2.0 * np.pi * 0.3 * time_s)
+    position_deg = plane.model("rudder").simulate(time_s, command_deg, time_s) + 3.0 * np.sign(np.sin(12.0 * time_s))
+    run = Series("rudder", time_s, command_deg, time_s, position_deg)
+    levels = levels_of(plane.model("rudder"), [run])
+    assert levels["threshold"] == "constant"
+    surface = Surface.model_validate({**plane.surfaces["rudder"].model_dump(), **levels})
+    verdict = audit_segment(run, plane.model_copy(update={"surfaces": {"rudder": surface}}), duration_s=60.0)
+    assert not verdict.faults
 
 
 def test_levels_of_a_servo_file_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
