@@ -15,9 +15,8 @@ from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
-from servofd.core.evidence import ModelOrigin, what_is_unknown
+from servofd.core.evidence import USUAL_GAINS, ModelOrigin, what_is_unknown
 from servofd.core.statistics import Z_95, Estimate
-from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
 from servofd.detection.evidence import is_blind
 from servofd.detection.known import (

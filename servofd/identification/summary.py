@@ -11,6 +11,7 @@ import numpy as np
 
 from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
+from servofd.core.evidence import USUAL_GAINS
 from servofd.core.statistics import Estimate
 from servofd.identification.choice import choose_linear
 from servofd.identification.motion import (
@@ -128,6 +129,8 @@ def notes_on_servo(
         )
     if linear.gain < 0.0:
         notes.append("the position runs against the command: a sign is reversed in the calibration")
+    if not USUAL_GAINS[0] <= abs(linear.gain) <= USUAL_GAINS[1]:
+        notes.append(f"the position moves by {abs(linear.gain):.3g} times its command: check the units of both")
     return notes
 
 

@@ -161,6 +161,15 @@ def test_offset_gain_and_sign_of_the_position() -> None:
     assert any("runs against the command" in note for note in result.notes)
 
 
+def test_a_position_in_radians_is_doubted() -> None:
+    segment = sweep("hs225bb-eq31", duration_s=30.0)
+    in_degrees, in_radians = (
+        identify(replace(segment, measured_deg=by * segment.measured_deg)).notes for by in (1.0, np.pi / 180.0)
+    )
+    assert any("times its command: check the units of both" in note for note in in_radians)
+    assert not any("check the units" in note for note in in_degrees)
+
+
 @pytest.mark.slow
 def test_three_servos_give_their_mean_and_their_spread() -> None:
     result = identify([[sweep("hs225bb-eq31", duration_s=60.0, seed=seed)] for seed in range(3)])
