@@ -15,9 +15,8 @@ from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
-from servofd.core.evidence import ModelOrigin, what_is_unknown
+from servofd.core.evidence import USUAL_GAINS, ModelOrigin, what_is_unknown
 from servofd.core.statistics import Z_95, Estimate
-from servofd.detection.audit import USUAL_GAINS
 from servofd.detection.changes import detectable, watched
 from servofd.detection.evidence import is_blind
 from servofd.detection.known import (
@@ -92,6 +91,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
     servo = linear_servo(fitted.theta, f"fitted to {logs}")
     estimates = {key: _estimate(fitted, first, place) for place, key in enumerate(NAMES)}
+    estimates["delay_s"] = fitted.delay_s
     return CalibratedSurface(
         name,
         known,

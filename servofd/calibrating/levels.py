@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
     from servofd.detection.changes import Watched
+    from servofd.detection.residual import ThresholdKind
     from servofd.servo.servo_model import ServoModel
 
 PERSISTENCE = 3
@@ -44,8 +45,9 @@ class Drafted(NamedTuple):
 
     tolerance: Tolerance
     level_deg: float
-    """Median of the threshold that follows from it [deg]."""
+    """Median of the threshold that follows from it [deg]; the constant threshold where no tolerance is wide enough."""
     flight: Watched
+    threshold: ThresholdKind = "interval"
 
 
 def good_levels(aircraft: Aircraft, name: str, logs: Iterable[FlightLog]) -> dict[str, Any]:
@@ -72,7 +74,7 @@ def levels_of(model: ServoModel, segments: Iterable[Series]) -> dict[str, Any]:
     power = float(np.mean(error_deg**2))
     explained = 1.0 - power / max(float(np.var(moved_deg)), LEAST_DIVISOR)
     return {
-        "threshold": "interval",
+        "threshold": "constant" if any(drafted.threshold == "constant" for drafted in known) else "interval",
         "threshold_deg": max(drafted.level_deg for drafted in known),
         "tolerance": {key: max(one[key] for one in each) for key in each[0]},
         "persistence": PERSISTENCE,
@@ -89,7 +91,8 @@ def levels_of(model: ServoModel, segments: Iterable[Series]) -> dict[str, Any]:
 def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     """Tolerances drafted from a good run: the smallest under which no statistic of it comes near its threshold.
 
-    None if nothing of it can be judged. The fewer blocks there are, the wider they become.
+    None if nothing of it can be judged. The fewer blocks there are, the wider they become. Where the model is wrong by
+    more than any tolerance allows, the run is healthy under a constant threshold above its largest residual.
 
     Raises
     ------
@@ -104,12 +107,12 @@ def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), _LEAST_NOISE_DEG))
     blocks = np.count_nonzero(np.diff(np.floor(residuals.time_s[usual] / _ALIKE_S), prepend=-np.inf))
     unsure = _MARGIN + _UNSURE / float(np.sqrt(blocks))
-    for step in range(_MOST_STEPS):
-        tolerance = _scaled(base, _STEP**step)
-        flight = _under(model, tolerance, segment)
+    flights = (_under(model, _scaled(base, _STEP**step), segment) for step in range(_MOST_STEPS))
+    for step, flight in enumerate(flights):
         if unsure * _nearest(flight) < 1.0:
-            break
-    return Drafted(tolerance, round(flight.shown.threshold.typical_deg, 3), flight)
+            return Drafted(_scaled(base, _STEP**step), round(flight.shown.threshold.typical_deg, 3), flight)
+    largest_deg = float(np.max(np.abs(residuals.residual_deg[usual])))
+    return Drafted(base, round(unsure * largest_deg, 3), flight, "constant")
 
 
 def _under(model: ServoModel, tolerance: Tolerance, segment: Series) -> Watched:

@@ -58,7 +58,7 @@ def run(options: Options) -> int:
         if text:
             write_whole(options.save, text.encode())
         else:
-            complain(f"{options.save} was not written: nothing that was found is a better model")
+            complain(f"{options.save} was not written: no surface has a better model that a file can hold")
     if found.failures:
         return 2
     left = ("partly_explained", "unexplained")

@@ -93,6 +93,8 @@ class Detectable:
 NOTHING_DETECTABLE = Detectable()
 
 
+USUAL_GAINS = (0.8, 1.25)
+"""Gains of a servo whose scale is right."""
 _MOST_APART = 3.0
 """A bandwidth that may as well be three times as large is not known."""
 _SWEEP_TO = 4.0

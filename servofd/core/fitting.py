@@ -38,6 +38,10 @@ _NO_CURVATURE: Final = 1e-12
 """Added to a curvature, so that a number without any influence divides by no zero."""
 _TWO, _SOON = 2, 3.0
 """Steps that a descent has in any case, and how many steps like the last one it may still need."""
+_BY_CHANCE: Final = 3.0
+"""Standard deviations of chi-squared by which the pulls of parts may exceed that of noise."""
+_HARDLY: Final = 1e-9
+"""Share of a curvature below which a part of the samples tells nothing of a number."""
 _LEAST: Final = 1e-24
 """Mean square below which a simulation is exact."""
 
@@ -184,24 +188,40 @@ class Solution:
             change[free] = inverse(left[np.ix_(free, free)]) @ down[free]
         return found
 
-    def covariance(self, memory: float = 1.0, parts: Sequence[IntArray] = (), lasting: float = 1.0) -> FloatArray:
+    def covariance(self, memory: float = 1.0, count: int = 0, lasting: float = 1.0, least: float = 0.0) -> FloatArray:
         """Of the numbers, shape (k, k): that of noise, of which so many samples tell as much as one.
 
-        What is left may be the model's own error, which no average makes smaller: then what the numbers change by where
-        each of some `parts` is left out (jackknife) comes on top, `lasting` times as large for what parts have in
-        common, which none shows.
+        What is left may be the model's own error, which no average makes smaller. Of `count` parts of the samples in
+        order each pulls the numbers its own way, and what these pulls move them by (a jackknife to first order: a part
+        that alone tells of a number is not left out) comes on top. Where they do so by more than noise, it counts
+        `lasting` times for what the parts have in common, which no part shows; else `least` times.
 
         Examples
         --------
         >>> error = np.random.default_rng(0).standard_normal(10_000)
         >>> bounds = np.full(1, -np.inf), np.full(1, np.inf)
         >>> mean = fit(Problem.free(lambda x: error - x[0], bounds, Noise(), 1e-3), np.zeros(1))
-        >>> mean.covariance().round(6).tolist()
+        >>> mean.covariance(count=8, lasting=5.0).round(6).tolist()
         [[0.0001]]
+        >>> drifts = error + np.linspace(-1.0, 1.0, error.size)
+        >>> mean = fit(Problem.free(lambda x: drifts - x[0], bounds, Noise(), 1e-3), np.zeros(1))
+        >>> bool(mean.covariance(count=8)[0, 0] > 100.0 * mean.covariance()[0, 0])
+        True
         """
-        changes = lasting * self.changes(parts)
-        covariance: FloatArray = memory * inverse(self.curvature) + changes.T @ changes
-        return covariance
+        by_noise: FloatArray = memory * inverse(self.curvature)
+        if not count:
+            return by_noise
+        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
+        parts = np.array_split(np.arange(self.error.size), count)
+        pulls = np.array([weighted[part].T @ self.error[part] for part in parts])
+        pulls -= pulls.mean(axis=0)
+        hardly = _HARDLY * np.diag(np.diag(self.curvature))
+        curvatures = (inverse(weighted[part].T @ self.slopes[part] + hardly) for part in parts)
+        surprise = sum(float(pull @ each @ pull) for pull, each in zip(pulls, curvatures, strict=True)) / memory
+        usual = float(np.count_nonzero(self.slopes.any(axis=0)) * (count - 1))
+        by_chance = surprise < usual + _BY_CHANCE * (2.0 * usual) ** 0.5
+        moved = (least if by_chance else lasting) * pulls @ inverse(self.curvature)
+        return by_noise + count / (count - 1) * moved.T @ moved
 
 
 def fit(

@@ -224,8 +224,6 @@ def _too_little(segment: Series, healthy: Healthy) -> str:
     return few or too_far(segment)
 
 
-USUAL_GAINS = (0.8, 1.25)
-"""Gains of a servo whose scale is right."""
 _HARDLY_ASKED_DEG, _HARDLY_MOVED = 1.0, 0.05
 """A command that moves by less shows nothing [deg]; a position that moves by less than this share does not follow."""
 

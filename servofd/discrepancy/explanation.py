@@ -25,7 +25,7 @@ from servofd.discrepancy.sentences import (
 )
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.validity import check, clear_of, driven, share_followed
-from servofd.servo.catalogue import effects_named, plain, told_apart
+from servofd.servo.catalogue import effects_named, is_law, plain, told_apart
 from servofd.servo.loop import scaled, split
 from servofd.servo.registry import is_built_in
 
@@ -142,6 +142,8 @@ _MARGINS_S = (0.0, 1.0, 2.5, 5.0)
 """How long before a change of the error's size a fault may have begun without much to do."""
 _FEWEST_SAMPLES = 100
 """Samples that a part of a record needs to be fitted alone."""
+_WORTH_SAVING = 0.9
+"""A model that leaves more of the error than this is no better."""
 _SAME_POLE = 1e-4
 """Relative difference of a pole from itself after its polynomial was multiplied out and split again."""
 
@@ -209,9 +211,30 @@ class Explanation:
         return self.selection.final.physics
 
     @property
-    def is_simulated_by_audit(self) -> bool:
-        """Whether an audit can run the servo as it was found: not if an effect of the user's own is part of it."""
-        return all(is_built_in(plain(effect)) for effect in self.selection.final.effects)
+    def is_own_fit(self) -> bool:
+        """Whether the servo was fitted to the log, and nothing in it contradicts the fit."""
+        return bool(self.record.known.starts) and self.conclusion != "unexplained"
+
+    @property
+    def not_saved(self) -> str:
+        """Why no effect of it is written to a file; empty if all are."""
+        effects = self.selection.final.effects
+        if self.record.side is not None:
+            return "the log shows only where it rests, not how it moves"
+        if not effects:
+            return "no effect was found, so there is no better model"
+        own = [effect.name for effect in effects if not is_built_in(plain(effect))]
+        if own:
+            return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
+        by_run = [effect.spoken for effect in effects if is_law(effect)]
+        if by_run:
+            condition = self.record.condition_names[int(self.physics.run_condition)]
+            return f"{by_run[0]} changes with {condition}, which a file cannot hold: explain runs of one {condition}"
+        before, after = self.held_out_deg
+        # Where the servo itself was fitted to the log, it has taken up most of what the effects would explain.
+        if after > (1.0 if self.is_own_fit else _WORTH_SAVING) * before:
+            return f"{after:.3g} of {before:.3g} deg rms would stay"
+        return ""
 
     @property
     def is_servo_of_its_own(self) -> bool:
@@ -291,6 +314,7 @@ class Explanation:
             "fault_s": self.fault_s,
             "not_driven": [each.document() for each in self.undriven],
             "answer": self.answer,
+            "not_saved": self.not_saved or None,
             "runs": [each._asdict() for each in self.runs],
             "varying": [each.document() for each in self.varying],
             "oscillation": self.oscillation and self.oscillation._asdict(),
@@ -550,7 +574,7 @@ def _advice(found: Explanation) -> list[str]:
         advice.append(_TELLING)
     if found.separating and (manoeuvre := found.separating[0].manoeuvre):
         advice.append(f"record {manoeuvre}, which tells {' from '.join(found.separating[0].effects).replace('_', ' ')}")
-    if steps and found.is_simulated_by_audit and found.record.side is None and found.fault_s is None:
+    if not found.not_saved and found.fault_s is None:
         advice.append(KEEP)
     return advice
 

@@ -13,6 +13,7 @@ from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
 from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
 from servofd.estimate.record import Commands
+from servofd.identification.records import DRIFT_SHARE, drift_deg
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,6 +77,8 @@ def check(record: Record) -> None:
             "fly doublets of several degrees"
         )
     _check_motion(asked, measured)
+    if not record.runs:
+        _check_drift(record, error)
     _check_belongs(asked, measured, record.period_s)
     _check_order(record, error)
 
@@ -88,6 +91,16 @@ def _check_motion(asked: FloatArray, measured: FloatArray) -> None:
         raise NoMeasurement(
             f"position stands still ({moved_deg:.2g} deg rms) where {asked_deg:.2g} deg rms were asked: jammed, "
             "without power, or no reading of this servo; no effect can show"
+        )
+
+
+def _check_drift(record: Record, error_deg: FloatArray) -> None:
+    """Refuse a position that wanders off while its command does not: no effect of a servo does that."""
+    drifts_deg = drift_deg(record.time_s[record.counts], error_deg[record.counts])
+    if abs(drifts_deg) > DRIFT_SHARE * np.ptp(record.commands.command_deg):
+        raise NoMeasurement(
+            f"position drifts by {drifts_deg:.3g} deg over the log while the command does not: a sensor that wanders, "
+            "or a horn that slips; mend it, and record it again"
         )
 
 

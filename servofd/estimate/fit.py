@@ -65,6 +65,12 @@ _LN_BANDWIDTH, _LN_DAMPING, _DELAY = (NAMES.index(name) for name in ("ln_bandwid
 _OTHER_POLES: Final = 0.03
 """Standard deviation of the logarithm of a bandwidth for poles that are not two: fitted to the three of an HS-225BB
 they have one that is lower by 1 to 10 % (32 simulated flights, poles scaled by 0.8 to 1.2)."""
+_THIRD_POLE: Final = 0.6
+"""The most that a third pole adds to a delay, times the bandwidth: 0.41 for the poles of an HS-225BB, and up to 0.6 on
+even seeds of `benchmarks/intervals.py calibrate`."""
+_PARTS, _LASTING = 8, 5.0
+"""Parts of the flights whose disagreement shows the model's own error, and by how much it is enlarged for what they
+have in common: chosen there too."""
 _LOWS, _HIGHS = np.array([prior.low for prior in PRIORS]), np.array([prior.high for prior in PRIORS])
 
 
@@ -119,8 +125,8 @@ class Fit:
     """Of the noise, in the usable samples of all records."""
     estimates: FloatArray
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
-    halves: FloatArray
-    """By how much the parameters of one half of the flights differ from those of the other, shape (13,)."""
+    scatter: FloatArray
+    """Covariance with what is not in the model, as parts of the flights disagree, shape (13, 13)."""
 
     @property
     def offset_deg(self) -> float:
@@ -139,10 +145,16 @@ class Fit:
         root = float(np.hypot(damped, 1.0))
         slope = np.array([1.0, (damped - 1.0) / root])  # of its logarithm, over those of omega and zeta
         pair = np.ix_([_LN_BANDWIDTH, _LN_DAMPING], [_LN_BANDWIDTH, _LN_DAMPING])
-        apart = 0.5 * float(slope @ self.halves[[_LN_BANDWIDTH, _LN_DAMPING]])
-        deviation = float(np.sqrt(slope @ self.covariance[pair] @ slope + apart**2 + _OTHER_POLES**2))
+        deviation = float(np.sqrt(slope @ self.scatter[pair] @ slope + _OTHER_POLES**2))
         value = float(theta[0]) + 0.5 * float(np.log(damped + root))
         return Estimate(*np.exp(Estimate.of(value, deviation)).tolist())
+
+    @property
+    def delay_s(self) -> Estimate:
+        """Transport delay [s], or less: a third pole, which these servos have not, passes for a part of it."""
+        value, low, high = Estimate.of(float(self.theta[_DELAY]), float(np.sqrt(self.scatter[_DELAY, _DELAY])))
+        by_pole_s = _THIRD_POLE / self.bandwidth_rad_s.value
+        return Estimate(value, max(value - float(np.hypot(value - low, by_pole_s)), 0.0), high)
 
 
 def fit(
@@ -284,6 +296,7 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
     halves = left.changes[0] - left.changes[1]
     apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
+    scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
     estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
@@ -295,7 +308,7 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
         whole.append(full)
     return Fit(
         theta, covariance, noise, flights.reach_deg, tuple(whole),
-        tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, halves,
+        tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, scatter,
     )  # fmt: skip
 
 

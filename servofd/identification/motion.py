@@ -131,11 +131,10 @@ _DEVIATION_LAGS = 20
 """Lags over which errors are correlated at most."""
 _WHITE = 1.6
 """Von Neumann's ratio above which the errors are as good as noise (2 for white noise)."""
-_PARTS, _COMMON = 8, 3.5
-"""Parts of the tests, whose disagreement shows what is not in the model (in a chirp each holds other frequencies), and
-by how much their scatter is enlarged for what they have in common, which none shows: a dead zone of 1 deg within the
-loop, which the model has before it, shifts the bandwidth by 2.4 to 6.7 standard deviations of the scatter (chirps of
-4 deg, five servos), a limit of 120 deg/s by 2.3 and 5.2 (two). Chosen so that 95 % intervals hold these; not a law."""
+_PARTS, _LASTING, _OR_ELSEWHERE = 8, 5.0, 2.0
+"""Parts of the tests, whose disagreement shows what is not in the model (in a chirp each holds other frequencies), by
+how much it is enlarged for what they have in common, and by how much more where a dead band was found, which may act
+elsewhere or be friction: chosen on even seeds of `benchmarks/intervals.py identify`."""
 _SLOWEST_DEG_S, _FASTEST_DEG_S = 1.0, 5000.0
 """Rate limits of servos; the fastest of the library, an S9256, has 1263 deg/s."""
 _SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
@@ -216,13 +215,10 @@ class MotionFit:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Of `servo.vector()`; larger by the correlation of the errors, if there is any.
-
-        Correlated errors also come from what is not in the model, which no average makes smaller: then what each of
-        `_PARTS` parts of the tests alone would change counts in full, and for what they have in common.
-        """
-        parts = [] if self.is_white else np.array_split(np.arange(self.found.error.size), _PARTS)
-        return self.found.covariance(correlation_factor(self.errors_deg, _DEVIATION_LAGS), parts, _COMMON * _PARTS**0.5)
+        """Of `servo.vector()`; larger by the correlation of the errors, and by what is not in the model."""
+        memory = correlation_factor(self.errors_deg, _DEVIATION_LAGS)
+        lasting = _LASTING * (1.0 if self.servo.dead_band_deg is None else _OR_ELSEWHERE)
+        return self.found.covariance(memory, _PARTS, lasting)
 
     @property
     def rms_deg(self) -> float:

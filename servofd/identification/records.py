@@ -124,7 +124,7 @@ _CLIPPED_SAMPLES, _CLIPPED_COMMAND = 0.05, 0.15
 position is clipped."""
 _LEAD_S = 0.01
 """Time by which a position ahead of its command is refused [s]."""
-_DRIFT_SHARE, _DRIFT_OF_ERROR = 0.2, 0.9
+DRIFT_SHARE, _DRIFT_OF_ERROR = 0.2, 0.9
 """Of the range of the command, over the test; and of the squared error of the best linear servo."""
 
 
@@ -169,14 +169,29 @@ def check_clipping(run: Run, label: str) -> None:
 
 def check_drift(run: Run, error_deg: FloatArray, label: str) -> None:
     """Refuse a position that wanders off while the command does not: it would pass for rate limits."""
-    since = (run.measured_s - run.measured_s.mean()) / np.ptp(run.measured_s)
-    drift_deg = float(since @ error_deg / (since @ since))
-    explained = drift_deg**2 * float(since @ since) / max(float(error_deg @ error_deg), LEAST_DIVISOR)
-    if explained > _DRIFT_OF_ERROR and abs(drift_deg) > _DRIFT_SHARE * np.ptp(run.command_deg):
+    drifts_deg = drift_deg(run.measured_s, error_deg)
+    if abs(drifts_deg) > DRIFT_SHARE * np.ptp(run.command_deg):
         raise IdentificationError(
-            f"{label}: the position drifts by {drift_deg:.3g} deg over the test while the command does not: a sensor "
+            f"{label}: the position drifts by {drifts_deg:.3g} deg over the test while the command does not: a sensor "
             "that wanders or slips; repeat the test, or take the trend out"
         )
+
+
+def drift_deg(time_s: FloatArray, error_deg: FloatArray) -> float:
+    """By how much an error rises along a line over the record [deg]; 0 where less than most of it is that line.
+
+    Examples
+    --------
+    >>> round(drift_deg(np.arange(10.0), 0.5 * np.arange(10.0)), 6)
+    4.5
+    >>> drift_deg(np.arange(10.0), np.array([0.0, 1.0] * 5))
+    0.0
+    """
+    since = (time_s - time_s.mean()) / np.ptp(time_s)
+    error_deg = error_deg - error_deg.mean()
+    drifts_deg = float(since @ error_deg / (since @ since))
+    explained = drifts_deg**2 * float(since @ since) / max(float(error_deg @ error_deg), LEAST_DIVISOR)
+    return drifts_deg if explained > _DRIFT_OF_ERROR else 0.0
 
 
 def check_order_of_columns(uniform: Uniform, label: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
+from servofd.core.evidence import USUAL_GAINS
 from servofd.core.statistics import Estimate
 from servofd.identification.choice import choose_linear
 from servofd.identification.motion import (
@@ -35,6 +36,8 @@ _NO_DELAY_S = 2e-6
 """Delay below which none is printed [s]."""
 _LATER_S, _GAIN = 0.05, 0.95
 """Positions are tried so much later if the best delay is none; they come early if that takes 5 % off the error."""
+_LARGEST_LOG = 14.0
+"""Logarithm of the largest bandwidth that is printed, 1e6 rad/s."""
 _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s")
 """What servos of any order have."""
 
@@ -48,7 +51,7 @@ def intervals_of(choice: Choice, servo: ServoCandidate) -> dict[str, Estimate]:
     quantities: dict[str, Callable[[ServoCandidate], float]] = {
         "delay_s": lambda s: s.linear.delay_s,
         "dc_gain": lambda s: s.linear.gain,
-        "bandwidth_rad_s": lambda s: s.linear.transfer.bandwidth_rad_s,
+        "bandwidth_rad_s": lambda s: float(np.log(s.linear.transfer.bandwidth_rad_s)),
         "lag_s": lambda s: s.linear.lag_s,
     }
     for k, pole in enumerate(servo.linear.poles_rad_s):
@@ -66,9 +69,12 @@ def intervals_of(choice: Choice, servo: ServoCandidate) -> dict[str, Estimate]:
         if choice.further is not None and name in _COMMON:
             other = choice.further.interval(quantity)
             interval = Estimate(interval.value, min(interval.low, other.low), max(interval.high, other.high))
+        value = quantity(servo)
         if name == "delay_s":
             interval = interval._replace(high=min(interval.high, LONGEST_DELAY_S))
-        found[name] = _bounded(interval, quantity(servo), positive="pole" not in name and name != "dc_gain")
+        if name == "bandwidth_rad_s":  # fitted by its logarithm, of which the interval is symmetric
+            value, interval = float(np.exp(value)), Estimate(*np.exp(np.minimum(interval, _LARGEST_LOG)).tolist())
+        found[name] = _bounded(interval, value, positive="pole" not in name and name != "dc_gain")
     return found
 
 
@@ -123,6 +129,8 @@ def notes_on_servo(
         )
     if linear.gain < 0.0:
         notes.append("the position runs against the command: a sign is reversed in the calibration")
+    if not USUAL_GAINS[0] <= abs(linear.gain) <= USUAL_GAINS[1]:
+        notes.append(f"the position moves by {abs(linear.gain):.3g} times its command: check the units of both")
     return notes
 
 

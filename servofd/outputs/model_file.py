@@ -9,13 +9,12 @@ import numpy as np
 
 from servofd.calibrating.levels import good_levels, levels_of
 from servofd.core.toml_text import toml_key, toml_lines
-from servofd.servo.catalogue import OWN, is_law, plain, table_of
+from servofd.servo.catalogue import OWN, table_of
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import Gain
 from servofd.servo.effects.sensor import Bias
 from servofd.servo.library import Servo
 from servofd.servo.loop import INSIDE
-from servofd.servo.registry import is_built_in
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from servofd.servo.catalogue import EffectTable
     from servofd.servo.effect import Effect
 
-_WORTH_SAVING = 0.9
-"""A model that leaves more of the error than this is no better."""
 _SCALES = {"slow_dynamics": "bandwidth_scale", "damping": "damping_scale"}
 _GROUPS = ("surfaces", "servos")
 
@@ -46,7 +43,7 @@ class ModelFile(NamedTuple):
 def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, logs: Sequence[FlightLog]) -> ModelFile:
     """Aircraft file whose surfaces have what was missing; what has no better model stays as it was."""
     document = aircraft.model_dump(exclude_none=True, exclude_defaults=True)
-    kept = {one.surface: reason for one in found if (reason := _why_not(one))}
+    kept = {one.surface: one.not_saved for one in found if one.not_saved}
     lines, is_better = [], False
     for one in found:
         entry, servos = dict(document["surfaces"][one.surface]), document.get("servos", {})
@@ -55,7 +52,7 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
             entry.pop("calibrated", None)  # of the servo without them
             if one.record.known.starts and not one.is_servo_of_its_own:
                 servos = {**servos, entry["servo"]: _begun(servos[entry["servo"]], one)}
-        elif one.selection.final.effects or not _is_own_fit(one):
+        elif one.selection.final.effects or not one.is_own_fit:
             continue
         changed = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
         levels = good_levels(type(aircraft).model_validate(changed), one.surface, logs)
@@ -90,44 +87,19 @@ def _found(one: Explanation, source: str) -> list[str]:
 
 def _table(found: Explanation) -> EffectTable:
     """The effects, and what the servo's own numbers came to beside them."""
-    final, known = found.selection.final, found.record.plant.neutral
+    final, known, physics = found.selection.final, found.record.plant.neutral, found.physics
     poles = next(each for each in OWN if each.fixed["slow_place"] == final.place)
-    # Of an unknown servo the poles are written as its own, if they can be.
-    own: list[type[Effect]] = [*([] if found.is_servo_of_its_own else [poles]), Gain, Delay, Bias]
+    if found.is_servo_of_its_own:  # its poles are written as the servo's own
+        physics = physics._replace(**{p.fields[0]: p.neutral for p in poles.parameters})
     fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}
-    beside = []
-    for effect in own:
+    beside: list[type[Effect]] = []
+    for effect in (poles, Gain, Delay, Bias):
         names = [p.fields[0] for p in effect.parameters]
-        moved = any(getattr(final.physics, name) != getattr(known, name) for name in names)
+        moved = any(getattr(physics, name) != getattr(known, name) for name in names)
         if not fields.issuperset(names) and (moved or (effect is poles and final.place != INSIDE)):
             beside.append(effect)
-    values = [getattr(final.physics, p.fields[0]) for effect in beside for p in effect.parameters]
+    values = [getattr(physics, p.fields[0]) for effect in beside for p in effect.parameters]
     return table_of([*beside, *final.effects], np.array([*values, *final.values]))
-
-
-def _why_not(found: Explanation) -> str:
-    """Why nothing of an explanation is saved; empty if something is."""
-    final = found.selection.final
-    if found.record.side is not None:
-        return "the log shows only where it rests, not how it moves"
-    if not final.effects:
-        return "no effect was found, so there is no better model"
-    own = [effect.name for effect in final.effects if not is_built_in(plain(effect))]
-    if own:
-        return f"{', '.join(own)} comes from a file of your own, which an audit does not run"
-    by_run = [effect.name for effect in final.effects if is_law(effect)]
-    if by_run:
-        return f"{by_run[0]} changes with the condition of the runs, which a file cannot hold: explain runs of one kind"
-    before, after = (found.rms_deg(fit)["held_out_rms_deg"] for fit in (found.selection.nominal, final))
-    # Where the servo itself was fitted to the log, it has taken up most of what the effects would explain.
-    if after > (1.0 if _is_own_fit(found) else _WORTH_SAVING) * before:
-        return f"{after:.3g} of {before:.3g} deg rms would stay"
-    return ""
-
-
-def _is_own_fit(found: Explanation) -> bool:
-    """Whether the servo was fitted to the log, and nothing in it contradicts the fit."""
-    return bool(found.record.known.starts) and found.conclusion != "unexplained"
 
 
 def _merged(known: EffectTable, found: EffectTable) -> EffectTable:

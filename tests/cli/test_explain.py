@@ -114,9 +114,13 @@ def _scaled(log: Hidden, factor: float) -> Hidden:
         (lambda log: replace(log, command_deg=log.position_deg, position_deg=log.command_deg), "swapped"),
         (lambda log: replace(log, time_s=10.0 * log.time_s), "at 10 Hz"),
         (lambda log: replace(log, command_deg=np.linspace(0.0, 0.1, log.time_s.size)), "hardly asked to move"),
+        (
+            lambda log: replace(log, position_deg=log.position_deg + 0.3 * log.time_s),
+            "drifts by",
+        ),
         (lambda log: Hidden(*(getattr(log, field.name)[:200] for field in fields(log))), "at least 4 s"),
     ],
-    ids=["sign", "scale", "swapped", "10 Hz", "rest", "short"],
+    ids=["sign", "scale", "swapped", "10 Hz", "rest", "creeps", "short"],
 )
 def test_unfit_logs(
     changed: Callable[[Hidden], Hidden], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -149,7 +153,7 @@ def test_what_has_no_better_model_is_not_saved(tmp_path: Path, capsys: pytest.Ca
     captured = capsys.readouterr()
     assert "Nothing is missing" in captured.out
     assert "stays as it was: no effect was found" in captured.err
-    assert "was not written: nothing that was found is a better model" in captured.err
+    assert "was not written: no surface has a better model that a file can hold" in captured.err
     assert not saved.exists()
 
 
