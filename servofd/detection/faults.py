@@ -85,7 +85,7 @@ _STILL_ALL: Final = 0.93
 """Share of the travel from which on none is lost."""
 _LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
 _SHOWN_EARLY: Final = ("slow", "loss_of_effectiveness", "bias")
-_NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0))
+_NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0), ("width_deg", 0.0))
 """What a healthy servo has."""
 _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_deg", 0.2)}
 """What the narrow-band test counts as an oscillation, and less play than any servo has."""
@@ -260,13 +260,15 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     """The same fault, or none: what barely passes its threshold has to be one that servos have.
 
     A servo that is a little slow is still a good one, on a cold day or a low supply; and none is worn, weak or bent for
-    a moment only, nor is an offset one that may as well be none. Where the residual itself stays within what good
-    flights do, wear of no size is none, and what raised the alarm has to tell of it before.
+    a moment only, nor is an offset or play one that may as well be none. What explains no moment better is none. Where
+    the residual itself stays within what good flights do, wear of no size is none, and what raised the alarm has to
+    tell of it before.
     """
     speed, gain = fault.parameters.get("bandwidth_scale"), fault.parameters.get("gain")
     still_fast = fault.kind == "slow" and speed is not None and speed.value >= _STILL_FAST
     lasted_s = np.inf if fault.end_s is None else fault.end_s - fault.start_s
-    short = lasted_s < _SHORTEST_WEAR_S if fault.kind in _LASTING else lasted_s <= 0.0  # better than health at no time
+    never = lasted_s <= 0.0  # better than health at no time
+    short = fault.kind in _LASTING and lasted_s < _SHORTEST_WEAR_S
     little = fault.kind == "loss_of_effectiveness" and gain is not None and gain.value >= _STILL_ALL
     nothing = any(
         fault.parameters[key].low <= none <= fault.parameters[key].high
@@ -279,6 +281,7 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     if (
         still_fast
         or tiny
+        or never
         or (not is_far and is_early)
         or (ratio < LOUD and (short or little or nothing or fault.kind == "unknown"))
     ):

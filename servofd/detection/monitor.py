@@ -122,6 +122,8 @@ class SurfaceMonitor:
     _crossed: tuple[float, float, float] | None = None
     """When the residual crossed its threshold [s], both then [deg], of an alarm that is not raised yet."""
     _finished: list[Fault] = field(default_factory=list)
+    _passing: list[Fault] = field(default_factory=list)
+    """Over before a look could name them."""
     _from_s: float = -np.inf
     """Since when the last fault is over [s]: what was before is not judged again."""
     _looks_s: list[float] = field(default_factory=list)
@@ -387,7 +389,8 @@ class SurfaceMonitor:
         A fault that only the bank finds is one event, an alarm with its name. Later than `_NAMED_S` after the alarm a
         name that is sure takes the place of another one; all else is kept for the report.
         """
-        faults, self.suspicions, self.problem = verdict
+        faults, suspicions, self.problem = verdict
+        self.suspicions = (*self._passing, *suspicions)
         alarm, events, is_seen = self._alarm, [], False
         for fault in faults:
             before_s = np.inf if alarm is None else alarm.raised_s
@@ -420,7 +423,8 @@ class SurfaceMonitor:
         alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
         self._look_later(look, fault)
         if fault.end_s is not None:
-            self._finished.append(fault)
+            is_passing = fault.kind == "unknown" and fault.end_s - fault.start_s < _NAMED_S
+            (self._passing if is_passing else self._finished).append(fault)
             self._from_s = max(fault.end_s, fault.alarm_s) + AGAIN_S
             self._over(look.at_s)
             events.append(self._event(look, "clear", fault))
