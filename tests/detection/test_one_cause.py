@@ -14,7 +14,7 @@ import servofd
 from logparsers.codec import Codec
 from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.core.types import BoolArray, FloatArray
-from servofd.detection.causes import before_it_fell, with_common_causes
+from servofd.detection.causes import before_it_fell, cause_of_alarms, with_common_causes
 from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
 from servofd.feedback.flown import one_log
 from servofd.live.alarms import Published
@@ -144,6 +144,16 @@ class Seen:
 
     def tick(self, now_s: float) -> None:
         pass
+
+
+@pytest.mark.parametrize(("start_s", "watched", "kind"), [(0.4, 2, "servo_type"), (60.0, 2, ""), (0.4, 6, "")])
+def test_alarms_from_the_first_seconds_on_may_be_another_aircrafts_file(
+    start_s: float, watched: int, kind: str
+) -> None:
+    faults = {name: Fault("bias", start_s, start_s + 0.2, None, {}, 0.99, ()) for name in ("left", "right")}
+    cause = cause_of_alarms(faults, watched, 0.0, "")
+    assert (cause.kind if cause else "") == kind
+    assert cause is None or "another aircraft's file" in cause.text
 
 
 def test_an_offset_that_looked_like_a_jam_at_rest_has_its_name_as_it_moves(tmp_path: Path) -> None:
