@@ -118,7 +118,7 @@ def _print(found: list[tuple[Path, Recording]]) -> None:
     report = audit_report([recording.audit for _, recording in found])
     if len(found) > 1:
         audits = [(path.name, recording.audit) for path, recording in found]
-        rows = [(worst_of(audit.surfaces), name, whole_sentence(audit)) for name, audit in audits]
+        rows = [(worst_of(audit.surfaces), name, (whole_sentence(audit),)) for name, audit in audits]
         say(report.sentence)
         print_lines(sorted(rows, key=lambda row: (STATUSES.index(row[0]), row[1])))
         return

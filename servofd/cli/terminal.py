@@ -137,7 +137,7 @@ def print_table(
             shown.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
 
 
-def print_lines(rows: Sequence[tuple[str, str, Sequence[str]]]) -> None:
+def print_lines(rows: Sequence[tuple[str, str, tuple[str, ...]]]) -> None:
     """Print status, name and words of each row on a line, cut where the terminal ends; of a pipe at 80 columns.
 
     Of the words the first are taken that have room.
