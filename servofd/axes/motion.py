@@ -278,6 +278,8 @@ _FASTEST_HZ = 25.0
 _OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
 """Share of the throttle below which a motor does not lift."""
+_STANDS_M_S = 1.0
+"""Ground speed below which an aircraft that is no copter stands on the ground, as GPS measures it [m/s]."""
 FLIES_M_S = 5.0
 """Airspeed above which an aircraft may fly [m/s]."""
 GPS = "GPS and wind"
@@ -344,7 +346,7 @@ def motion_of_autopilot(
         rates,
         forces,
         _attitude(log),
-        _airspeed(log),
+        airspeed_of(log),
         members=airframe.members,
         parameters={name: value for name, value in settings.items() if _number(name) in served},
     )
@@ -435,7 +437,7 @@ def _attitude(log: FlightLog) -> tuple[Series, Series]:
     raise NoMeasurement(f"{log.label}: no attitude (ATT): motion cannot be judged without")
 
 
-def _airspeed(log: FlightLog) -> tuple[Series, str]:
+def airspeed_of(log: FlightLog) -> tuple[Series, str]:
     """A sensor that measures something; else ground speed less wind; else the autopilot's own estimate."""
     witnesses = [(series_of(log, name), "sensor") for name in ("ARSP[0].Airspeed", "ARSP.Airspeed")]
     witnesses += [(through_the_wind(log, names), GPS) for names in _WINDS]
@@ -468,7 +470,9 @@ def through_the_wind(log: FlightLog, names: Sequence[str]) -> Series | None:
     if len(parts) < len(names):
         return None
     north, east, down, wind_north, wind_east = at_times_of_first(parts)
-    return Series(parts[0].time_s, np.sqrt((north - wind_north) ** 2 + (east - wind_east) ** 2 + down**2))
+    through_m_s = np.sqrt((north - wind_north) ** 2 + (east - wind_east) ** 2 + down**2)
+    stands = np.hypot(north, east) < _STANDS_M_S  # the estimator keeps its wind on the ground
+    return Series(parts[0].time_s, np.where(stands, 0.0, through_m_s))
 
 
 def _throttle(airframe: Airframe, of_output: Callable[[LoggedOutput], FloatArray], grid_s: FloatArray) -> FloatArray:

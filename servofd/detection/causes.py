@@ -21,8 +21,8 @@ _FEWEST, _MOST_SHARE = 3, 0.5
 """So many surfaces, and this share of those that were judged, do not fail in one instant."""
 _WHILE_IT_FALLS, _WITH_IT_S = 2, 5.0
 """So many do not while their supply falls, within so much of each other: onsets of currents are less sharp [s]."""
-_AROUND_S: Final = 15.0
-"""Time before and after an instant in which volts and amperes are compared [s]."""
+SURE_AFTER_S: Final = 15.0
+"""Time before and after an instant in which volts and amperes are compared; by then it is known if they return [s]."""
 FALLEN, _UNDER_LOAD = 0.9, 0.1
 """Share of its volts below which a supply has fallen, each taken as those that it is below for a tenth of the time: the
 rail of the simulated motors sags by 5 % under load."""
@@ -77,14 +77,18 @@ def with_common_causes(
     return tuple(result), tuple(causes)
 
 
-def cause_of_alarms(faults: Mapping[str, Fault], watched: int, first_s: float, fell: str) -> CommonCause | None:
+def cause_of_alarms(
+    faults: Mapping[str, Fault], watched: int, first_s: float, fall: tuple[float, str]
+) -> CommonCause | None:
     """What the alarms that stand have in common; None if it may be chance.
 
     `faults` are those of each surface that has an alarm, `watched` is how many are watched since `first_s` [s], and
-    `fell` says by how much their supply fell, if it did. Two of two that never followed are no chance either.
+    `fall` says when [s] and by how much their supply fell, if it did. Two of two that never followed are no chance
+    either.
     """
-    fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
     for at_s in sorted(fault.start_s for fault in faults.values()):
+        fell = fall[1] if abs(at_s - fall[0]) <= SURE_AFTER_S else ""
+        fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
         struck = [(name, fault) for name, fault in faults.items() if _is_at(fault.start_s, at_s, within_s)]
         is_first = at_s - first_s <= _AT_START_S
         if len(struck) >= max(min(fewest, watched) if is_first and watched > 1 else fewest, _MOST_SHARE * watched):
@@ -104,8 +108,8 @@ def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
     """By how much the supply of most servos fell at a time, in words; empty if it did not, or is not known."""
     found = []
     for time_s, volts_v in volts:
-        before_v = volts_v[(time_s < at_s) & (time_s >= at_s - _AROUND_S)]
-        after_v = volts_v[(time_s > at_s) & (time_s <= at_s + _AROUND_S)]
+        before_v = volts_v[(time_s < at_s) & (time_s >= at_s - SURE_AFTER_S)]
+        after_v = volts_v[(time_s > at_s) & (time_s <= at_s + SURE_AFTER_S)]
         if before_v.size and after_v.size:
             loaded_v, is_v = (float(np.quantile(one, _UNDER_LOAD)) for one in (before_v, after_v))
             fell = loaded_v > 0.0 and is_v < FALLEN * loaded_v
@@ -127,17 +131,18 @@ def _rose(surfaces: Sequence[SurfaceAudit], cause: CommonCause) -> str:
     for current in (s.current for s in surfaces if s.surface in cause.surfaces):
         if current is not None and current.time_s is not None and current.current_a is not None:
             since_s = current.time_s - cause.since_s
-            spans = ((since_s < 0.0) & (since_s >= -_AROUND_S), (since_s > 0.0) & (since_s <= _AROUND_S))
+            spans = ((since_s < 0.0) & (since_s >= -SURE_AFTER_S), (since_s > 0.0) & (since_s <= SURE_AFTER_S))
             drawn_a += [float(np.mean(current.current_a[span])) if span.any() else 0.0 for span in spans]
     was_a, is_a = drawn_a.tolist()
     return f" while its servos drew {two_digits(is_a)} A instead of {two_digits(was_a)}" if is_a > was_a > 0.0 else ""
 
 
-def before_it_fell(context: Context, *, is_over: bool = True) -> Context:
+def before_it_fell(context: Context, *, since_s: float | None = None) -> Context:
     """What acts on servos as if their supply had not given way: one that its supply makes slow is no healthy one.
 
     A supply that falls under load, or little by little as a battery empties, stays what it is, down to where a battery
-    is empty. While a flight is not over, whether volts that fell come back is known 15 s later.
+    is empty. While a flight is not over, whether volts that fell come back is known 15 s later; `since_s` is until when
+    they were looked at before [s].
 
     Examples
     --------
@@ -151,10 +156,10 @@ def before_it_fell(context: Context, *, is_over: bool = True) -> Context:
     if not time_s.size or np.min(volts_v) >= FALLEN * np.max(volts_v):
         return context
     low_s = np.unique(np.floor(time_s[volts_v < FALLEN * np.maximum.accumulate(volts_v)]))
-    if not is_over:  # what fell before was looked at before
-        low_s = low_s[(low_s <= time_s[-1] - _AROUND_S) & (low_s > time_s[-1] - _AROUND_S - 2.0)]
+    if since_s is not None:
+        low_s = low_s[(low_s > since_s) & (low_s <= time_s[-1] - SURE_AFTER_S)]
     for at_s in low_s:
-        first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-_AROUND_S, -1.0, 1.0, _AROUND_S]))
+        first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-SURE_AFTER_S, -1.0, 1.0, SURE_AFTER_S]))
         if first < falls and fell < last:
             least_v, most_v = np.quantile(volts_v[first:falls], _UNDER_LOAD), np.quantile(volts_v[fell:last], 0.9)
             if least_v > 0.0 and most_v < FALLEN * least_v:

@@ -122,6 +122,8 @@ class Alarm:
 
     raised_s: float
     kind: str = "unknown"
+    reported: str = "unknown"
+    """The name that was published; `kind` is what the last look takes it for."""
     fault: Fault | None = None
     quiet: Quiet = field(default_factory=Quiet)
     names: dict[float, Named] = field(default_factory=dict)

@@ -416,15 +416,19 @@ class SurfaceMonitor:
             if not self._may_be_named(look, alarm, fault):
                 return [replace(self._event(look, "alarm", fault), kind="unknown", fault=None)]
             events.append(self._event(look, "alarm", fault))
-        elif fault.kind != alarm.kind and (look.at_s - alarm.raised_s <= _NAMED_S or fault.probability >= SURE):
+            alarm.reported = fault.kind
+        elif fault.kind != alarm.reported and (look.at_s - alarm.raised_s <= _NAMED_S or fault.probability >= SURE):
             if not self._may_be_named(look, alarm, fault):
                 return events
             events.append(self._event(look, "named", fault))
+            alarm.reported = fault.kind
         alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
         self._look_later(look, fault)
         if fault.end_s is not None:
-            is_passing = fault.kind == "unknown" and fault.end_s - fault.start_s < _NAMED_S
+            is_nameless = fault.kind == alarm.reported == "unknown"
+            is_passing = is_nameless and fault.end_s - fault.start_s < _NAMED_S
             (self._passing if is_passing else self._finished).append(fault)
+            self.suspicions = (*self._passing, *(one for one in self.suspicions if one not in self._passing))
             self._from_s = max(fault.end_s, fault.alarm_s) + AGAIN_S
             self._over(look.at_s)
             events.append(self._event(look, "clear", fault))

@@ -78,7 +78,7 @@ def check(record: Record) -> None:
         )
     _check_motion(asked, measured)
     if not record.runs:
-        _check_drift(record, error)
+        _check_drift(record, error, asked)
     _check_belongs(asked, measured, record.period_s)
     _check_order(record, error)
 
@@ -94,9 +94,11 @@ def _check_motion(asked: FloatArray, measured: FloatArray) -> None:
         )
 
 
-def _check_drift(record: Record, error_deg: FloatArray) -> None:
+def _check_drift(record: Record, error_deg: FloatArray, asked_deg: FloatArray) -> None:
     """Refuse a position that wanders off while its command does not: no effect of a servo does that."""
-    drifts_deg = drift_deg(record.time_s[record.counts], error_deg[record.counts])
+    left_deg, swing_deg = error_deg[record.counts], asked_deg - asked_deg.mean()
+    left_deg = left_deg - float(swing_deg @ left_deg / max(float(swing_deg @ swing_deg), LEAST_DIVISOR)) * swing_deg
+    drifts_deg = drift_deg(record.time_s[record.counts], left_deg)  # a gain follows the command
     if abs(drifts_deg) > DRIFT_SHARE * np.ptp(record.commands.command_deg):
         raise NoMeasurement(
             f"position drifts by {drifts_deg:.3g} deg over the log while the command does not: a sensor that wanders, "

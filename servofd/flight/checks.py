@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.axes.motion import Series
+from servofd.axes.motion import FLIES_M_S, Series
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.flight.change import first_turns
 
@@ -52,7 +52,7 @@ def saturation(flight: Flight) -> Check:
         return Check("saturation", "unknown", _NEVER_FLEW)
     longest_s, begin_s, which = 0.0, 0.0, flight.outputs[0]
     for output in flight.outputs:
-        in_flight = flight.flown_at(output.time_s) | (output.time_s >= flight.span_s[1])
+        in_flight = (output.time_s >= flight.span_s[0]) & ~_on_ground(flight, output.time_s)
         at_end = (np.abs(output.share) >= _AT_END) & in_flight
         for first, last in _runs(at_end):
             end_s = float(output.time_s[min(last, output.time_s.size - 1)])
@@ -63,7 +63,7 @@ def saturation(flight: Flight) -> Check:
         seen = "for no longer than a moment" if longest_s == 0.0 else f"for {longest_s:.1f} s at most ({which.name})"
         return Check("saturation", "ok", f"commands stood at their ends {seen}")
     late = begin_s + longest_s >= flight.span_s[1]
-    then = f", up to the end of the flight{_answer(flight, begin_s, begin_s + longest_s)}" if late else ""
+    then = f", up to the end of the flight{_answer(flight, which, begin_s, begin_s + longest_s)}" if late else ""
     return Check(
         "saturation",
         "look",
@@ -76,15 +76,32 @@ _OBEYS_DEG_S = 5.0
 """Rate below which an aircraft does not obey full travel: a hundredth of what it gives an aerobatic one [deg/s]."""
 
 
-def _answer(flight: Flight, begin_s: float, end_s: float) -> str:
-    """How the aircraft turned meanwhile, about the axis that was asked for most."""
+_LANDED_S = 20.0
+"""A stall is slow for shorter than that, an aircraft that stands between two flights for longer [s]."""
+
+
+def _on_ground(flight: Flight, time_s: FloatArray) -> BoolArray:
+    """Whether it stood between two flights, at some times."""
+    motion, ground = flight.motion, np.zeros(time_s.size, dtype=bool)
+    if motion is not None:
+        for first, last in _runs(motion.airspeed_m_s <= FLIES_M_S):
+            begin_s, end_s = float(motion.time_s[first]), float(motion.time_s[last - 1])
+            if end_s - begin_s >= _LANDED_S and end_s < flight.span_s[1]:
+                ground |= (time_s >= begin_s) & (time_s <= end_s)
+    return ground
+
+
+def _answer(flight: Flight, output: Output, begin_s: float, end_s: float) -> str:
+    """How the aircraft turned meanwhile, about the axis of this output that was asked for most."""
     motion = flight.motion
     if motion is None:
         return ""
     at = (motion.time_s >= begin_s) & (motion.time_s <= end_s)
     if not at.any() or not motion.commands_us:
         return ""
-    asked = {axis: float(np.mean(values[at])) for axis, values in motion.commands_us.items()}
+    asked = {axis: float(np.mean(us[at])) for axis, us in motion.commands_us.items() if axis in output.axes}
+    if not asked:
+        return ""
     axis = max(asked, key=lambda each: abs(asked[each]))
     place, does = _TURNS[axis]
     rate_deg_s = float(np.mean(motion.rates_deg_s[place][at])) * np.sign(asked[axis])
@@ -118,7 +135,7 @@ def _level_means(flight: Flight) -> dict[str, float]:
     level = flight.flies & (np.abs(flight.motion.roll_deg) < _LEVEL_DEG)
     found = {}
     for output in flight.outputs:
-        at = flight.flown_at(output.time_s, level)
+        at = flight.at(output.time_s, level)
         if np.count_nonzero(at) > _FEW:
             found[output.name] = float(np.mean(output.share[at]))
     return found

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
-from servofd.axes.motion import SHARES, Series, series_of
+from servofd.axes.motion import FLIES_M_S, SHARES, Series, airspeed_of, series_of
 from servofd.axes.px4 import controls_of
 from servofd.axes.read import motion_of
 from servofd.core.errors import NoMeasurement
@@ -87,14 +87,14 @@ class Flight:
     supply_v: Series | None
     left_out: str = ""
 
-    def flown_at(self, time_s: FloatArray, flags: BoolArray | None = None) -> BoolArray:
-        """Whether it surely flew, or other flags on the grid of `motion`, at some times."""
+    def at(self, time_s: FloatArray, flags: BoolArray) -> BoolArray:
+        """Flags on the grid of `motion` at some times; none outside."""
         if self.motion is None:
             return np.zeros(time_s.size, dtype=bool)
         grid_s = self.motion.time_s
         place = np.clip(np.searchsorted(grid_s, time_s), 0, grid_s.size - 1)
         inside: BoolArray = (time_s >= grid_s[0]) & (time_s <= grid_s[-1])
-        inside &= (self.flies if flags is None else flags)[place]
+        inside &= flags[place]
         return inside
 
 
@@ -123,7 +123,7 @@ def flight_of(log: FlightLog) -> Flight:
 
 
 def _as_set(log: FlightLog) -> tuple[FlightLog, tuple[float, float], str]:
-    """The longest part of a log in which each output turned the same surface, with the settings that it began with.
+    """The longest part of a log in which each output turned the same surface, with the settings of that part.
 
     And what is said of the rest. A trim that the autopilot moves in flight stays the one that its pilot had set.
     """
@@ -132,14 +132,28 @@ def _as_set(log: FlightLog) -> tuple[FlightLog, tuple[float, float], str]:
     edges_s = [first_s, *(one.time_s for one in swapped), last_s]
     k = int(np.argmax(np.diff(edges_s)))
     begin_s, end_s = (edges_s[k], edges_s[k + 1]) if swapped else (-np.inf, np.inf)
+    # Of those that decide, the ones in force there; of a trim that moves in flight, the one before; else the last.
+    in_force_s, airborne_s = begin_s if swapped else first_s, _airborne_s(log) if log.changed else np.inf
     settings = dict(log.parameters)
-    settings |= {one.name: one.before for one in reversed(log.changed)}
-    settings |= {one.name: one.value for one in log.changed if one.time_s <= begin_s}
+    for one in reversed(log.changed):
+        until_s = in_force_s if _DECIDES.fullmatch(one.name) else airborne_s if one.name.endswith("_TRIM") else np.inf
+        if one.time_s > until_s:
+            settings[one.name] = one.before
     parts = [f"before {begin_s:.0f} s"] * (k > 0) + [f"after {end_s:.0f} s"] * (k < len(swapped))
     names = sorted({one.name for one in swapped})
     which = " and ".join(names) if len(names) < _MANY else f"{names[0]} and {len(names) - 1} more settings"
     said = f"{which} changed while the log ran: nothing {' or '.join(parts)} was judged" if swapped else ""
     return replace(log, parameters=settings), (begin_s, end_s), said
+
+
+def _airborne_s(log: FlightLog) -> float:
+    """When the aircraft first flew [s]; infinite if the log does not show it."""
+    try:
+        airspeed, _ = airspeed_of(log)
+    except NoMeasurement:
+        return np.inf
+    fast_s = airspeed.time_s[airspeed.values > FLIES_M_S]
+    return float(fast_s[0]) if fast_s.size else np.inf
 
 
 _MANY = 3

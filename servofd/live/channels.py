@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 from logparsers.mavlink import dialect
 from logparsers.protocol import Component
 from servofd.aircraft.series import SURROUNDINGS
-from servofd.detection.causes import FALLEN, before_it_fell, fell_from
+from servofd.detection.causes import FALLEN, SURE_AFTER_S, before_it_fell, fell_from
 from servofd.detection.stream import MEMORY_S
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -165,6 +166,7 @@ class Surroundings:
         }
         self._received: dict[str, tuple[int, deque[tuple[float, float]]]] = {}
         self._held_v = self._was_v = self._latest_v = 0.0
+        self._fell_s, self._looked_s = math.nan, -math.inf
 
     @property
     def channels(self) -> list[str]:
@@ -190,19 +192,22 @@ class Surroundings:
         return True
 
     @property
-    def fell(self) -> str:
-        """By how much the supply has fallen, in words; empty if it has not."""
-        return fell_from(self._was_v, self._latest_v) if self._held_v else ""
+    def fall(self) -> tuple[float, str]:
+        """When the supply gave way [s], and by how much in words; NaN and nothing if it has not, or is back."""
+        return (self._fell_s, fell_from(self._was_v, self._latest_v)) if self._held_v else (math.nan, "")
 
     def context(self) -> Context:
         """All that is known, as if no supply had given way; what came last holds until something else comes."""
         columns = {need: np.array(samples).T for need, (_, samples) in self._received.items()}
         nothing = (NO_CONTEXT.airspeed_s, NO_CONTEXT.airspeed_m_s)
         known = Context(*columns.get("airspeed_m_s", nothing), *columns.get("servo_voltage_v", nothing))
-        held = before_it_fell(known, is_over=False)
+        held = before_it_fell(known, since_s=self._looked_s)
+        if known.voltage_s.size:
+            self._looked_s = math.floor(float(known.voltage_s[-1]) - SURE_AFTER_S)
         if held.voltage_s.size and known.voltage_v[-1] < FALLEN * held.voltage_v[-1]:
             if not self._held_v:
                 first = int(np.argmax(held.voltage_v > known.voltage_v))
+                self._fell_s = float(known.voltage_s[first])
                 self._was_v = float(np.median(known.voltage_v[max(first - _BEFORE, 0) : first + 1]))
             self._held_v = float(held.voltage_v[-1])
             samples = self._received["servo_voltage_v"][1]

@@ -43,6 +43,8 @@ _GAP_S = 1.0
 """Longer than any pause between two messages of a vehicle on the link."""
 _JUMP_S = 1.0
 """Left out after a parameter has changed: pulses jump, at an instant that is not known exactly."""
+_NAMED_S, _SAME_S = 2.0, 5.0
+"""Alarms have their names so soon, and onsets of one cause are put so near to each other by later looks [s]."""
 _READ_FIRST_S = 10.0
 """Parameters without a place that come so early answer whoever reads them at the start (in a replay, the monitor that
 recorded it): ArduPilot answers a name in the same way as it tells of a change."""
@@ -400,14 +402,16 @@ class Vehicle:
         return events
 
     def look_for_causes(self) -> None:
-        """Say once what alarms that stand have in common."""
-        alarms = [alarm for alarm in self.alarms.all if alarm.end_s is None and alarm.fault is not None]
-        faults = {alarm.surface: alarm.fault for alarm in alarms if alarm.fault is not None}
-        if len(faults) > 1:
-            cause = cause_of_alarms(faults, len(self.monitors), self._watched_s, self._around.fell)
-            if cause is not None and not any(set(cause.surfaces) <= set(known.surfaces) for known in self.causes):
-                self.causes.append(cause)
-                self.news.append(cause.text)
+        """Say once what alarms that stand have in common, as soon as they have their names."""
+        standing = [alarm for alarm in self.alarms.all if alarm.end_s is None]
+        faults = {alarm.surface: alarm.fault for alarm in standing if alarm.fault is not None}
+        is_early = any(alarm.fault is None and self.now_s - alarm.raised_s < _NAMED_S for alarm in standing)
+        if len(faults) < 2 or is_early:
+            return
+        cause = cause_of_alarms(faults, len(self.monitors), self._watched_s, self._around.fall)
+        if cause is not None and not any(_are_one(known, cause) for known in self.causes):
+            self.causes.append(cause)
+            self.news.append(cause.text)
 
     def silence(self, arrival_now_s: float) -> list[Event]:
         """Tell that nothing comes from this vehicle any more; `arrival_now_s` is the receiver's clock [s]."""
@@ -449,6 +453,12 @@ class Vehicle:
             columns = self._samples.setdefault(name, (([], []), ([], [])))[role]
             columns[0].append(time_s)
             columns[1].append(value)
+
+
+def _are_one(known: CommonCause, cause: CommonCause) -> bool:
+    """Whether the same was said before of these surfaces, or of more."""
+    is_same = known.kind == cause.kind and abs(known.since_s - cause.since_s) <= _SAME_S
+    return is_same and set(cause.surfaces) <= set(known.surfaces)
 
 
 def _in_order(samples: Samples, known_s: float) -> tuple[tuple[FloatArray, FloatArray], Samples]:

@@ -242,6 +242,22 @@ class TestWhatTheBankTells:
         assert (monitor.standing, monitor.has_fault, monitor.faults) == ("", True, (over,))
         assert self.told(monitor, 17.0, over) == []
 
+    def test_a_name_that_becomes_sure_late_is_reported_and_stays_a_fault(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        unknown, slow = (replace(self.stuck, kind=kind, probability=0.7) for kind in ("unknown", "slow"))
+        self.told(monitor, 12.3, unknown)
+        assert self.told(monitor, 15.0, slow) == []
+        assert self.told(monitor, 18.0, replace(slow, probability=0.99)) == [(18.0, "named", "slow")]
+        assert [what for _, what, _ in self.told(monitor, 19.0, replace(unknown, end_s=13.0))] == ["clear"]
+        assert monitor.has_fault
+
+    def test_what_is_over_within_two_seconds_without_a_name_is_no_fault_but_to_be_looked_at(self) -> None:
+        monitor = SurfaceMonitor("x", *surface())
+        self.told(monitor, 12.3, replace(self.stuck, kind="unknown"))
+        over = replace(self.stuck, kind="unknown", end_s=12.9)
+        assert [what for _, what, _ in self.told(monitor, 13.0, over)] == ["clear"]
+        assert (monitor.has_fault, monitor.suspicions) == (False, (over,))
+
     def test_what_tolerances_explain_is_acquitted_until_they_do_not(self) -> None:
         monitor = SurfaceMonitor("x", *surface())
         self.told(monitor, 13.0, self.stuck)

@@ -151,7 +151,7 @@ def test_alarms_from_the_first_seconds_on_may_be_another_aircrafts_file(
     start_s: float, watched: int, kind: str
 ) -> None:
     faults = {name: Fault("bias", start_s, start_s + 0.2, None, {}, 0.99, ()) for name in ("left", "right")}
-    cause = cause_of_alarms(faults, watched, 0.0, "")
+    cause = cause_of_alarms(faults, watched, 0.0, (np.nan, ""))
     assert (cause.kind if cause else "") == kind
     assert cause is None or "another aircraft's file" in cause.text
 

@@ -59,7 +59,9 @@ def test_full_elevator_on_the_ground_between_two_flights_is_no_saturation() -> N
     flight = flight_with(np.where((TIME_S > 120.0) & (TIME_S < 130.0), 1.0, wave()))
     assert checks.saturation(flight).status == "look"
     assert flight.motion is not None
-    flight.flies[(flight.motion.time_s > 115.0) & (flight.motion.time_s < 135.0)] = False
+    flight.motion.airspeed_m_s[(flight.motion.time_s > 118.0) & (flight.motion.time_s < 132.0)] = 3.0
+    assert checks.saturation(flight).status == "look"  # of a stall
+    flight.motion.airspeed_m_s[(flight.motion.time_s > 112.0) & (flight.motion.time_s < 138.0)] = 1.0
     assert checks.saturation(flight).status == "ok"
 
 

@@ -41,6 +41,19 @@ def test_a_trim_that_the_autopilot_moved_leaves_nothing_out_and_hides_no_asymmet
     assert moved.outputs[0].trim_share == flight_of(log).outputs[0].trim_share
 
 
+def test_a_setting_that_changed_before_the_log_or_before_take_off_is_as_it_was_flown() -> None:
+    log = log_of(flown(1, duration_s=200.0))
+    first_s, _ = log.ends_s
+    before = flight_of(changed(log, Setting(first_s - 0.5, "SERVO1_REVERSED", 1.0, 0.0)))
+    assert np.array_equal(before.outputs[0].share, flight_of(log).outputs[0].share)
+    set_up = changed(log, Setting(10.0, "SERVO1_TRIM", 1900.0, 1500.0))
+    assert flight_of(set_up).outputs[0].trim_share == pytest.approx(0.8)  # in flight: the autopilot's
+    airspeed = log["CTUN.As"]
+    taxis = replace(airspeed, values=np.where(airspeed.time_s < 20.0, 1.0, airspeed.values))
+    on_the_ground = replace(set_up, channels={**set_up.channels, airspeed.name: taxis})
+    assert flight_of(on_the_ground).outputs[0].trim_share == pytest.approx(0.0)
+
+
 def with_pitot(log: FlightLog, airspeed_m_s: np.ndarray, time_s: np.ndarray) -> FlightLog:
     pitot = Channel("ARSP[0].Airspeed", time_s, airspeed_m_s, "m/s", "ARSP[0].Airspeed")
     return replace(log, channels={**log.channels, pitot.name: pitot})
