@@ -270,11 +270,7 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     never = lasted_s <= 0.0  # better than health at no time
     short = fault.kind in _LASTING and lasted_s < _SHORTEST_WEAR_S
     little = fault.kind == "loss_of_effectiveness" and gain is not None and gain.value >= _STILL_ALL
-    nothing = any(
-        fault.parameters[key].low <= none <= fault.parameters[key].high
-        for key, none in _NONE
-        if key in fault.parameters
-    )
+    nothing = _may_be_none(fault)
     size, least = _LEAST_DEG.get(fault.kind, ("", 0.0))
     tiny = size in fault.parameters and fault.parameters[size].value < least
     is_early = fault.kind in _SHOWN_EARLY and fault.start_s >= fault.alarm_s
@@ -288,6 +284,12 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
         own = () if fault.kind == "unknown" else (fault.kind,)
         return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
     return fault
+
+
+def _may_be_none(fault: Fault) -> bool:
+    """Whether a size of it may be that of a healthy servo."""
+    sizes = fault.parameters
+    return any(sizes[key].low <= none <= sizes[key].high for key, none in _NONE if key in sizes)
 
 
 def _comes_and_goes(fault: Fault) -> bool:
