@@ -111,8 +111,9 @@ def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is
     off = fields_of(effects)
     acts, memory = _acts_of(effects)
     fields = tuple(off)
-    text = text_of(acts, off, any_order=any_order)
-    module = _module(text) if is_compiled else _executed(text)
+    with _ONE_AT_A_TIME:
+        text = text_of(acts, off, any_order=any_order)
+        module = _module(text) if is_compiled else _executed(text)
     return Stepper(fields, np.array([off[f] for f in fields]), acts, memory, module.run)
 
 
@@ -357,7 +358,8 @@ def mark_kept(path: Path) -> None:
 
 _compiling: list[subprocess.Popen[bytes]] = []
 _ONE_AT_A_TIME = threading.Lock()
-"""Surfaces are judged in threads of their own, and more than one may be the first to need a stepper."""
+"""Surfaces are judged in threads of their own, and more than one may be the first to need a stepper; Python 3.11 cannot
+parse the source of effects in two threads at once (SystemError: AST constructor recursion depth mismatch)."""
 
 
 def is_compiling() -> bool:
@@ -375,17 +377,16 @@ def _module(text: str) -> Any:  # noqa: ANN401 - a module
     for process in _compiling:
         process.wait()
     name = _named(text)
-    with _ONE_AT_A_TIME:
-        if name in sys.modules:
-            return sys.modules[name]
-        path = _written(compiler.cache_folder(), name, text)
-        spec = importlib.util.spec_from_file_location(name, path)
-        if spec is None or spec.loader is None:
-            return _executed(text)
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        sys.modules[name] = module
-        return module
+    if name in sys.modules:
+        return sys.modules[name]
+    path = _written(compiler.cache_folder(), name, text)
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        return _executed(text)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    sys.modules[name] = module
+    return module
 
 
 def _written(folder: Path, name: str, text: str) -> Path:
