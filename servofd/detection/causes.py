@@ -21,7 +21,7 @@ _FEWEST, _MOST_SHARE = 3, 0.5
 """So many surfaces, and this share of those that were judged, do not fail in one instant."""
 _WHILE_IT_FALLS, _WITH_IT_S = 2, 5.0
 """So many do not while their supply falls, within so much of each other: onsets of currents are less sharp [s]."""
-SURE_AFTER_S: Final = 15.0
+AROUND_S: Final = 15.0
 """Time before and after an instant in which volts and amperes are compared; by then it is known if they return [s]."""
 FALLEN, _UNDER_LOAD = 0.9, 0.1
 """Share of its volts below which a supply has fallen, each taken as those that it is below for a tenth of the time: the
@@ -87,7 +87,7 @@ def cause_of_alarms(
     either.
     """
     for at_s in sorted(fault.start_s for fault in faults.values()):
-        fell = fall[1] if abs(at_s - fall[0]) <= SURE_AFTER_S else ""
+        fell = fall[1] if abs(at_s - fall[0]) <= AROUND_S else ""
         fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
         struck = [(name, fault) for name, fault in faults.items() if _is_at(fault.start_s, at_s, within_s)]
         is_first = at_s - first_s <= _AT_START_S
@@ -108,8 +108,8 @@ def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
     """By how much the supply of most servos fell at a time, in words; empty if it did not, or is not known."""
     found = []
     for time_s, volts_v in volts:
-        before_v = volts_v[(time_s < at_s) & (time_s >= at_s - SURE_AFTER_S)]
-        after_v = volts_v[(time_s > at_s) & (time_s <= at_s + SURE_AFTER_S)]
+        before_v = volts_v[(time_s < at_s) & (time_s >= at_s - AROUND_S)]
+        after_v = volts_v[(time_s > at_s) & (time_s <= at_s + AROUND_S)]
         if before_v.size and after_v.size:
             loaded_v, is_v = (float(np.quantile(one, _UNDER_LOAD)) for one in (before_v, after_v))
             fell = loaded_v > 0.0 and is_v < FALLEN * loaded_v
@@ -131,7 +131,7 @@ def _rose(surfaces: Sequence[SurfaceAudit], cause: CommonCause) -> str:
     for current in (s.current for s in surfaces if s.surface in cause.surfaces):
         if current is not None and current.time_s is not None and current.current_a is not None:
             since_s = current.time_s - cause.since_s
-            spans = ((since_s < 0.0) & (since_s >= -SURE_AFTER_S), (since_s > 0.0) & (since_s <= SURE_AFTER_S))
+            spans = ((since_s < 0.0) & (since_s >= -AROUND_S), (since_s > 0.0) & (since_s <= AROUND_S))
             drawn_a += [float(np.mean(current.current_a[span])) if span.any() else 0.0 for span in spans]
     was_a, is_a = drawn_a.tolist()
     return f" while its servos drew {two_digits(is_a)} A instead of {two_digits(was_a)}" if is_a > was_a > 0.0 else ""
@@ -157,9 +157,9 @@ def before_it_fell(context: Context, *, since_s: float | None = None) -> Context
         return context
     low_s = np.unique(np.floor(time_s[volts_v < FALLEN * np.maximum.accumulate(volts_v)]))
     if since_s is not None:
-        low_s = low_s[(low_s > since_s) & (low_s <= time_s[-1] - SURE_AFTER_S)]
+        low_s = low_s[(low_s > since_s) & (low_s <= time_s[-1] - AROUND_S)]
     for at_s in low_s:
-        first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-SURE_AFTER_S, -1.0, 1.0, SURE_AFTER_S]))
+        first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-AROUND_S, -1.0, 1.0, AROUND_S]))
         if first < falls and fell < last:
             least_v, most_v = np.quantile(volts_v[first:falls], _UNDER_LOAD), np.quantile(volts_v[fell:last], 0.9)
             if least_v > 0.0 and most_v < FALLEN * least_v:

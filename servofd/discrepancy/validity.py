@@ -96,9 +96,7 @@ def _check_motion(asked: FloatArray, measured: FloatArray) -> None:
 
 def _check_drift(record: Record, error_deg: FloatArray, asked_deg: FloatArray) -> None:
     """Refuse a position that wanders off while its command does not: no effect of a servo does that."""
-    left_deg, swing_deg = error_deg[record.counts], asked_deg - asked_deg.mean()
-    left_deg = left_deg - float(swing_deg @ left_deg / max(float(swing_deg @ swing_deg), LEAST_DIVISOR)) * swing_deg
-    drifts_deg = drift_deg(record.time_s[record.counts], left_deg)  # a gain follows the command
+    drifts_deg = drift_deg(record.time_s[record.counts], error_deg[record.counts], asked_deg)
     if abs(drifts_deg) > DRIFT_SHARE * np.ptp(record.commands.command_deg):
         raise NoMeasurement(
             f"position drifts by {drifts_deg:.3g} deg over the log while the command does not: a sensor that wanders, "

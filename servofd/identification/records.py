@@ -169,7 +169,7 @@ def check_clipping(run: Run, label: str) -> None:
 
 def check_drift(run: Run, error_deg: FloatArray, label: str) -> None:
     """Refuse a position that wanders off while the command does not: it would pass for rate limits."""
-    drifts_deg = drift_deg(run.measured_s, error_deg)
+    drifts_deg = drift_deg(run.measured_s, error_deg, latest(run.command_s, run.command_deg, run.measured_s))
     if abs(drifts_deg) > DRIFT_SHARE * np.ptp(run.command_deg):
         raise IdentificationError(
             f"{label}: the position drifts by {drifts_deg:.3g} deg over the test while the command does not: a sensor "
@@ -177,18 +177,23 @@ def check_drift(run: Run, error_deg: FloatArray, label: str) -> None:
         )
 
 
-def drift_deg(time_s: FloatArray, error_deg: FloatArray) -> float:
+def drift_deg(time_s: FloatArray, error_deg: FloatArray, command_deg: FloatArray) -> float:
     """By how much an error rises along a line over the record [deg]; 0 where less than most of it is that line.
+
+    What of it follows the command is another gain, and no drift, where the command rises as well.
 
     Examples
     --------
-    >>> round(drift_deg(np.arange(10.0), 0.5 * np.arange(10.0)), 6)
+    >>> time_s, swings = np.arange(10.0), np.array([0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0])
+    >>> round(drift_deg(time_s, 0.5 * time_s, swings), 6)
     4.5
-    >>> drift_deg(np.arange(10.0), np.array([0.0, 1.0] * 5))
-    0.0
+    >>> drift_deg(time_s, swings, swings), drift_deg(time_s, -0.3 * time_s, time_s)
+    (0.0, 0.0)
     """
     since = (time_s - time_s.mean()) / np.ptp(time_s)
+    swing_deg = command_deg - command_deg.mean()
     error_deg = error_deg - error_deg.mean()
+    error_deg = error_deg - float(swing_deg @ error_deg / max(float(swing_deg @ swing_deg), LEAST_DIVISOR)) * swing_deg
     drifts_deg = float(since @ error_deg / (since @ since))
     explained = drifts_deg**2 * float(since @ since) / max(float(error_deg @ error_deg), LEAST_DIVISOR)
     return drifts_deg if explained > _DRIFT_OF_ERROR else 0.0

@@ -12,7 +12,7 @@ import numpy as np
 from logparsers.mavlink import dialect
 from logparsers.protocol import Component
 from servofd.aircraft.series import SURROUNDINGS
-from servofd.detection.causes import FALLEN, SURE_AFTER_S, before_it_fell, fell_from
+from servofd.detection.causes import AROUND_S, FALLEN, before_it_fell, fell_from
 from servofd.detection.stream import MEMORY_S
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -152,6 +152,42 @@ _BEFORE = 10
 """So many samples before a supply fell say what it was."""
 
 
+class Supply:
+    """Volts of the servos as they come; those of a supply that gave way count as before, until they are back."""
+
+    def __init__(self) -> None:
+        self._held_v = self._was_v = self._latest_v = 0.0
+        self._fell_s, self._looked_s = math.nan, -math.inf
+
+    def take(self, volts_v: float) -> float:
+        """The next reading [V], or what counts in its place."""
+        self._held_v, self._latest_v = (self._held_v if volts_v < FALLEN * self._held_v else 0.0), volts_v
+        return self._held_v or volts_v
+
+    def held(self, known: Context) -> Context:
+        """The same as if it had not given way."""
+        held = before_it_fell(known, since_s=self._looked_s)
+        if known.voltage_s.size:
+            self._looked_s = math.floor(float(known.voltage_s[-1]) - AROUND_S)
+            if known.voltage_v[-1] < FALLEN * held.voltage_v[-1]:
+                if not self._held_v:
+                    first = int(np.argmax(held.voltage_v > known.voltage_v))
+                    self._fell_s = float(known.voltage_s[first])
+                    self._was_v = float(np.median(known.voltage_v[max(first - _BEFORE, 0) : first + 1]))
+                self._held_v = float(held.voltage_v[-1])
+        return held
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it gave way, and is not back."""
+        return self._held_v > 0.0
+
+    @property
+    def fall(self) -> tuple[float, str]:
+        """When it gave way [s], and by how much in words; NaN and nothing if it has not, or is back."""
+        return (self._fell_s, fell_from(self._was_v, self._latest_v)) if self.is_held else (math.nan, "")
+
+
 class Surroundings:
     """What was received of them lately; of several channels with the same news, the one that audits would take.
 
@@ -165,8 +201,7 @@ class Surroundings:
             for rank, (channel, scale) in enumerate(SURROUNDINGS[need].items())
         }
         self._received: dict[str, tuple[int, deque[tuple[float, float]]]] = {}
-        self._held_v = self._was_v = self._latest_v = 0.0
-        self._fell_s, self._looked_s = math.nan, -math.inf
+        self.supply = Supply()
 
     @property
     def channels(self) -> list[str]:
@@ -185,31 +220,16 @@ class Surroundings:
         if rank > known_rank or (samples and not time_s - samples[-1][0] >= _PERIOD_S):
             return False
         known = scale * value
-        if need == "servo_voltage_v":
-            self._held_v, self._latest_v = (self._held_v if known < FALLEN * self._held_v else 0.0), known
-            known = self._held_v or known
-        samples.append((time_s, known))
+        samples.append((time_s, self.supply.take(known) if need == "servo_voltage_v" else known))
         return True
-
-    @property
-    def fall(self) -> tuple[float, str]:
-        """When the supply gave way [s], and by how much in words; NaN and nothing if it has not, or is back."""
-        return (self._fell_s, fell_from(self._was_v, self._latest_v)) if self._held_v else (math.nan, "")
 
     def context(self) -> Context:
         """All that is known, as if no supply had given way; what came last holds until something else comes."""
         columns = {need: np.array(samples).T for need, (_, samples) in self._received.items()}
         nothing = (NO_CONTEXT.airspeed_s, NO_CONTEXT.airspeed_m_s)
         known = Context(*columns.get("airspeed_m_s", nothing), *columns.get("servo_voltage_v", nothing))
-        held = before_it_fell(known, since_s=self._looked_s)
-        if known.voltage_s.size:
-            self._looked_s = math.floor(float(known.voltage_s[-1]) - SURE_AFTER_S)
-        if held.voltage_s.size and known.voltage_v[-1] < FALLEN * held.voltage_v[-1]:
-            if not self._held_v:
-                first = int(np.argmax(held.voltage_v > known.voltage_v))
-                self._fell_s = float(known.voltage_s[first])
-                self._was_v = float(np.median(known.voltage_v[max(first - _BEFORE, 0) : first + 1]))
-            self._held_v = float(held.voltage_v[-1])
+        held = self.supply.held(known)
+        if self.supply.is_held and held.voltage_v[-1] > known.voltage_v[-1]:
             samples = self._received["servo_voltage_v"][1]
             samples.clear()
             samples.extend(zip(held.voltage_s.tolist(), held.voltage_v.tolist(), strict=True))

@@ -408,7 +408,7 @@ class Vehicle:
         is_early = any(alarm.fault is None and self.now_s - alarm.raised_s < _NAMED_S for alarm in standing)
         if len(faults) < 2 or is_early:
             return
-        cause = cause_of_alarms(faults, len(self.monitors), self._watched_s, self._around.fall)
+        cause = cause_of_alarms(faults, len(self.monitors), self._watched_s, self._around.supply.fall)
         if cause is not None and not any(_are_one(known, cause) for known in self.causes):
             self.causes.append(cause)
             self.news.append(cause.text)

@@ -269,3 +269,14 @@ def test_a_drift_is_no_fault_that_sets_in() -> None:
     found = explained(replace(log, position_deg=log.position_deg + 1.5 * log.time_s / 40.0))
     assert found.fault_s is None
     assert found.conclusion == "partly_explained"
+
+
+def test_a_gain_that_a_slow_command_shows_is_no_drift() -> None:
+    """Error and command rise along a line together: an offset that grows would not follow the command."""
+    time_s = np.arange(0.0, 60.0, 0.02)
+    command_deg = np.linspace(-20.0, 20.0, time_s.size) + np.sin(3.0 * time_s)
+    noise_deg = np.random.default_rng(1).normal(0.0, 0.05, time_s.size)
+    position_deg = 0.7 * KNOWN.simulate(time_s, command_deg, time_s) + noise_deg
+    found = explain_gap(Series("rudder", time_s, command_deg, time_s, position_deg), KNOWN)
+    assert found.conclusion == "explained"
+    assert [effect.name for effect in found.selection.final.effects] == ["gain"]
