@@ -552,12 +552,9 @@ def watched(
     has seen more of them than these.
     """
     moving = moving or Moving(known, record.period_s)
-    moved = moving.moved(Asked(record.commands, record.time_s, record.load, record.power, record.start_deg))
+    moved, noise_deg, tests = _beside(moving, record, noise_deg)
     error_deg, _ = residual(record.measured_deg, moved.reading_deg, known.reach_deg)
     usable = record.usable & (record.load <= load_at(known.last_judged_m_s))
-    if noise_deg is None:
-        noise_deg = np.hypot(moving.noise_deg(moved, record.measured_deg), record.unknown_deg(known.theta))
-    tests = Tests.of(known, record.period_s, is_lossy=record.is_lossy, missed_deg=moving.missed_deg)
     judged_deg = np.where(usable, error_deg, np.nan)
     tested = follow(tests, Memory(tests), record.time_s, judged_deg, moved.slopes, noise_deg)
     shown = moving.shown(moved, record.measured_deg, usable, tested, noise_deg)
@@ -568,11 +565,19 @@ def watched(
     )  # fmt: skip
 
 
-def statistics_of(flight: Watched, error_deg: FloatArray) -> FloatArray:
-    """Largest value of each statistic for other residuals (m,) of a flight, as far as two in a row reach it."""
-    _, _, _, table = follow(
-        flight.tests, Memory(flight.tests), flight.record.time_s, error_deg, flight.slopes, flight.noise_deg
-    )
+def _beside(moving: Moving, record: Record, noise_deg: FloatArray | None) -> tuple[Moved, FloatArray, Tests]:
+    """How a healthy servo moves beside a record, the noise of its positions (m,) [deg], and what tests need to know."""
+    moved = moving.moved(Asked(record.commands, record.time_s, record.load, record.power, record.start_deg))
+    if noise_deg is None:
+        noise_deg = np.hypot(moving.noise_deg(moved, record.measured_deg), record.unknown_deg(moving.known.theta))
+    tests = Tests.of(moving.known, record.period_s, is_lossy=record.is_lossy, missed_deg=moving.missed_deg)
+    return moved, noise_deg, tests
+
+
+def statistics_of(known: CalibratedServo, record: Record, error_deg: FloatArray) -> FloatArray:
+    """Largest value of each statistic for some residuals (m,) of a flight, as far as two in a row reach it."""
+    moved, noise_deg, tests = _beside(Moving(known, record.period_s), record, None)
+    _, _, _, table = follow(tests, Memory(tests), record.time_s, error_deg, moved.slopes, noise_deg)
     statistics = table[:, : len(STATISTICS)]
     if len(statistics) < 2:
         return np.zeros(len(STATISTICS))

@@ -14,6 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.statistics import Estimate
@@ -25,7 +26,7 @@ from servofd.estimate.fit import residual
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from servofd.core.types import BoolArray, ComplexArray, FloatArray
+    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.changes import Watched
 
 WINDOW_S, SHORTEST_WINDOW_S = 20.0, 5.0
@@ -92,6 +93,8 @@ _SLOWEST_HZ, _QUICKEST_HZ = 0.5, 12.0
 """Frequencies between which an oscillation is looked for."""
 _LINES: Final = 0.2
 """Distance of two lines of its spectrum, over the inverse of the window's length."""
+_QUARTERS: Final = 0.25
+"""Length of the slots that times are held to while it is looked for, over the period of the readings."""
 _BETWEEN_LINES = np.linspace(-1.0, 1.0, 17)
 """Where its frequency is looked for about the strongest line, in distances of two."""
 SWINGS = 1.5
@@ -367,12 +370,13 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
     reading_deg, free_slopes = window.reading(free)
     kinds = ((error_deg, slopes), (residual(window.measured_deg, reading_deg, window.known.reach_deg)[0], free_slopes))
     best: Guess | None = None
-    hz = np.arange(_SLOWEST_HZ, min(_QUICKEST_HZ, 0.4 / window.record.period_s), _LINES / span_s)
-    turns = _turns(hz, t[used])
+    quickest_hz = min(_QUICKEST_HZ, 0.4 / window.record.period_s)
     for left_deg, columns in kinds:
         scaled = (left_deg[used] - np.median(left_deg[used])) / window.total_deg[used]
-        near_hz = float(hz[np.argmax(np.abs(turns @ scaled))]) + _LINES / span_s * _BETWEEN_LINES
-        middle = float(near_hz[np.argmax(np.abs(_turns(near_hz, t[used]) @ scaled))])
+        about_hz = _strongest_hz(t[used], scaled, _QUARTERS * window.record.period_s, _LINES / span_s, quickest_hz)
+        near_hz = about_hz + _LINES / span_s * _BETWEEN_LINES
+        turns = np.exp(-2j * np.pi * near_hz[:, None] * t[used])
+        middle = float(near_hz[np.argmax(np.abs(turns @ scaled))])
         waves = np.stack([np.cos(2.0 * np.pi * middle * t), np.sin(2.0 * np.pi * middle * t)], axis=1)
         cost, found, covariance = window.reduced(left_deg, columns, waves)
         size = float(np.hypot(*found[FITTED:]))
@@ -387,12 +391,13 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
         yield best
 
 
-def _turns(hz: FloatArray, time_s: FloatArray) -> ComplexArray:
-    """Turning vectors of evenly spaced frequencies (k,) at some times (m,), shape (k, m), each a turn from the last."""
-    turns = np.empty((hz.size, time_s.size), dtype=complex)
-    turns[0], turns[1:] = np.exp(-2j * np.pi * hz[0] * time_s), np.exp(-2j * np.pi * (hz[1] - hz[0]) * time_s)
-    every: ComplexArray = np.multiply.accumulate(turns, axis=0)
-    return every
+def _strongest_hz(time_s: FloatArray, values: FloatArray, slot_s: float, apart_hz: float, quickest_hz: float) -> float:
+    """The frequency of which there is most in some values, to `apart_hz`; times are held to slots."""
+    slot = np.rint(time_s / slot_s).astype(int)
+    count = next_fast_len(max(int(np.ceil(1.0 / (apart_hz * slot_s))), int(slot.max(initial=0)) + 1), real=True)
+    much = np.abs(np.fft.rfft(np.bincount(slot, weights=values, minlength=count)))
+    first, last = np.searchsorted(np.fft.rfftfreq(count, slot_s), (_SLOWEST_HZ, quickest_hz)).tolist()
+    return float((first + np.argmax(much[first : max(last, first + 1)])) / (count * slot_s))
 
 
 def _intermittent(window: Window, error_deg: FloatArray) -> Iterator[Guess]:

@@ -176,7 +176,7 @@ def thresholds_above(known: CalibratedServo, fitted: Fit, records: Sequence[Reco
     margin = MARGIN * float(np.cbrt(max(_ENOUGH_S / seconds, 1.0)))
     largest = np.zeros(len(STATISTICS))
     for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
-        statistics = statistics_of(watched(known, record), left_deg)
+        statistics = statistics_of(known, record, left_deg)
         if statistics.size:
             largest = np.maximum(largest, statistics)
     return {

@@ -241,7 +241,7 @@ def _judged(
         usually *= np.where(_SQUARES, times**2, times)
     largest = np.zeros(len(STATISTICS))
     for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
-        largest = np.maximum(largest, statistics_of(watched(known, record), left_deg))
+        largest = np.maximum(largest, statistics_of(known, record, left_deg))
     if (largest > (_WHOLE_LIMITS if is_whole else _OWN_LIMITS) * usually).any():
         return None
     limits = np.maximum(usually, _OWN_MARGIN * largest)

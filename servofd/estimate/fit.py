@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -29,6 +30,8 @@ _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 """Delays at which descents begin [s]: between them the misfit may have another valley."""
 _FIRST_STEPS, _STEPS = 2, 30
 """Steps of the descents that are compared, and of the one that is continued."""
+_KEPT: Final = 16
+"""Servos whose errors and slopes are kept, of those that descents begin with or end at."""
 _CLOSE: Final = 0.5
 """Misfit, of which one standard deviation of a number makes 1 or more, by which a step must improve."""
 _LOOSER_DEG: Final = 0.6
@@ -165,7 +168,7 @@ def fit(
     It begins at `start` (13,); else some delays are tried. `reach_deg` are the deflections that it can take, those of
     the records if left out.
     """
-    flights = _Flights.of(records, reach_of(records) if reach_deg is None else reach_deg)
+    flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
     begins = [_VALUES.copy() for _ in _DELAYS_S] if start is None else [np.clip(start, _LOWS, _HIGHS)]
     if start is None:
         for begin, delay_s in zip(begins, _DELAYS_S, strict=True):
@@ -220,29 +223,32 @@ def _alike(theta: FloatArray) -> list[FloatArray]:
     return others
 
 
-class _Flights(NamedTuple):
-    """Records that are fitted together, simulated as one."""
+class _Flights:
+    """Records that are fitted together, simulated as one; descents that follow each other begin where one ended."""
 
-    records: Sequence[Record]
-    whole: Record
-    reach_deg: tuple[float, float]
-
-    @classmethod
-    def of(cls, records: Sequence[Record], reach_deg: tuple[float, float]) -> _Flights:
-        return cls(records, joined(records), reach_deg)
+    def __init__(self, records: Sequence[Record], reach_deg: tuple[float, float]) -> None:
+        self.records, self.whole, self.reach_deg = records, joined(records), reach_deg
+        self._left = lru_cache(maxsize=_KEPT)(self._left_by)
+        self._slopes = lru_cache(maxsize=_KEPT)(self._slopes_by)
 
     def left(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Errors [deg] and largest speeds [deg/s] in the usable rows of all records, shape (n,)."""
+        return self._left(theta.tobytes())
+
+    def slopes(self, theta: FloatArray) -> FloatArray:
+        """Derivatives of the errors, shape (n, parameters)."""
+        return self._slopes(theta.tobytes())
+
+    def _left_by(self, theta: bytes) -> tuple[FloatArray, FloatArray]:
         with np.errstate(over="ignore", invalid="ignore"):  # a servo that runs away is none, and its misfit says so
-            reading_deg, speed_deg_s = reading(theta, self.whole, self.reach_deg)
+            reading_deg, speed_deg_s = reading(np.frombuffer(theta), self.whole, self.reach_deg)
         error_deg = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[0]
         speed_deg_s = peaks(speed_deg_s, self.whole.time_s)
         return error_deg[self.whole.usable], speed_deg_s[self.whole.usable]
 
-    def slopes(self, theta: FloatArray) -> FloatArray:
-        """Derivatives of the errors, shape (n, parameters)."""
+    def _slopes_by(self, theta: bytes) -> FloatArray:
         with np.errstate(over="ignore", invalid="ignore"):
-            reading_deg, slopes, _ = predicted(theta, self.whole, self.reach_deg)
+            reading_deg, slopes, _ = predicted(np.frombuffer(theta), self.whole, self.reach_deg)
         inside = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[1]
         found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
         return found
