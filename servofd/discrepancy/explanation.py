@@ -565,16 +565,16 @@ KEEP = "keep the model"
 
 def _advice(found: Explanation) -> list[str]:
     """What to do next."""
-    steps, is_unknown = found.selection.steps, bool(found.record.known.starts)
-    beyond = [] if _is_mostly_left(found) else _beyond_sound(found)
+    steps, is_unknown, mostly = found.selection.steps, bool(found.record.known.starts), _is_mostly_left(found)
+    beyond = [] if mostly else _beyond_sound(found)
     advice = [effect.advice for effect in beyond if effect.advice]
     if is_unknown and (beyond or (not steps and found.selection.adequacy.reasons)):
         advice.append(_ANOTHER)
-    if found.fault_s is None and found.selection.adequacy.reasons and (not steps or _is_mostly_left(found)):
+    if found.fault_s is None and found.selection.adequacy.reasons and (not steps or mostly):
         advice.append(_TELLING)
     if found.separating and (manoeuvre := found.separating[0].manoeuvre):
         advice.append(f"record {manoeuvre}, which tells {' from '.join(found.separating[0].effects).replace('_', ' ')}")
-    if not found.not_saved and found.fault_s is None:
+    if not found.not_saved and found.fault_s is None and not mostly:
         advice.append(KEEP)
     return advice
 
