@@ -151,7 +151,7 @@ def _wishes(rng: np.random.Generator, style: str) -> Floats:
     for begin, end in pairwise([0, *edges[edges < n].tolist(), n]):
         out[begin:end, 0] = rng.choice([0.0, -1.0, 1.0]) * bank * rng.uniform(0.4, 1.0)
         out[begin:end, 1] = rng.uniform(-pitch, pitch)
-        if style != "calm" and rng.random() < 0.4:  # a doublet of one control
+        if style != "calm" and rng.random() < 0.6:  # a doublet of one control
             stick, length = int(rng.integers(2, 6)), int(rng.integers(4, 15))
             size = rng.uniform(4.0, 12.0) * (1.0 if style == "ordinary" else 1.4)
             out[begin : begin + length, stick] = size
@@ -224,7 +224,7 @@ def _airframe(rng: np.random.Generator, plane: Aeroplane, style: str) -> Any:  #
     model["fcs/mixture-cmd-norm"], model["gear/gear-cmd-norm"] = 0.9, 0.0
     model["atmosphere/turb-type"] = 3.0  # Milspec
     model["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = float(rng.uniform(5.0, 40.0))
-    model["atmosphere/turbulence/milspec/severity"] = float(rng.integers(1, 4 if style != "calm" else 2))
+    model["atmosphere/turbulence/milspec/severity"] = float(rng.integers(2, 5 if style != "calm" else 3))
     return model
 
 
@@ -241,9 +241,9 @@ class _Autopilot:
         scale = 1.0 / max(load, 0.4)
         error = np.deg2rad(wish[:2] + np.array([0.0, 2.0])) - np.array([bank, pitch])
         self.integral = np.clip(self.integral + 0.02 * error, -0.5, 0.5)
-        roll = np.rad2deg(0.35 * error[0] - 0.10 * p) * scale + 3.0 * self.integral[0]
-        nose = -np.rad2deg(0.5 * error[1] - 0.25 * q) * scale - 10.0 * self.integral[1]
-        yaw = np.rad2deg(0.25 * (r - 9.81 / max(airspeed_m_s, 20.0) * np.sin(bank))) * scale
+        roll = np.rad2deg(0.7 * error[0] - 0.2 * p) * scale + 3.0 * self.integral[0]
+        nose = -np.rad2deg(1.0 * error[1] - 0.4 * q) * scale - 10.0 * self.integral[1]
+        yaw = np.rad2deg(0.5 * (r - 9.81 / max(airspeed_m_s, 20.0) * np.sin(bank))) * scale
         asked = np.array([roll, roll, nose, yaw]) + wish[2:]
         out: Floats = np.clip(np.round(asked / _PULSE_DEG) * _PULSE_DEG, -_TRAVEL_DEG, _TRAVEL_DEG)
         return out

@@ -20,6 +20,7 @@ from servofd.detection.causes import before_it_fell, with_common_causes
 from servofd.detection.evidence import reported, status_of
 from servofd.detection.flights import Flight
 from servofd.detection.known import crude_line, hardly_moved
+from servofd.detection.own import departed
 from servofd.detection.seen import TooShortError, healthy_of, too_few
 from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, two_digits
 from servofd.estimate.record import Record
@@ -134,6 +135,9 @@ def audit_segment(
     if not surface.model.predicts:
         asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
         reason, tried = _unpredicted(surface, segment, asked_deg), asked_deg >= _HARDLY_ASKED_DEG
+        doubt = departed(segment)
+        if doubt:
+            return verdict(status="suspect", reason=f"{doubt}; {reason}", segment=segment, tried=tried)
         return verdict(status="unknown", reason=reason, segment=segment, tried=tried)
     try:
         seen = healthy.beside(segment)

@@ -82,6 +82,8 @@ _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
 width of dead band, friction and play together, and the speed below which they are slow, with its logarithm's."""
 _UNUSUAL: Final = 3.0
 """Deviations from a sound servo beyond which a log is not cleared."""
+_CAUGHT_UP_S, _LASTS_S = 2.0, 3
+"""After so long even a slow servo is where it was asked to be, and so many seconds in a row are no passing thing."""
 _DEADBAND, _FRICTION, _PLAY, _RATE = (
     NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "ln_rate")
 )
@@ -258,6 +260,8 @@ def _judged(
     at_first = any(fault.start_s < whole.time_s[0] + _TELLING_S for fault in mended)
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * at_first
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
+    if np.nanmean(sigma_deg**2) > np.nanvar(whole.measured_deg[flight.judged]):  # it tells less than no servo does
+        return None
     return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole)
 
 
@@ -307,7 +311,7 @@ def _own(part: _Part, others: list[_Part], source: str) -> OwnServo:
 def _contradicted(part: _Part, others: list[_Part]) -> str:
     """Which other part moves otherwise, in words; nothing if none does for sure."""
     for other in () if part.is_whole else others:  # of which the whole is an account
-        spread = np.sqrt(np.diag(part.known.covariance + other.known.covariance))
+        spread = np.hypot(_sure(part), _sure(other))
         change = other.fitted.theta - part.fitted.theta
         changes = {
             f"moves by {other.fitted.theta[0] / part.fitted.theta[0]:.2f} times as much": abs(change[0]) / spread[0],
@@ -318,6 +322,45 @@ def _contradicted(part: _Part, others: list[_Part]) -> str:
             (own_from_s, own_to_s), (from_s, to_s) = part.between_s, other.between_s
             return f"from {from_s:.0f} to {to_s:.0f} s it {worst}, beside {own_from_s:.0f} to {own_to_s:.0f} s"
     return ""
+
+
+def _sure(part: _Part) -> FloatArray:
+    """Standard deviations of the parameters of a part, shape (13,), by what its eighths disagree in as well."""
+    return np.sqrt(np.maximum(np.diag(part.known.covariance), np.diag(part.fitted.scatter)))
+
+
+def departed(segment: Series) -> str:
+    """Since when a position stands where no sound servo would, of a log that no servo predicts; nothing if it does not.
+
+    Before, it stood where one would: that is no matter of trim or scale.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.series import Series
+    >>> t = np.arange(0.0, 60.0, 0.1)
+    >>> departed(Series("rudder", t, np.sin(t), t, np.where(t < 40.0, 0.0, -24.0)))
+    'it stands 24 deg from all that it is asked for since 40 s'
+    >>> departed(Series("rudder", t, np.sin(t), t, np.full(t.size, -24.0)))
+    ''
+    """
+    known = np.isfinite(segment.measured_deg)
+    time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
+    seconds = np.arange(np.ceil(time_s[0]), np.floor(time_s[-1])) if time_s.size else np.zeros(0)
+    away_deg = np.zeros(seconds.size)
+    for k, from_s in enumerate(seconds):
+        here = measured_deg[slice(*np.searchsorted(time_s, (from_s, from_s + 1.0)))]
+        first, last = np.searchsorted(segment.command_s, (from_s - _CAUGHT_UP_S, from_s + 1.0)).tolist()
+        asked_deg = segment.command_deg[max(first - 1, 0) : last]
+        if here.size and asked_deg.size:
+            at = float(np.median(here))
+            allowed_deg = _UNUSUAL * (_BIAS_DEG + _GAIN * float(np.abs(asked_deg).max()))
+            beyond = max(at - float(asked_deg.max()), float(asked_deg.min()) - at)
+            away_deg[k] = beyond if beyond > allowed_deg else 0.0
+    away = np.convolve(away_deg > 0.0, np.ones(_LASTS_S), "valid") >= _LASTS_S
+    begins = int(np.argmax(away)) if away.any() else 0
+    if begins < _TELLING_S:
+        return ""
+    return f"it stands {away_deg[begins]:.0f} deg from all that it is asked for since {seconds[begins]:.0f} s"
 
 
 def unusual(theta: FloatArray) -> str:
