@@ -117,8 +117,7 @@ class Tests(NamedTuple):
         colour = np.array([first, second, noise.innovation, largest])
         root = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
         inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
-        lasting = 1.0 - first - second  # of a slow error, so much is left when the noise is made white
-        return cls(colour, root, inverse, spectrum, period_s, lasting * missed_deg)
+        return cls(colour, root, inverse, spectrum, period_s, missed_deg)
 
 
 class Tested(NamedTuple):

@@ -244,3 +244,18 @@ def test_a_servo_far_from_zero_is_known_as_well_as_one_about_it() -> None:
     near, far = (servofd.audit(bench(50.0, about_deg))[0].surfaces[0] for about_deg in (0.0, 180.0))
     assert far.threshold_deg == pytest.approx(near.threshold_deg, rel=0.4)
     assert far.detectable.bias_deg == pytest.approx(near.detectable.bias_deg, rel=0.4)
+
+
+def test_a_surface_that_leaves_its_command_is_not_cleared_however_little_was_asked(tmp_path: Path) -> None:
+    rng, t = np.random.default_rng(3), np.arange(0.0, 120.0, 0.1)
+    asked_deg = 0.3 * np.sin(t) + np.where((t > 60.2) & (t < 64.0), -3.5 * np.sin(1.6 * (t - 60.2)), 0.0)
+    ran_deg = np.interp(t, [60.0, 60.4], [0.2, -23.7]) + 0.06 * rng.standard_normal(t.size)
+    table = pd.DataFrame({"time_s": t, "rudder_cmd_deg": asked_deg, "rudder_pos_deg": np.round(ran_deg, 1)})
+    table.to_csv(tmp_path / "calm.csv", index=False)
+    (result,) = servofd.audit(tmp_path / "calm.csv")
+    rudder = result["rudder"]
+    assert rudder.status in {"fault", "suspect"}
+    assert "20 deg from all that it is asked for since 60 s" in rudder.reason
+    table[table.time_s > 61.0].to_csv(tmp_path / "since.csv", index=False)  # it may have been trimmed so
+    (result,) = servofd.audit(tmp_path / "since.csv")
+    assert result["rudder"].status != "healthy"
