@@ -11,7 +11,8 @@ from servofd.aircraft.current_source import current_sources, read_current, suppl
 from servofd.aircraft.pace import OUTAGE_S
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
-from servofd.current.judge import faults_of, largest_of, limits_of, pushed, tells_motion, verdict_of
+from servofd.current.evidence import largest_of
+from servofd.current.judge import faults_of, limits_of, pushed, tells_motion, verdict_of
 from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
@@ -220,7 +221,7 @@ def _judged(
     except (NoMeasurement, CalibrationError) as error:
         return CurrentAudit("unknown", str(error))
     seen = see(series, known)
-    found = verdict_of(seen, tuple(faults_of(seen)), before)
+    found = verdict_of(seen, faults_of(seen), before)
     before.append(features_of(seen))
     if (
         surface.status == "healthy"
@@ -235,10 +236,10 @@ def _judged(
     if still and not found.faults and surface.segment is not None:
         to_s = np.inf if still[0].end_s is None else still[0].end_s
         where = surface.segment.measured_s, surface.segment.measured_deg
-        pushes = pushed(series, known, still[0], where)
+        pushes = pushed(seen, still[0], where)
         if pushes is not None:
             found = replace(found, faults=(pushes,), status="fault", reason=f"by its current: {describe(pushes)}")
-        elif tells_motion(series, known, still[0].start_s, to_s):
+        elif tells_motion(seen, still[0].start_s, to_s):
             found = replace(found, reason=f"{found.reason}; {_SENSOR}")
     return found
 

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from servofd.aircraft.current import CalibratedCurrent
     from servofd.current.model import CurrentSeries
 
-_PARTS: Final = (3, 1)
+_PARTS: Final = (3, 2, 1)
 """Into how many parts a log is cut, one after the other."""
-_MARGIN: Final = 2.0
+_MARGIN: Final = 1.3
 """Times what a part of a log reaches by itself, that the rest has to exceed."""
 
 
