@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import Fault, LogAudit
 
 _GRAVEST: Final = ("fault", "suspect", "healthy", "unknown", "no_data")
-_MARGIN: Final = 1.3
-"""Times what good flights reach, that a fault has to exceed."""
 _AGREE_S: Final = 15.0
 """Two witnesses tell of one event if they notice it within so much of each other."""
 _AT_REST: Final = ("blocked", "unpowered")
@@ -164,7 +162,8 @@ def healthy_currents(
             continue
         for name in names:
             parts.setdefault(name, []).extend(flight[name] for flight in own)
-    found = {}
+    found: dict[str, CalibratedCurrent] = {}
+    wire_of = {name: max((names for names in wires if name in names), key=len) for name in parts}
     for name, flights in parts.items():
         try:
             fitted = fit_current(flights)
@@ -176,12 +175,15 @@ def healthy_currents(
         current = current.model_copy(
             update={"moving_a": round(largest_of([see(each, current) for each in flights]), 4)}
         )
-        seen = [see(each, current) for each in flights]
-        alone = all(
-            name not in names for names in wires if len(names) > 1
-        )  # where several draw, spread is of none alone
-        wear = wear_of([features_of(each) for each in seen], usual_a) if alone else None
-        found[name] = current.model_copy(update={"wear": wear, "limits": limits_of(seen, _MARGIN)})
+        if len(wire_of[name]) == 1:  # where several draw, spread is of none alone
+            wear = wear_of([features_of(see(each, current)) for each in flights], usual_a)
+            current = current.model_copy(update={"wear": wear})
+        found[name] = current
+    for names in dict.fromkeys(wire_of.values()):
+        if set(names) <= found.keys():
+            together = zip(*(parts[name] for name in names), strict=True)
+            limits = limits_of([{one.surface: see(one, found[one.surface]) for one in wire} for wire in together])
+            found |= {name: found[name].model_copy(update={"limits": limits}) for name in names}
     return found, {name: reason for name, reason in reasons.items() if name not in found}
 
 

@@ -14,6 +14,7 @@ from a place; *binding* leaves the logarithm of how many times as much it draws.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -34,10 +35,12 @@ LOOKS_S: Final = (2.5, 5.0, 10.0, 20.0)
 """Lengths of the windows: from two readings at 1 Hz to several manoeuvres [s]."""
 ALIKE_S: Final = 0.1
 """What a model lacks lasts as long as a movement: readings that are closer count once [s]."""
+PUSHES: Final = 0.5
+"""Share of its stall from which on a reading tells how large it is."""
 SLACK_DEG: Final = 4.0
 """Distance of a command from the surface at which the motor pushes with all it has [deg]."""
-_PLACES: Final = 9
-"""Places of the command's range at which a blocked servo may stand."""
+_PLACES, _FINE = 9, 33
+"""Places of the command's range at which a blocked servo may stand, to notice it and to name it."""
 _STALL: Final = 1.5
 """Times what motion draws at most that a stalled servo draws at least."""
 _USUAL: Final = 3.0
@@ -60,9 +63,9 @@ class Kind(NamedTuple):
 
 
 KINDS: Final = {
-    "unpowered": Kind(1.0, 0.15, 0.15, 12.0, 0.5),
+    "unpowered": Kind(1.0, 0.15, 0.15, 9.0, 0.5),
     "blocked": Kind(1.0, 0.3, 0.15, 8.0, 0.5),
-    "binding": Kind(None, 0.0, 0.15, 6.0, 10.0),
+    "binding": Kind(None, 0.0, 0.15, 5.0, 10.0),
 }
 
 
@@ -140,13 +143,21 @@ class Evidence:
     @cached_property
     def changes(self) -> tuple[Change, ...]:
         """The faults that are looked for."""
+        return self._changes(_PLACES)
+
+    @cached_property
+    def fine(self) -> tuple[Change, ...]:
+        """The same, with more places of a blocked servo."""
+        return self._changes(_FINE)
+
+    def _changes(self, count: int) -> tuple[Change, ...]:
         found = []
         for name, one in self.seen.items():
             motion_a = np.maximum(one.healthy_a - one.known.theta[0], 0.0)
             share = self.weight * motion_a / np.hypot(self.still_a, self.good_a)
             found += [Change("unpowered", (name,), self.left(self.good_a - motion_a)), Change("binding", (name,), share)]
             motion = one.series.motion
-            places = np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, _PLACES)) if motion.known.any() else ()
+            places = np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, count)) if motion.known.any() else ()
             found += self.blocked(name, np.unique(places), _USUAL * least_stall(one))
         if len(self.seen) > 1:
             found.append(Change("unpowered", tuple(self.seen), self.left(np.zeros_like(self.good_a))))
@@ -164,21 +175,15 @@ class Evidence:
             for place, share in zip(places_deg, shares, strict=True)
         ]
 
-    def placed(self, change: Change, from_s: float, to_s: float) -> Change:
-        """A blocked servo where it is likeliest to stand, with the stall that it draws there; others as they are."""
+    def sized(self, change: Change, from_s: float, to_s: float) -> Change:
+        """A blocked servo with the stall that it draws between two times; others as they are."""
         if change.share is None:
             return change
-        time_s = self.series.time_s
-        rows = self.usable & (time_s >= from_s) & (time_s <= to_s)
-        pushes = rows & (change.share > 0.5)
-        if not pushes.any():
+        rows = self.usable & (self.series.time_s >= from_s) & (self.series.time_s <= to_s) & (change.share > PUSHES)
+        if not rows.any():
             return change
-        stall_a = max(float(np.median(self.drawn_a[pushes] / change.share[pushes])), self.still_a)
-        motion = self.seen[change.names[0]].series.motion
-        range_deg = float(np.ptp(motion.asked_deg[motion.known]))
-        near_deg = change.place_deg + np.linspace(-1.0, 1.0, 2 * _PLACES - 1) * range_deg / (_PLACES - 1)
-        tried = self.blocked(change.names[0], near_deg, stall_a)
-        return max(tried, key=lambda one: float(self.odds(one, 1.0)[rows].sum()))
+        stall_a = max(float(np.median(self.drawn_a[rows] / change.share[rows])), self.still_a)
+        return self.blocked(change.names[0], np.array([change.place_deg]), stall_a)[0]
 
     @property
     def series(self) -> CurrentSeries:
@@ -190,35 +195,35 @@ class Evidence:
         """Which readings count."""
         return np.all([one.usable for one in self.seen.values()], axis=0)
 
-    @cached_property
-    def columns(self) -> FloatArray:
+    def _columns(self, changes: Sequence[Change]) -> FloatArray:
         """A, each x and e."""
-        return np.vstack([self.slopes, *(change.pattern for change in self.changes), self.error])
+        return np.vstack([self.slopes, *(change.pattern for change in changes), self.error])
 
-    def windows(self, at_s: FloatArray, from_s: float) -> list[Fit]:
+    def windows(self, at_s: FloatArray, from_s: float, looks_s: Sequence[float] = LOOKS_S) -> list[Fit]:
         """Windows of each length that end at some instants of a grid, and begin after a time."""
         time_s = self.series.time_s
         grid_s = np.append(np.arange(at_s[0], min(time_s[0], at_s[0]) - GRID_S, -GRID_S)[::-1], at_s[1:])
         begins = np.unique(np.searchsorted(time_s, grid_s, side="right"))
         begins = np.unique(np.append(0, begins[begins < time_s.size]))
-        sums = Sums.of(self.columns, self.usable, begins)
+        sums = Sums.of(self._columns(self.changes), self.usable, begins)
         edge = np.append(begins, time_s.size)
         ends = np.searchsorted(edge, np.searchsorted(time_s, at_s, side="right"))
-        starts = (np.searchsorted(time_s, np.maximum(at_s - look_s, from_s), side="right") for look_s in LOOKS_S)
-        return [self._fit(sums.between(np.minimum(np.searchsorted(edge, start), ends), ends)) for start in starts]
+        starts = (np.searchsorted(time_s, np.maximum(at_s - look_s, from_s), side="right") for look_s in looks_s)
+        return [self._fit(self.changes, sums.between(np.minimum(np.searchsorted(edge, start), ends), ends)) for start in starts]
 
     def whole(self, from_s: float, to_s: float) -> Fit:
-        """One window between two times."""
+        """One window between two times, of the `fine` changes."""
         rows = slice(*np.searchsorted(self.series.time_s, (from_s, np.nextafter(to_s, np.inf))).tolist())
-        return self._fit(Sums.of(self.columns[:, rows], self.usable[rows]).between(0, -1))
+        return self._fit(self.fine, Sums.of(self._columns(self.fine)[:, rows], self.usable[rows]).between(0, -1))
 
-    def _fit(self, window: Sums) -> Fit:
+    def _fit(self, changes: Sequence[Change], window: Sums) -> Fit:
         left = window.given(len(self.slopes), self.precision)
         count = np.maximum(window.samples * each_of(self.series), 1.0)
-        found = [fitted(left, 1, columns=(k, len(self.changes))) for k in range(len(self.changes))]
+        found = [fitted(left, 1, columns=(k, len(changes))) for k in range(len(changes))]
         noise = np.maximum(np.fmin.reduce([one.left for one in found]) / count, 1.0)
+        places = math.log(max(sum(change.share is not None for change in changes) / len(self.seen), 1.0))
         gains, fits, sizes, deviations = [], [], [], []
-        for change, one in zip(self.changes, found, strict=True):
+        for change, one in zip(changes, found, strict=True):
             kind, at = KINDS[change.kind], one.scaled(np.maximum(one.left / count, 1.0))
             away = distance(at.beyond(Sizes.nothing(np.zeros((1, 1))), np.array([[kind.healthy**2]])))
             off = np.zeros_like(away)
@@ -227,7 +232,7 @@ class Evidence:
                 off = distance(at.beyond(expected, np.zeros((1, 1))), None)
             told = window.samples > 1
             gains.append(np.where(told, 0.5 * (away - off), 0.0))
-            fits.append(np.where(told, 0.5 * (np.where(at.value[0] > 0.0, one.explained / noise, 0.0) - off), 0.0))
+            fits.append(np.where(told, 0.5 * (np.where(at.value[0] > 0.0, one.explained / noise, 0.0) - off) - places * (change.share is not None), 0.0))
             sizes.append(np.nan_to_num(at.value[0]))
             deviations.append(np.sqrt(np.nan_to_num(at.covariance[0, 0], nan=np.inf)))
         return Fit(np.array(gains), np.array(fits), np.array(sizes), np.array(deviations))

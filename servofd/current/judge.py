@@ -15,7 +15,7 @@ import numpy as np
 
 from servofd.core.statistics import Estimate
 from servofd.core.windows import Sums, lasting, split
-from servofd.current.evidence import GRID_S, KINDS, SLACK_DEG, Evidence, each_of, least_stall
+from servofd.current.evidence import GRID_S, KINDS, PUSHES, SLACK_DEG, Evidence, each_of, least_stall
 from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
 
@@ -32,18 +32,20 @@ SURE_NATS: Final = 9.0
 """Nats by which one explanation must be likelier than another to exclude it: one in 8000 by chance."""
 _STALL_SPREAD: Final = 0.35
 """A stalled motor draws what its duty lets it: so much, as a share, it differs from reading to reading."""
+MARGIN: Final = 1.5
+"""Times what windows of good flights reach, that a fault has to exceed."""
+_LEAST_SIZE: Final = math.log(1.5)
+"""Logarithm of how many times as much a binding servo draws, at least, where its onset is looked for."""
 _BEFORE_S: Final = 30.0
 """Time before an alarm in which its onset is looked for [s]."""
 _BRIEF_S: Final = 10.0
 """What passes sooner is no fault where one part of a log is all that is known of its current: a gust, a landing [s]."""
 _MOST: Final = 6
 """Faults of one flight at most."""
-_ENDED: Final = 25.0
-"""Nats by which the good servo must have become the better account again."""
+_ENDS_S, _SIGMAS = 10.0, 3.0
+"""Length of the window after a fault [s], and deviations by which it excludes it."""
 _LARGEST: Final = 8.0
 """Nats that one reading counts for at most when an end is looked for."""
-_PUSHES, _AT_PLACE = 0.5, 0.01
-"""Shares of its stall between which it is not known what a blocked servo draws."""
 _NAMED_S: Final = 10.0
 """After the alarm, what it is has become clear: by what it draws in some movements [s]."""
 _SUREST: Final = 0.99
@@ -75,13 +77,15 @@ def limit_of(known: CalibratedCurrent, kind: str) -> float:
     return max(KINDS[kind].limit, dict(known.limits).get(kind, 0.0))  # type: ignore[call-overload]
 
 
+def gains_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
+    """Largest gain of each change in the windows that end at some instants, shape (changes, n)."""
+    return np.asarray(np.max([one.gain for one in evidence.windows(at_s, from_s)], axis=0))
+
+
 def shares_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
-    """Gain of each change in the windows that end at some instants, over its limit; shape (changes, n)."""
-    windows = evidence.windows(at_s, from_s)
-    limits = np.array([
-        [limit_of(evidence.seen[change.names[0]].known, change.kind)] for change in evidence.changes
-    ])  # fmt: skip
-    return np.max([one.gain for one in windows], axis=0) / limits
+    """The same over the limit of each change."""
+    limits = [limit_of(evidence.seen[change.names[0]].known, change.kind) for change in evidence.changes]
+    return gains_of(evidence, at_s, from_s) / np.array(limits)[:, None]
 
 
 def by_kind(evidence: Evidence, shares: FloatArray) -> FloatArray:
@@ -103,15 +107,15 @@ def grid_s(evidence: Evidence) -> FloatArray:
     return np.minimum(np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S), last_s)
 
 
-def limits_of(good: Sequence[Seen], margin: float) -> dict[str, float]:
-    """Nats that each kind needs: `margin` times what any window of good flights reaches."""
+def limits_of(good: Sequence[Mapping[str, Seen]]) -> dict[str, float]:
+    """Nats that each kind needs: `MARGIN` times what any window of good flights reaches."""
     limits = {kind: one.limit for kind, one in KINDS.items()}
     for seen in good:
-        evidence = Evidence.of({seen.series.surface: seen})
-        if seen.series.time_s.size > 1:
-            for window in evidence.windows(grid_s(evidence), -math.inf):
-                for change, gain in zip(evidence.changes, window.gain, strict=True):
-                    limits[change.kind] = max(limits[change.kind], float(f"{margin * gain.max():.3g}"))
+        evidence = Evidence.of(seen)
+        if evidence.series.time_s.size > 1:
+            gains = by_kind(evidence, gains_of(evidence, grid_s(evidence)))
+            for kind, gain in zip(KINDS, held(gains, evidence.series.period_s), strict=True):
+                limits[kind] = max(limits[kind], float(f"{MARGIN * gain.max():.3g}"))
     return limits
 
 
@@ -147,6 +151,11 @@ def events_of(evidence: Evidence) -> Iterator[Event]:
             return
         event = _event(evidence, int(np.argmax(shares[:, raised[0]])), float(at_s[raised[0]]), from_s)
         fault = event.fault
+        if event.explained[0][1] < SURE_NATS:  # nothing explains it
+            at_s = at_s[at_s > fault.alarm_s]
+            if not at_s.size:
+                return
+            continue
         if not is_own or fault.end_s is None or fault.end_s - fault.start_s > _BRIEF_S:
             yield event
         if fault.end_s is None:
@@ -161,15 +170,16 @@ def _event(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Ev
     """What a change that was noticed at a time is, since when, and until when."""
     time_s, change = evidence.series.time_s, evidence.changes[raised]
     begin, last = np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, from_s), np.nextafter(alarm_s, np.inf))).tolist()
-    size = KINDS[change.kind].size or float(evidence.whole(max(alarm_s - _NAMED_S, from_s), alarm_s).size[raised, 0])
+    size = KINDS[change.kind].size or _LEAST_SIZE
     since = Sums.running([evidence.odds(change, size)[begin:last]], evidence.usable[begin:last])
     start_s = float(time_s[begin + split(since.between(np.arange(last - begin), -1).products[0])])
     named_s = min(alarm_s + _NAMED_S, float(time_s[-1]))
     explained, parameters = named(evidence, start_s, named_s)
-    change = evidence.placed(explained[0][0], start_s, named_s)
+    change = explained[0][0]
     rivals = [(one.kind, nats) for one, nats in explained if one.kind != change.kind]
     odds = math.exp(rivals[0][1] - explained[0][1]) if rivals else 0.0
-    end_s = _end_s(evidence, change, parameters, alarm_s)
+    size = KINDS[change.kind].size or math.log(parameters["times"].value)
+    end_s = _end_s(evidence, change, size, alarm_s)
     is_own = any(one.known.fitted_between_s is not None for one in evidence.seen.values())
     fault = Fault(
         change.kind, start_s, alarm_s, end_s, parameters, min(1.0 / (1.0 + odds), _SUREST),
@@ -184,15 +194,15 @@ def named(
 ) -> tuple[tuple[tuple[Change, float], ...], Mapping[str, Estimate]]:
     """Changes in the order in which they explain what was read between two times, and the sizes of the first."""
     found = evidence.whole(from_s, to_s)
-    order = np.argsort(-found.fit[:, 0]).tolist()
-    changes = [
-        (evidence.changes[k], float(found.fit[k, 0])) for k in order
-        if math.isfinite(limit_of(evidence.seen[evidence.changes[k].names[0]].known, evidence.changes[k].kind))
-        and (not names or set(evidence.changes[k].names) == set(names))
+    order = [
+        k for k in np.argsort(-found.fit[:, 0]).tolist()
+        if math.isfinite(limit_of(evidence.seen[evidence.fine[k].names[0]].known, evidence.fine[k].kind))
+        and (not names or set(evidence.fine[k].names) == set(names))
     ]  # fmt: skip
-    best = next(k for k in order if evidence.changes[k] is changes[0][0])
-    change = evidence.placed(changes[0][0], from_s, to_s)
-    return tuple(changes), _parameters(evidence, change, found.size[best, 0], found.deviation[best, 0], from_s, to_s)
+    best, changes = order[0], [(evidence.fine[k], float(found.fit[k, 0])) for k in order]
+    changes[0] = evidence.sized(changes[0][0], from_s, to_s), changes[0][1]
+    sizes = _parameters(evidence, changes[0][0], found.size[best, 0], found.deviation[best, 0], from_s, to_s)
+    return tuple(changes), sizes
 
 
 def _parameters(
@@ -210,26 +220,28 @@ def _parameters(
         rest_a = idle_a + float(np.median(evidence.drawn_a[rows])) if rows.any() else 0.0
         return {"current_a": Estimate.of(min(max(rest_a, 0.0), idle_a), known.noise.still_a)}
     share = np.zeros(time_s.size) if change.share is None else change.share
-    rows &= share > _PUSHES
+    rows &= share > PUSHES
     stall_a = float(np.median(evidence.drawn_a[rows] / share[rows])) if rows.any() else 0.0
     spread_a = _STALL_SPREAD * abs(stall_a) / math.sqrt(max(np.count_nonzero(rows), 1))
     return {"current_a": Estimate.of(stall_a, spread_a), "position_deg": Estimate.of(change.place_deg, SLACK_DEG)}
 
 
-def _end_s(evidence: Evidence, change: Change, parameters: Mapping[str, Estimate], alarm_s: float) -> float | None:
-    """When the healthy servo became the better account for good, after an alarm; None if it did not."""
-    time_s = evidence.series.time_s
-    first = int(np.searchsorted(time_s, alarm_s, side="right"))
-    size = KINDS[change.kind].size or math.log(parameters["times"].value)
-    odds = np.clip(evidence.odds(change, size), -_LARGEST, _LARGEST)
-    if change.share is not None:
-        odds = np.where((change.share > _PUSHES) | (change.share < _AT_PLACE), odds, 0.0)
-    later = np.cumsum(odds[first:])
-    ended = np.flatnonzero(np.maximum.accumulate(np.maximum(later, 0.0)) - later > _ENDED)
+def _end_s(evidence: Evidence, change: Change, size: float, alarm_s: float) -> float | None:
+    """Until when a change lasts: a window after it excludes half of its size; None if none does."""
+    at_s = grid_s(evidence)
+    at_s = at_s[at_s >= alarm_s + _ENDS_S]
+    if not at_s.size:
+        return None
+    alike = [k for k, one in enumerate(evidence.changes) if (one.kind, one.names) == (change.kind, change.names)]
+    (window,) = evidence.windows(at_s, alarm_s, (_ENDS_S,))
+    most = np.max(window.size[alike] + _SIGMAS * window.deviation[alike], axis=0)
+    ended = at_s[most < 0.5 * size]
     if not ended.size:
         return None
-    before = later[: ended[0]]
-    return float(time_s[first + int(np.argmax(before))]) if before.max(initial=0.0) > 0.0 else alarm_s
+    time_s = evidence.series.time_s
+    rows = slice(*np.searchsorted(time_s, (alarm_s, ended[0]), side="right").tolist())
+    later = np.cumsum(np.clip(evidence.odds(change, size)[rows], -_LARGEST, _LARGEST))
+    return float(time_s[rows][np.argmax(later)]) if later.max(initial=0.0) > 0.0 else alarm_s
 
 
 def verdict_of(

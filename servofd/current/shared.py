@@ -33,6 +33,8 @@ _WHOSE_S: Final = 60.0
 """For so long after an alarm it is compared whose motion it goes with: a minute holds manoeuvres of all."""
 _EXPLAINS: Final = 0.5
 """Share of what explains an event best that the motion of a servo has to explain, whose position is at fault then."""
+_ALIKE: Final = 0.1
+"""Share of what explains an event best within which another explains it as well: stalls are not drawn so finely."""
 _AT_ONCE_S: Final = 15.0
 """A fault that a position tells is that of a wire if it is noticed within so much of it: the longest window is 20 s."""
 
@@ -140,7 +142,8 @@ def _whose(explained: Sequence[tuple[Change, float]], followed: Set[str], failed
     best = max(nats.values())
     shown = {name for name in failed & nats.keys() if nats[name] >= _EXPLAINS * best}
     free = shown or nats.keys() - (followed if explained[0][0].kind != "binding" else set())
-    least = max((nats[name] for name in free), default=0.0) - SURE_NATS
+    likeliest = max((nats[name] for name in free), default=0.0)
+    least = likeliest - max(SURE_NATS, _ALIKE * likeliest)
     alike = tuple(name for name in nats if name in free and nats[name] >= least)
     return tuple(name for name in alike if name not in followed) or alike
 
