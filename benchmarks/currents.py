@@ -38,7 +38,9 @@ START_S: Final = 100.0
 """Onset of the faults of `hub` [s]; those of `wire` begin at 120 s."""
 RATES_HZ: Final = (1.0, 5.0, 10.0, 50.0)
 IN_TIME_S: Final = {1.0: 20.0}
-"""Delay that counts as in time by the rate of the current; 5 s at all others [s]."""
+"""Delay that counts as in time by the rate of the current; 5 s at all others, 30 s for what binds [s]."""
+FAULTS: Final = ("blocked", "unpowered", "binding")
+"""The last is looked for where good flights are known."""
 TRIALS, CYCLES = 5, 5
 """Healthy trials of the ball screw, and cycles of each, in the order of the runs."""
 
@@ -80,7 +82,7 @@ def _hub(task: tuple[int, float, str, Path | None]) -> tuple[float, str, bool, b
     found = servofd.audit(table_of(flight(seed, rate_hz, fault)), plane)["aileron"]
     first = found.faults[0] if found.faults else None
     late_s = np.inf if first is None else first.alarm_s - START_S
-    in_time = first is not None and -1.0 <= late_s <= IN_TIME_S.get(rate_hz, 5.0)
+    in_time = first is not None and -1.0 <= late_s <= (30.0 if fault == "binding" else IN_TIME_S.get(rate_hz, 5.0))
     return rate_hz, fault, first is not None and late_s >= -1.0, in_time, first is not None and first.kind == fault
 
 
@@ -88,7 +90,12 @@ def hub(seeds: range, folder: Path) -> Iterator[str]:
     """Faults found, found in time, and named right."""
     planes = calibrated(folder)
     for known in (False, True):
-        tasks = [(s, hz, f, planes[hz, averages(s)] if known else None) for hz in RATES_HZ for f in ("blocked", "unpowered") for s in seeds]
+        tasks = [
+            (s, hz, f, planes[hz, averages(s)] if known else None)
+            for hz in RATES_HZ
+            for f in FAULTS[: 2 + known]
+            for s in seeds
+        ]
         counts: dict[tuple[float, str], Counter[str]] = {}
         for rate_hz, fault, *got in _parallel(_hub, tasks):
             each = counts.setdefault((rate_hz, fault), Counter())
@@ -161,7 +168,9 @@ def _screw(task: tuple[Path, str, int | None]) -> tuple[str, int | None, Counter
     counts: Counter[str] = Counter()
     logs = {"normal": rows[out]}
     if trial is None:
-        logs = {one.name.split("_")[1]: pd.read_csv(one).drop(columns="ram_pos_deg") for one in states if one != good_log}
+        logs = {
+            one.name.split("_")[1]: pd.read_csv(one).drop(columns="ram_pos_deg") for one in states if one != good_log
+        }
     for state, log in logs.items():
         for result in audit(log, Job(plane)):
             (surface,) = result.surfaces
@@ -179,7 +188,13 @@ def screw(folder: Path) -> Iterator[str]:
         healthy = [n for at, trial, n in done if at == load and trial is not None]
         flagged = [n["normal flagged"] for n in healthy]
         whole = sum(n["normal cycles"] for n in healthy)
-        kinds = sum((Counter({k.split()[1]: v for k, v in n.items() if k.split()[1] not in ("cycles", "flagged")}) for n in healthy), Counter())
+        kinds = sum(
+            (
+                Counter({k.split()[1]: v for k, v in n.items() if k.split()[1] not in ("cycles", "flagged")})
+                for n in healthy
+            ),
+            Counter(),
+        )
         yield f"ball screw {load:>5} healthy: {sum(flagged)} of {whole} cycles flagged, by trial {flagged} {dict(kinds)}"
         (ill,) = (n for at, trial, n in done if at == load and trial is None)
         for state in dict.fromkeys(key.split()[0] for key in ill):
@@ -193,7 +208,9 @@ def cost(folder: Path) -> Iterator[str]:
     for rate_hz in (10.0, 50.0):
         tables = [table_of(flight(91_000 + k, rate_hz), position=True) for k in range(3)]
         names = ("aileron", "elevator", "rudder")
-        both = pd.concat([t.rename(columns=lambda c, n=n: c.replace("aileron", n)) for t, n in zip(tables, names, strict=True)])
+        both = pd.concat(
+            [t.rename(columns=lambda c, n=n: c.replace("aileron", n)) for t, n in zip(tables, names, strict=True)]
+        )
         both = both.sort_values("time_s", kind="stable")
         without = both.drop(columns=[name for name in both if name.endswith("_current_a")])
         paths = folder / "with.csv", folder / "without.csv"

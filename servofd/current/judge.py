@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.core.statistics import Estimate
+from servofd.core.statistics import LEAST_DIVISOR, Estimate
 from servofd.core.windows import Sums, lasting, split
-from servofd.current.evidence import GRID_S, KINDS, PUSHES, SLACK_DEG, Evidence, each_of, least_stall
+from servofd.current.evidence import GRID_S, KINDS, LOOKS_S, PUSHES, SLACK_DEG, Evidence, each_of, least_stall
 from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
 
@@ -32,7 +32,7 @@ SURE_NATS: Final = 9.0
 """Nats by which one explanation must be likelier than another to exclude it: one in 8000 by chance."""
 _STALL_SPREAD: Final = 0.35
 """A stalled motor draws what its duty lets it: so much, as a share, it differs from reading to reading."""
-MARGIN: Final = 1.5
+MARGIN: Final = 1.1
 """Times what windows of good flights reach, that a fault has to exceed."""
 _LEAST_SIZE: Final = math.log(1.5)
 """Logarithm of how many times as much a binding servo draws, at least, where its onset is looked for."""
@@ -79,7 +79,9 @@ def limit_of(known: CalibratedCurrent, kind: str) -> float:
 
 def gains_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
     """Largest gain of each change in the windows that end at some instants, shape (changes, n)."""
-    return np.asarray(np.max([one.gain for one in evidence.windows(at_s, from_s)], axis=0))
+    shortest_s = np.array([[KINDS[change.kind].shortest_s] for change in evidence.changes])
+    windows = zip(LOOKS_S, evidence.windows(at_s, from_s), strict=True)
+    return np.max([np.where(shortest_s <= look_s, one.gain, 0.0) for look_s, one in windows], axis=0)
 
 
 def shares_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
@@ -151,7 +153,7 @@ def events_of(evidence: Evidence) -> Iterator[Event]:
             return
         event = _event(evidence, int(np.argmax(shares[:, raised[0]])), float(at_s[raised[0]]), from_s)
         fault = event.fault
-        if event.explained[0][1] < SURE_NATS:  # nothing explains it
+        if event.explained[0][1] < KINDS[fault.kind].limit:  # nothing explains it
             at_s = at_s[at_s > fault.alarm_s]
             if not at_s.size:
                 return
@@ -178,7 +180,7 @@ def _event(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Ev
     change = explained[0][0]
     rivals = [(one.kind, nats) for one, nats in explained if one.kind != change.kind]
     odds = math.exp(rivals[0][1] - explained[0][1]) if rivals else 0.0
-    size = KINDS[change.kind].size or math.log(parameters["times"].value)
+    size = KINDS[change.kind].size or _LEAST_SIZE
     end_s = _end_s(evidence, change, size, alarm_s)
     is_own = any(one.known.fitted_between_s is not None for one in evidence.seen.values())
     fault = Fault(
@@ -201,12 +203,12 @@ def named(
     ]  # fmt: skip
     best, changes = order[0], [(evidence.fine[k], float(found.fit[k, 0])) for k in order]
     changes[0] = evidence.sized(changes[0][0], from_s, to_s), changes[0][1]
-    sizes = _parameters(evidence, changes[0][0], found.size[best, 0], found.deviation[best, 0], from_s, to_s)
+    sizes = _parameters(evidence, changes[0][0], float(found.deviation[best, 0]), from_s, to_s)
     return tuple(changes), sizes
 
 
 def _parameters(
-    evidence: Evidence, change: Change, size: float, deviation: float, from_s: float, to_s: float
+    evidence: Evidence, change: Change, deviation: float, from_s: float, to_s: float
 ) -> dict[str, Estimate]:
     """Sizes of a change between two times, in amperes."""
     time_s = evidence.series.time_s
@@ -214,8 +216,10 @@ def _parameters(
     known = evidence.seen[change.names[0]].known
     idle_a = max(float(known.theta[0]), 0.0)
     if change.kind == "binding":
-        times = math.exp(size)
-        return {"times": Estimate.of(times, times * deviation)}
+        good_a, drawn_a = evidence.good_a[rows], evidence.drawn_a[rows]
+        others_a = good_a - np.maximum(evidence.seen[change.names[0]].healthy_a[rows] - known.theta[0], 0.0)
+        more = float((drawn_a - others_a).sum()) / max(float((good_a - others_a).sum()), LEAST_DIVISOR)
+        return {"times": Estimate.of(more, more * deviation)}
     if change.kind == "unpowered":
         rest_a = idle_a + float(np.median(evidence.drawn_a[rows])) if rows.any() else 0.0
         return {"current_a": Estimate.of(min(max(rest_a, 0.0), idle_a), known.noise.still_a)}
