@@ -163,28 +163,27 @@ def healthy_currents(
         for name in names:
             parts.setdefault(name, []).extend(flight[name] for flight in own)
     found: dict[str, CalibratedCurrent] = {}
-    wire_of = {name: max((names for names in wires if name in names), key=len) for name in parts}
     for name, flights in parts.items():
         try:
-            fitted = fit_current(flights)
+            found[name] = _healthy(flights, is_alone=all(name not in names for names in wires if len(names) > 1))
         except CalibrationError as error:
             reasons[name] = str(error)
-            continue
-        current = widened(fitted, flights)
-        usual_a = float(np.mean([np.mean(each.current_a) for each in flights]))
-        current = current.model_copy(
-            update={"moving_a": round(largest_of([see(each, current) for each in flights]), 4)}
-        )
-        if len(wire_of[name]) == 1:  # where several draw, spread is of none alone
-            wear = wear_of([features_of(see(each, current)) for each in flights], usual_a)
-            current = current.model_copy(update={"wear": wear})
-        found[name] = current
-    for names in dict.fromkeys(wire_of.values()):
+    for names in wires:
         if set(names) <= found.keys():
-            together = zip(*(parts[name] for name in names), strict=True)
-            limits = limits_of([{one.surface: see(one, found[one.surface]) for one in wire} for wire in together])
+            each_flight = zip(*(parts[name] for name in names), strict=False)
+            limits = limits_of([{one.surface: see(one, found[one.surface]) for one in each} for each in each_flight])
             found |= {name: found[name].model_copy(update={"limits": limits}) for name in names}
     return found, {name: reason for name, reason in reasons.items() if name not in found}
+
+
+def _healthy(flights: Sequence[CurrentSeries], *, is_alone: bool) -> CalibratedCurrent:
+    """The current of one servo in its good flights; where several draw, spread is of none alone, and no wear known."""
+    known = widened(fit_current(flights), flights)
+    known = known.model_copy(update={"moving_a": round(largest_of([see(each, known) for each in flights]), 4)})
+    if not is_alone:
+        return known
+    usual_a = float(np.mean([np.mean(each.current_a) for each in flights]))
+    return known.model_copy(update={"wear": wear_of([features_of(see(each, known)) for each in flights], usual_a)})
 
 
 def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: CurrentSource) -> CurrentSeries:

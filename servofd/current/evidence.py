@@ -8,33 +8,35 @@ draw :math:`h_k` for their motion,
 .. math:: e = a(i) - a(i_0 + \textstyle\sum_k h_k),
 
 the terms of the healthy currents differ by Sigma (A holds what a change of each leaves in e), and a fault leaves a
-pattern x: *unpowered* takes the motion of a servo away; *blocked* as well, and adds a stall wherever its command is away
-from a place; *binding* leaves the logarithm of how many times as much it draws. The first two have size one.
+pattern x: *unpowered* takes the motion of a servo away; *blocked* as well, and adds a stall wherever its command is
+away from a place; *binding* leaves the logarithm of how many times as much it draws. The first two have size one.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from servofd.core.windows import Sizes, Sums, distance, fitted
+from servofd.current.model import Seen
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.current.model import CurrentSeries, Seen
+    from servofd.current.model import CurrentSeries
 
 GRID_S: Final = 0.5
 """Windows end so often [s]."""
 LOOKS_S: Final = (2.5, 5.0, 10.0, 20.0)
 """Lengths of the windows: from two readings at 1 Hz to several manoeuvres [s]."""
 ALIKE_S: Final = 0.1
-"""What a model lacks lasts as long as a movement: readings that are closer count once [s]."""
+"""What a model lacks lasts as long as a movement: of readings that are closer the mean is judged [s]."""
 PUSHES: Final = 0.5
 """Share of its stall from which on a reading tells how large it is."""
 SLACK_DEG: Final = 4.0
@@ -44,7 +46,7 @@ _PLACES, _FINE = 9, 33
 _STALL: Final = 1.5
 """Times what motion draws at most that a stalled servo draws at least."""
 _USUAL: Final = 3.0
-"""Times that least by which the pattern of a blocked servo is drawn: the servos of the simulations draw 1 to 8 times."""
+"""Times that least by which the pattern of a blocked servo is drawn: those of the simulations draw 1 to 8 times."""
 
 
 class Kind(NamedTuple):
@@ -69,9 +71,9 @@ KINDS: Final = {
     "blocked": Kind(1.0, 0.3, 0.15, 8.0, 0.5),
     "binding": Kind(None, 0.0, 0.15, 5.0, 0.5, 10.0),
 }
-"""Chosen on even seeds of ``benchmarks/currents.py good --first 2 --count 10``, 13 h of good servos at 1 to 50 Hz, known
-from good flights or from the same log: they reach 9.1, 5.0 and 4.4 nats, but for one stretch at 1 Hz that no kind of
-fault explains (11.2)."""
+"""Limits are above what 13 h of good servos at 1 to 50 Hz reach, known from good flights or from the same log, on even
+seeds of ``benchmarks/currents.py good --first 2 --count 10``: 9.1, 5.0 and 4.4 nats, but for one stretch at 1 Hz that
+no kind of fault explains (11.2)."""
 
 
 class Change(NamedTuple):
@@ -83,6 +85,9 @@ class Change(NamedTuple):
     place_deg: float = np.nan
     share: FloatArray | None = None
     """Of its stall that a blocked servo draws, shape (m,)."""
+
+
+_NONE: Final = Sizes.nothing(np.zeros((1, 1)))
 
 
 class Fit(NamedTuple):
@@ -103,90 +108,91 @@ class Evidence:
 
     seen: Mapping[str, Seen]
     slopes: FloatArray
-    """What a change of each term of the healthy currents leaves, over its noise: A."""
+    """What a change of each term of the healthy currents leaves: A."""
     precision: FloatArray
     """Inverse of Sigma."""
-    drawn_a: FloatArray
-    """Beyond the current at rest."""
+    motion_a: Mapping[str, FloatArray]
+    """What each healthy servo draws for its motion."""
     good_a: FloatArray
-    """The same of healthy servos."""
+    """All of that."""
+    drawn_a: FloatArray
+    """What was read beyond the current at rest."""
     still_a: float
     """Noise of a reading at rest."""
     weight: FloatArray
-    """One over the noise of e, smaller where readings are alike."""
+    """One over the noise of e."""
 
     @classmethod
     def of(cls, seen: Mapping[str, Seen]) -> Evidence:
         """Of one servo, or of each of several on one wire beside what the others draw for their motion."""
-        each = tuple(seen.values())
-        first = each[0]
-        motion = {name: np.maximum(one.healthy_a - one.known.theta[0], 0.0) for name, one in seen.items()}
-        others_a = np.sum([one.healthy_a - one.known.theta[0] for one in each[1:]], axis=0)
+        seen = {name: averaged(one) for name, one in seen.items()}
+        first, *others = seen.values()
+        motion_a = {name: np.maximum(one.healthy_a - one.known.theta[0], 0.0) for name, one in seen.items()}
+        good_a = np.asarray(np.sum(list(motion_a.values()), axis=0))
+        others_a = np.sum([one.healthy_a - one.known.theta[0] for one in others], axis=0)
+        still_a = max(one.known.noise.still_a for one in seen.values())
+        spread_a = [one.known.noise.share * motion_a[name] for name, one in seen.items()]
+        steep = np.hypot(still_a, good_a)
+        weight = steep / np.sqrt(still_a**2 + np.sum(np.square(spread_a), axis=0))
+        slopes = np.concatenate([one.slopes.T for one in seen.values()]) * (weight / steep)
+        precision = block_diag(*(np.linalg.inv(one.known.covariance) for one in seen.values()))
         drawn_a = first.series.current_a - first.known.theta[0] + others_a
-        total = np.sum(list(motion.values()), axis=0)
-        still = max(one.known.noise.still_a for one in each)
-        steep = np.hypot(still, total)
-        noise_a = np.sqrt(
-            still**2
-            + np.sum([(o.known.noise.share * m) ** 2 for o, m in zip(each, motion.values(), strict=True)], axis=0)
-        )
-        weight = np.sqrt(each_of(first.series)) * steep / noise_a
-        slopes = np.concatenate([one.slopes.T for one in each]) * (weight / steep)
-        size = first.slopes.shape[1]
-        precision = np.zeros((len(slopes), len(slopes)))
-        for k, one in enumerate(each):
-            part = slice(k * size, (k + 1) * size)
-            precision[part, part] = np.linalg.inv(one.known.covariance)
-        return cls(seen, slopes, precision, drawn_a, total, still, weight)
+        return cls(seen, slopes, precision, motion_a, good_a, drawn_a, still_a, weight)
 
-    def left(self, draws_a: FloatArray) -> FloatArray:
+    @property
+    def series(self) -> CurrentSeries:
+        """Its readings."""
+        return next(iter(self.seen.values())).series
+
+    @property
+    def width_s(self) -> float:
+        """Time of which a reading is the mean [s]."""
+        return ALIKE_S if self.series.period_s < 1.5 * ALIKE_S else 0.0
+
+    @cached_property
+    def usable(self) -> BoolArray:
+        """Which readings count."""
+        return np.asarray(np.all([one.usable for one in self.seen.values()], axis=0))
+
+    def _left(self, draws_a: FloatArray) -> FloatArray:
         """What is left of a current beyond that at rest [A]."""
-        return self.weight * (np.arcsinh(draws_a / self.still_a) - np.arcsinh(self.good_a / self.still_a))
+        left: FloatArray = self.weight * (np.arcsinh(draws_a / self.still_a) - np.arcsinh(self.good_a / self.still_a))
+        return left
 
     @cached_property
     def error(self) -> FloatArray:
         """What is left of what was read: e."""
-        return self.left(np.maximum(self.drawn_a, -self.still_a))
+        return self._left(np.maximum(self.drawn_a, -self.still_a))
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
         """The faults that are looked for."""
-        return self._changes(_PLACES)
+        return tuple(self._changes(_PLACES))
 
     @cached_property
     def fine(self) -> tuple[Change, ...]:
         """The same, with more places of a blocked servo."""
-        return self._changes(_FINE)
+        return tuple(self._changes(_FINE))
 
-    def _changes(self, count: int) -> tuple[Change, ...]:
-        found = []
+    def _changes(self, count: int) -> Iterator[Change]:
         for name, one in self.seen.items():
-            motion_a = np.maximum(one.healthy_a - one.known.theta[0], 0.0)
-            share = self.weight * motion_a / np.hypot(self.still_a, self.good_a)
-            found += [
-                Change("unpowered", (name,), self.left(self.good_a - motion_a)),
-                Change("binding", (name,), share),
-            ]
-            motion = one.series.motion
-            places = (
-                np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, count)) if motion.known.any() else ()
-            )
-            found += self.blocked(name, np.unique(places), _USUAL * least_stall(one))
+            motion, motion_a = one.series.motion, self.motion_a[name]
+            yield Change("unpowered", (name,), self._left(self.good_a - motion_a))
+            yield Change("binding", (name,), self.weight * motion_a / np.hypot(self.still_a, self.good_a))
+            if motion.known.any():
+                places = np.quantile(motion.asked_deg[motion.known], np.linspace(0.0, 1.0, count))
+                yield from self._blocked(name, np.unique(places), _USUAL * least_stall(one))
         if len(self.seen) > 1:
-            found.append(Change("unpowered", tuple(self.seen), self.left(np.zeros_like(self.good_a))))
-        return tuple(found)
+            yield Change("unpowered", tuple(self.seen), self._left(np.zeros_like(self.good_a)))
 
-    def blocked(self, name: str, places_deg: FloatArray, stall_a: float) -> list[Change]:
+    def _blocked(self, name: str, places_deg: FloatArray, stall_a: float) -> Iterator[Change]:
         """A servo that stands at each of some places, and draws so much where its command is away."""
-        one = self.seen[name]
-        known, motion = one.known, one.series.motion
+        known, motion = self.seen[name].known, self.seen[name].series.motion
         away = np.clip(np.abs(motion.asked_deg[:, None] - places_deg) / SLACK_DEG, 0.0, 1.0) ** 2
-        shares = motion.rows(one.series.time_s, known.lag_s, known.width_s, away).T
-        others_a = self.good_a - np.maximum(one.healthy_a - known.theta[0], 0.0)
-        return [
-            Change("blocked", (name,), self.left(others_a + stall_a * share), float(place), share)
-            for place, share in zip(places_deg, shares, strict=True)
-        ]
+        shares = motion.rows(self.series.time_s, known.lag_s, max(known.width_s, self.width_s), away).T
+        for place, share in zip(places_deg.tolist(), shares, strict=True):
+            pattern = self._left(self.good_a - self.motion_a[name] + stall_a * share)
+            yield Change("blocked", (name,), pattern, place, share)
 
     def sized(self, change: Change, from_s: float, to_s: float) -> Change:
         """A blocked servo with the stall that it draws between two times; others as they are."""
@@ -196,69 +202,51 @@ class Evidence:
         if not rows.any():
             return change
         stall_a = max(float(np.median(self.drawn_a[rows] / change.share[rows])), self.still_a)
-        return self.blocked(change.names[0], np.array([change.place_deg]), stall_a)[0]
-
-    @property
-    def series(self) -> CurrentSeries:
-        """Its readings."""
-        return next(iter(self.seen.values())).series
-
-    @cached_property
-    def usable(self) -> BoolArray:
-        """Which readings count."""
-        return np.all([one.usable for one in self.seen.values()], axis=0)
-
-    def _columns(self, changes: Sequence[Change]) -> FloatArray:
-        """A, each x and e."""
-        return np.vstack([self.slopes, *(change.pattern for change in changes), self.error])
+        return next(self._blocked(change.names[0], np.array([change.place_deg]), stall_a))
 
     def windows(self, at_s: FloatArray, from_s: float, looks_s: Sequence[float] = LOOKS_S) -> list[Fit]:
         """Windows of each length that end at some instants of a grid, and begin after a time."""
         time_s = self.series.time_s
-        grid_s = np.append(np.arange(at_s[0], min(time_s[0], at_s[0]) - GRID_S, -GRID_S)[::-1], at_s[1:])
-        begins = np.unique(np.searchsorted(time_s, grid_s, side="right"))
-        begins = np.unique(np.append(0, begins[begins < time_s.size]))
-        sums = Sums.of(self._columns(self.changes), self.usable, begins)
-        edge = np.append(begins, time_s.size)
+        grid_s = np.append(np.arange(at_s[0], min(time_s[0], at_s[0]) - GRID_S, -GRID_S), at_s[1:])
+        begins = np.unique(np.append(0, np.searchsorted(time_s, grid_s, side="right")))
+        edge = np.append(begins[begins < time_s.size], time_s.size)
+        sums = Sums.of(self._columns(self.changes), self.usable, edge[:-1])
         ends = np.searchsorted(edge, np.searchsorted(time_s, at_s, side="right"))
-        starts = (np.searchsorted(time_s, np.maximum(at_s - look_s, from_s), side="right") for look_s in looks_s)
-        return [
-            self._fit(self.changes, sums.between(np.minimum(np.searchsorted(edge, start), ends), ends))
-            for start in starts
-        ]
+        found = []
+        for look_s in looks_s:
+            first = np.searchsorted(time_s, np.maximum(at_s - look_s, from_s), side="right")
+            window = sums.between(np.minimum(np.searchsorted(edge, first), ends), ends)
+            found.append(self._fit(self.changes, window))
+        return found
 
     def whole(self, from_s: float, to_s: float) -> Fit:
         """One window between two times, of the `fine` changes."""
         rows = slice(*np.searchsorted(self.series.time_s, (from_s, np.nextafter(to_s, np.inf))).tolist())
         return self._fit(self.fine, Sums.of(self._columns(self.fine)[:, rows], self.usable[rows]).between(0, -1))
 
+    def _columns(self, changes: Sequence[Change]) -> FloatArray:
+        """A, each x and e."""
+        return np.vstack([self.slopes, *(change.pattern for change in changes), self.error])
+
     def _fit(self, changes: Sequence[Change], window: Sums) -> Fit:
         left = window.given(len(self.slopes), self.precision)
-        count = np.maximum(window.samples * each_of(self.series), 1.0)
+        count = np.maximum(window.samples, 1.0)
         found = [fitted(left, 1, columns=(k, len(changes))) for k in range(len(changes))]
         noise = np.maximum(np.fmin.reduce([one.left for one in found]) / count, 1.0)
         places = math.log(max(sum(change.share is not None for change in changes) / len(self.seen), 1.0))
-        gains, fits, sizes, deviations = [], [], [], []
+        told, rows = window.samples > 1, []
         for change, one in zip(changes, found, strict=True):
             kind, at = KINDS[change.kind], one.scaled(np.maximum(one.left / count, 1.0))
-            away = distance(at.beyond(Sizes.nothing(np.zeros((1, 1))), np.array([[kind.healthy**2]])))
-            off = np.zeros_like(away)
+            away, off = distance(at.beyond(_NONE, np.array([[kind.healthy**2]]))), np.zeros(told.size)
             if kind.size is not None:
                 expected = Sizes(np.array([[kind.size]]), np.array([[[kind.deviation**2]]]))
                 off = distance(at.beyond(expected, np.zeros((1, 1))), None)
-            told = window.samples > 1
-            gains.append(np.where(told, 0.5 * (away - off), 0.0))
-            fits.append(
-                np.where(
-                    told,
-                    0.5 * (np.where(at.value[0] > 0.0, one.explained / noise, 0.0) - off)
-                    - places * (change.share is not None),
-                    0.0,
-                )
-            )
-            sizes.append(np.nan_to_num(at.value[0]))
-            deviations.append(np.sqrt(np.nan_to_num(at.covariance[0, 0], nan=np.inf)))
-        return Fit(np.array(gains), np.array(fits), np.array(sizes), np.array(deviations))
+            explained = np.where(at.value[0] > 0.0, one.explained / noise, 0.0) - off
+            cost = 0.0 if change.share is None else places
+            deviation = np.sqrt(np.nan_to_num(at.covariance[0, 0], nan=np.inf))
+            gains = (np.where(told, nats, 0.0) for nats in (0.5 * (away - off), 0.5 * explained - cost))
+            rows.append([*gains, np.nan_to_num(at.value[0]), deviation])
+        return Fit(*np.array(rows).transpose(1, 0, 2))
 
     def odds(self, change: Change, size: float) -> FloatArray:
         """Nats by which a change of a size is likelier than a healthy servo, for each reading (m,)."""
@@ -266,9 +254,23 @@ class Evidence:
         return np.where(self.usable, x * (self.error - 0.5 * x), 0.0)
 
 
-def each_of(series: CurrentSeries) -> float:
-    """How much each reading counts where those that are close say a thing once."""
-    return min(1.0, series.period_s / ALIKE_S)
+def averaged(seen: Seen) -> Seen:
+    """The same with the means of readings that are closer than what a model lacks lasts: they say a thing once."""
+    time_s = seen.series.time_s
+    if time_s.size < 2 or seen.series.period_s > 0.5 * ALIKE_S:
+        return seen
+    begins = np.flatnonzero(np.diff(np.floor((time_s - time_s[0]) / ALIKE_S), prepend=-1.0))
+    counts = np.maximum(np.add.reduceat(seen.usable.astype(np.float64), begins), 1.0)
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = np.add.reduceat(np.where(seen.usable, values.T, 0.0), begins, axis=-1)
+        return np.asarray((sums / counts).T)
+
+    last = np.append(begins[1:], time_s.size) - 1
+    series = replace(seen.series, time_s=time_s[last], current_a=mean(seen.series.current_a))
+    slopes, healthy_a, moving, noise_a = map(mean, (seen.slopes, seen.healthy_a, seen.moving, seen.noise_a))
+    usable = np.logical_or.reduceat(seen.usable, begins)
+    return Seen(series, seen.known, slopes, healthy_a, moving, noise_a, usable)
 
 
 def least_stall(seen: Seen) -> float:

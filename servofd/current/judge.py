@@ -15,7 +15,7 @@ import numpy as np
 
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
 from servofd.core.windows import Sums, lasting, split
-from servofd.current.evidence import GRID_S, KINDS, LOOKS_S, PUSHES, SLACK_DEG, Evidence, each_of, least_stall
+from servofd.current.evidence import GRID_S, KINDS, LOOKS_S, PUSHES, SLACK_DEG, Evidence, least_stall
 from servofd.current.wear import worn
 from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
 
@@ -36,6 +36,9 @@ MARGIN: Final = 1.1
 """Times what windows of good flights reach, that a fault has to exceed."""
 _LEAST_SIZE: Final = math.log(1.5)
 """Logarithm of how many times as much a binding servo draws, at least, where its onset is looked for."""
+_MOST_TIMES: Final = 6.0
+"""A servo that still moves draws less than so many times as much: of simulated motors at 10 Hz one with three times the
+friction draws 2.9 times, and a stalled one seems to draw 20 to 30 times."""
 _BEFORE_S: Final = 30.0
 """Time before an alarm in which its onset is looked for [s]."""
 _BRIEF_S: Final = 10.0
@@ -74,20 +77,22 @@ def limit_of(known: CalibratedCurrent, kind: str) -> float:
     """Nats by which a kind of fault has to be likelier than a good servo; never, where one log is all that is known."""
     if known.fitted_between_s is not None and kind == "binding":
         return math.inf
-    return max(KINDS[kind].limit, dict(known.limits).get(kind, 0.0))  # type: ignore[call-overload]
+    learnt: Mapping[str, float] = {str(name): limit for name, limit in known.limits.items()}
+    return max(KINDS[kind].limit, learnt.get(kind, 0.0))
 
 
 def gains_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
     """Largest gain of each change in the windows that end at some instants, shape (changes, n)."""
     shortest_s = np.array([[KINDS[change.kind].shortest_s] for change in evidence.changes])
     windows = zip(LOOKS_S, evidence.windows(at_s, from_s), strict=True)
-    return np.max([np.where(shortest_s <= look_s, one.gain, 0.0) for look_s, one in windows], axis=0)
+    gains = [np.where(shortest_s <= look_s, one.gain, 0.0) for look_s, one in windows]
+    return np.asarray(np.max(gains, axis=0))
 
 
 def shares_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
     """The same over the limit of each change."""
     limits = [limit_of(evidence.seen[change.names[0]].known, change.kind) for change in evidence.changes]
-    return gains_of(evidence, at_s, from_s) / np.array(limits)[:, None]
+    return np.asarray(gains_of(evidence, at_s, from_s) / np.array(limits)[:, None])
 
 
 def by_kind(evidence: Evidence, shares: FloatArray) -> FloatArray:
@@ -106,7 +111,7 @@ def held(shares: FloatArray, period_s: float) -> FloatArray:
 def grid_s(evidence: Evidence) -> FloatArray:
     """When windows of a log end [s]."""
     first_s, last_s = (float(evidence.series.time_s[k]) for k in (0, -1))
-    return np.minimum(np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S), last_s)
+    return np.asarray(np.minimum(np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S), last_s))
 
 
 def limits_of(good: Sequence[Mapping[str, Seen]]) -> dict[str, float]:
@@ -145,48 +150,46 @@ def events_of(evidence: Evidence) -> Iterator[Event]:
     if time_s.size < 2 or not all(map(is_witness, known)):
         return
     is_own = any(one.fitted_between_s is not None for one in known)
-    from_s, at_s = -math.inf, grid_s(evidence)
-    for _ in range(_MOST):
+    from_s, at_s, found = -math.inf, grid_s(evidence), 0
+    while at_s.size and found < _MOST:
         shares = shares_of(evidence, at_s, from_s)
         raised = np.flatnonzero(held(by_kind(evidence, shares), evidence.series.period_s).max(axis=0) >= 1.0)
         if not raised.size:
             return
-        event = _event(evidence, int(np.argmax(shares[:, raised[0]])), float(at_s[raised[0]]), from_s)
-        fault = event.fault
-        if event.explained[0][1] < KINDS[fault.kind].limit:  # nothing explains it
-            at_s = at_s[at_s > fault.alarm_s]
-            if not at_s.size:
-                return
+        alarm_s = float(at_s[raised[0]])
+        at_s, found = at_s[at_s > alarm_s], found + 1
+        event = _event(evidence, int(np.argmax(shares[:, raised[0]])), alarm_s, from_s)
+        if event is None:
             continue
-        if not is_own or fault.end_s is None or fault.end_s - fault.start_s > _BRIEF_S:
+        end_s = event.fault.end_s
+        if not is_own or end_s is None or end_s - event.fault.start_s > _BRIEF_S:
             yield event
-        if fault.end_s is None:
+        if end_s is None:
             return
-        from_s = max(fault.end_s, fault.alarm_s)
+        from_s = max(end_s, alarm_s)
         at_s = at_s[at_s > from_s]
-        if not at_s.size:
-            return
 
 
-def _event(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Event:
-    """What a change that was noticed at a time is, since when, and until when."""
+def _event(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Event | None:
+    """What a change that was noticed at a time is, since when, and until when; None if nothing explains it."""
     time_s, change = evidence.series.time_s, evidence.changes[raised]
     begin, last = np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, from_s), np.nextafter(alarm_s, np.inf))).tolist()
-    size = KINDS[change.kind].size or _LEAST_SIZE
-    since = Sums.running([evidence.odds(change, size)[begin:last]], evidence.usable[begin:last])
+    odds = evidence.odds(change, KINDS[change.kind].size or _LEAST_SIZE)
+    since = Sums.running([odds[begin:last]], evidence.usable[begin:last])
     start_s = float(time_s[begin + split(since.between(np.arange(last - begin), -1).products[0])])
     named_s = min(alarm_s + _NAMED_S, float(time_s[-1]))
     explained, parameters = named(evidence, start_s, named_s)
-    change = explained[0][0]
-    rivals = [(one.kind, nats) for one, nats in explained if one.kind != change.kind]
-    odds = math.exp(rivals[0][1] - explained[0][1]) if rivals else 0.0
-    size = KINDS[change.kind].size or _LEAST_SIZE
-    end_s = _end_s(evidence, change, size, alarm_s)
+    if not explained or explained[0][1] < KINDS[explained[0][0].kind].limit:
+        return None
+    change, nats = explained[0]
+    rivals = [(one.kind, math.exp(each - nats)) for one, each in explained if one.kind != change.kind]
+    rival, chance = rivals[0] if rivals else ("", 0.0)
+    end_s = _end_s(evidence, change, alarm_s)
     is_own = any(one.known.fitted_between_s is not None for one in evidence.seen.values())
     fault = Fault(
-        change.kind, start_s, alarm_s, end_s, parameters, min(1.0 / (1.0 + odds), _SUREST),
-        (rivals[0][0],) if odds > WORTH_TELLING else (),
-        level="suspect" if is_own and end_s is not None else "fault", named_s=named_s, witness="current",
+        change.kind, start_s, alarm_s, end_s, parameters, min(1.0 / (1.0 + chance), _SUREST),
+        (rival,) if chance > WORTH_TELLING else (), level="suspect" if is_own and end_s is not None else "fault",
+        named_s=named_s, witness="current",
     )  # fmt: skip
     return Event(fault, explained)
 
@@ -196,11 +199,18 @@ def named(
 ) -> tuple[tuple[tuple[Change, float], ...], Mapping[str, Estimate]]:
     """Changes in the order in which they explain what was read between two times, and the sizes of the first."""
     found = evidence.whole(from_s, to_s)
-    order = [
-        k for k in np.argsort(-found.fit[:, 0]).tolist()
-        if math.isfinite(limit_of(evidence.seen[evidence.fine[k].names[0]].known, evidence.fine[k].kind))
-        and (not names or set(evidence.fine[k].names) == set(names))
-    ]  # fmt: skip
+
+    def may_be(k: int) -> bool:
+        change, size = evidence.fine[k], float(found.size[k, 0])
+        expected = KINDS[change.kind].size
+        sizes = size < math.log(_MOST_TIMES) if expected is None else size > 0.5 * expected
+        known = evidence.seen[change.names[0]].known
+        is_judged = math.isfinite(limit_of(known, change.kind))
+        return is_judged and (set(change.names) == set(names) if names else sizes)
+
+    order = [k for k in np.argsort(-found.fit[:, 0]).tolist() if may_be(k)]
+    if not order:
+        return (), {}
     best, changes = order[0], [(evidence.fine[k], float(found.fit[k, 0])) for k in order]
     changes[0] = evidence.sized(changes[0][0], from_s, to_s), changes[0][1]
     sizes = _parameters(evidence, changes[0][0], float(found.deviation[best, 0]), from_s, to_s)
@@ -216,23 +226,23 @@ def _parameters(
     known = evidence.seen[change.names[0]].known
     idle_a = max(float(known.theta[0]), 0.0)
     if change.kind == "binding":
-        good_a, drawn_a = evidence.good_a[rows], evidence.drawn_a[rows]
-        others_a = good_a - np.maximum(evidence.seen[change.names[0]].healthy_a[rows] - known.theta[0], 0.0)
-        more = float((drawn_a - others_a).sum()) / max(float((good_a - others_a).sum()), LEAST_DIVISOR)
-        return {"times": Estimate.of(more, more * deviation)}
+        own_a = evidence.motion_a[change.names[0]][rows]
+        drawn_a = evidence.drawn_a[rows] - evidence.good_a[rows] + own_a
+        times = float(drawn_a @ own_a) / max(float(own_a @ own_a), LEAST_DIVISOR)
+        return {"times": Estimate.of(times, times * deviation)}
     if change.kind == "unpowered":
         rest_a = idle_a + float(np.median(evidence.drawn_a[rows])) if rows.any() else 0.0
         return {"current_a": Estimate.of(min(max(rest_a, 0.0), idle_a), known.noise.still_a)}
     share = np.zeros(time_s.size) if change.share is None else change.share
     rows &= share > PUSHES
     stall_a = float(np.median(evidence.drawn_a[rows] / share[rows])) if rows.any() else 0.0
-    spread_a = _STALL_SPREAD * abs(stall_a) / math.sqrt(max(np.count_nonzero(rows), 1))
+    spread_a = _STALL_SPREAD * abs(stall_a) / math.sqrt(max(int(np.count_nonzero(rows)), 1))
     return {"current_a": Estimate.of(stall_a, spread_a), "position_deg": Estimate.of(change.place_deg, SLACK_DEG)}
 
 
-def _end_s(evidence: Evidence, change: Change, size: float, alarm_s: float) -> float | None:
+def _end_s(evidence: Evidence, change: Change, alarm_s: float) -> float | None:
     """Until when a change lasts: a window after it excludes half of its size; None if none does."""
-    at_s = grid_s(evidence)
+    at_s, size = grid_s(evidence), KINDS[change.kind].size or _LEAST_SIZE
     at_s = at_s[at_s >= alarm_s + _ENDS_S]
     if not at_s.size:
         return None
@@ -325,15 +335,14 @@ def would_show(seen: Seen) -> bool:
 
 def tells_motion(seen: Seen, from_s: float, to_s: float) -> bool:
     """Whether between two times a servo that follows is likelier than one that stands still, with power or without."""
-    time_s = seen.series.time_s
-    rows = seen.usable & (time_s >= from_s) & (time_s <= to_s)
-    if np.count_nonzero(rows) < 2:
-        return False
-    rest_a = max(float(seen.known.theta[0]), 0.0)
-    drawn_a, moving_a = (float((each[rows] - rest_a).sum()) for each in (seen.series.current_a, seen.healthy_a))
-    if not _OF_MOTION * moving_a <= drawn_a <= moving_a / _OF_MOTION:
+    if seen.series.time_s.size < 2:
         return False
     evidence = Evidence.of({seen.series.surface: seen})
+    time_s = evidence.series.time_s
+    rows = evidence.usable & (time_s >= from_s) & (time_s <= to_s)
+    drawn_a, moving_a = (float(each[rows].sum()) for each in (evidence.drawn_a, evidence.good_a))
+    if np.count_nonzero(rows) < 2 or not _OF_MOTION * moving_a <= drawn_a <= moving_a / _OF_MOTION:
+        return False
     still = [one for one in evidence.changes if one.kind != "binding"]
     return max(float(evidence.odds(one, 1.0)[rows].sum()) for one in still) < -SURE_NATS
 

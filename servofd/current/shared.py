@@ -115,7 +115,7 @@ def faults_of_wire(
         first = event.fault
         last_s = end_s if first.end_s is None else first.end_s
         span_s = first.start_s, max(min(last_s, first.alarm_s + _WHOSE_S), first.alarm_s)
-        likeliest, _ = named(evidence, *span_s)
+        likeliest = named(evidence, *span_s)[0] or event.explained
         if len(likeliest[0][0].names) > 1:  # all of them
             if any(_draws(seen[name], span_s) for name in followed & seen.keys()):
                 return found, tuple(causes), first.start_s

@@ -167,7 +167,7 @@ class CurrentStream(Following):
         shares = by_kind(evidence, shares_of(evidence, due_s))
         self._shares = [*self._shares, *shares.T][-_KEPT - due_s.size :]
         raised = held(np.array(self._shares).T, seen.series.period_s).max(axis=0)[-due_s.size :] >= 1.0
-        return due_s[raised]
+        return np.asarray(due_s[raised])
 
     def _judged(self, seen: Seen, fresh: BoolArray, worth_s: FloatArray) -> Piece:
         """What is shown of the fresh readings, and the first instant that is worth a look."""
