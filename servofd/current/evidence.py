@@ -60,16 +60,14 @@ class Kind(NamedTuple):
     """Deviation of the size in healthy windows, beyond what the terms of the current differ by."""
     limit: float
     """Nats by which it has to be likelier than a healthy servo, or more where good flights reached more."""
-    lasts_s: float
-    """For so long it has to be [s]."""
     shortest_s: float = 0.0
     """Shortest window that it is judged by [s]: some seconds of hard work are the air's."""
 
 
 KINDS: Final = {
-    "unpowered": Kind(1.0, 0.15, 0.15, 10.0, 0.5),
-    "blocked": Kind(1.0, 0.3, 0.15, 8.0, 0.5),
-    "binding": Kind(None, 0.0, 0.15, 5.0, 0.5, 10.0),
+    "unpowered": Kind(1.0, 0.15, 0.15, 10.0),
+    "blocked": Kind(1.0, 0.3, 0.15, 8.0),
+    "binding": Kind(None, 0.0, 0.15, 5.0, 10.0),
 }
 """Limits are above what 13 h of good servos at 1 to 50 Hz reach, known from good flights or from the same log, on even
 seeds of ``benchmarks/currents.py good --first 2 --count 10``: 9.1, 5.0 and 4.4 nats, but for one stretch at 1 Hz that
@@ -125,7 +123,7 @@ class Evidence:
     @classmethod
     def of(cls, seen: Mapping[str, Seen]) -> Evidence:
         """Of one servo, or of each of several on one wire beside what the others draw for their motion."""
-        seen = {name: averaged(one) for name, one in seen.items()}
+        seen = {name: thinned(one) for name, one in seen.items()}
         first, *others = seen.values()
         motion_a = {name: np.maximum(one.healthy_a - one.known.theta[0], 0.0) for name, one in seen.items()}
         good_a = np.asarray(np.sum(list(motion_a.values()), axis=0))
@@ -143,11 +141,6 @@ class Evidence:
     def series(self) -> CurrentSeries:
         """Its readings."""
         return next(iter(self.seen.values())).series
-
-    @property
-    def width_s(self) -> float:
-        """Time of which a reading is the mean [s]."""
-        return ALIKE_S if self.series.period_s < 1.5 * ALIKE_S else 0.0
 
     @cached_property
     def usable(self) -> BoolArray:
@@ -189,7 +182,7 @@ class Evidence:
         """A servo that stands at each of some places, and draws so much where its command is away."""
         known, motion = self.seen[name].known, self.seen[name].series.motion
         away = np.clip(np.abs(motion.asked_deg[:, None] - places_deg) / SLACK_DEG, 0.0, 1.0) ** 2
-        shares = motion.rows(self.series.time_s, known.lag_s, max(known.width_s, self.width_s), away).T
+        shares = motion.rows(self.series.time_s, known.lag_s, known.width_s, away).T
         for place, share in zip(places_deg.tolist(), shares, strict=True):
             pattern = self._left(self.good_a - self.motion_a[name] + stall_a * share)
             yield Change("blocked", (name,), pattern, place, share)
@@ -254,7 +247,7 @@ class Evidence:
         return np.where(self.usable, x * (self.error - 0.5 * x), 0.0)
 
 
-def averaged(seen: Seen) -> Seen:
+def thinned(seen: Seen) -> Seen:
     """The same with the means of readings that are closer than what a model lacks lasts: they say a thing once."""
     time_s = seen.series.time_s
     if time_s.size < 2 or seen.series.period_s > 0.5 * ALIKE_S:

@@ -8,7 +8,6 @@ of whom on a wire, is what explains most of the readings between its onset and s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -65,14 +64,6 @@ hardly known, it explains any current better than a rest does. A jammed elevon d
 pushed against its stop 1.3 A for 0.15 A, and their sensors were accused."""
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that a current shows, and which changes may explain it, likeliest first, with their nats."""
-
-    fault: Fault
-    explained: tuple[tuple[Change, float], ...]
-
-
 def limit_of(known: CalibratedCurrent, kind: str) -> float:
     """Nats by which a kind of fault has to be likelier than a good servo; never, where one log is all that is known."""
     if known.fitted_between_s is not None and kind == "binding":
@@ -95,17 +86,9 @@ def shares_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -
     return np.asarray(gains_of(evidence, at_s, from_s) / np.array(limits)[:, None])
 
 
-def by_kind(evidence: Evidence, shares: FloatArray) -> FloatArray:
-    """The largest share of each kind, shape (kinds, n)."""
-    kinds = np.array([change.kind for change in evidence.changes])
-    return np.array([shares[kinds == kind].max(axis=0, initial=0.0) for kind in KINDS])
-
-
 def held(shares: FloatArray, period_s: float) -> FloatArray:
-    """The shares of each kind (kinds, n) that have lasted as long as it has to."""
-    fewest = max(math.ceil(period_s / GRID_S), 1)
-    counts = (fewest + round(kind.lasts_s / GRID_S) for kind in KINDS.values())
-    return np.array([lasting(share, count) for share, count in zip(shares, counts, strict=True)])
+    """The shares (..., n) that last for as long as two windows, or two readings."""
+    return lasting(shares, max(math.ceil(period_s / GRID_S), 1) + 1)
 
 
 def grid_s(evidence: Evidence) -> FloatArray:
@@ -120,9 +103,9 @@ def limits_of(good: Sequence[Mapping[str, Seen]]) -> dict[str, float]:
     for seen in good:
         evidence = Evidence.of(seen)
         if evidence.series.time_s.size > 1:
-            gains = by_kind(evidence, gains_of(evidence, grid_s(evidence)))
-            for kind, gain in zip(KINDS, held(gains, evidence.series.period_s), strict=True):
-                limits[kind] = max(limits[kind], float(f"{MARGIN * gain.max():.3g}"))
+            gains = held(gains_of(evidence, grid_s(evidence)), evidence.series.period_s).max(axis=1)
+            for change, gain in zip(evidence.changes, gains.tolist(), strict=True):
+                limits[change.kind] = max(limits[change.kind], float(f"{MARGIN * gain:.3g}"))
     return limits
 
 
@@ -141,10 +124,10 @@ def no_witness(known: CalibratedCurrent) -> str:
 
 def faults_of(seen: Seen) -> list[Fault]:
     """The faults that the current of one servo shows."""
-    return [event.fault for event in events_of(Evidence.of({seen.series.surface: seen}))]
+    return list(events_of(Evidence.of({seen.series.surface: seen})))
 
 
-def events_of(evidence: Evidence) -> Iterator[Event]:
+def events_of(evidence: Evidence) -> Iterator[Fault]:
     """What happens one after the other, until something lasts to the end."""
     time_s, known = evidence.series.time_s, [one.known for one in evidence.seen.values()]
     if time_s.size < 2 or not all(map(is_witness, known)):
@@ -153,24 +136,23 @@ def events_of(evidence: Evidence) -> Iterator[Event]:
     from_s, at_s, found = -math.inf, grid_s(evidence), 0
     while at_s.size and found < _MOST:
         shares = shares_of(evidence, at_s, from_s)
-        raised = np.flatnonzero(held(by_kind(evidence, shares), evidence.series.period_s).max(axis=0) >= 1.0)
+        raised = np.flatnonzero(held(shares.max(axis=0), evidence.series.period_s) >= 1.0)
         if not raised.size:
             return
         alarm_s = float(at_s[raised[0]])
         at_s, found = at_s[at_s > alarm_s], found + 1
-        event = _event(evidence, int(np.argmax(shares[:, raised[0]])), alarm_s, from_s)
-        if event is None:
+        fault = _fault(evidence, int(np.argmax(shares[:, raised[0]])), alarm_s, from_s)
+        if fault is None:
             continue
-        end_s = event.fault.end_s
-        if not is_own or end_s is None or end_s - event.fault.start_s > _BRIEF_S:
-            yield event
-        if end_s is None:
+        if not is_own or fault.end_s is None or fault.end_s - fault.start_s > _BRIEF_S:
+            yield fault
+        if fault.end_s is None:
             return
-        from_s = max(end_s, alarm_s)
+        from_s = max(fault.end_s, alarm_s)
         at_s = at_s[at_s > from_s]
 
 
-def _event(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Event | None:
+def _fault(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Fault | None:
     """What a change that was noticed at a time is, since when, and until when; None if nothing explains it."""
     time_s, change = evidence.series.time_s, evidence.changes[raised]
     begin, last = np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, from_s), np.nextafter(alarm_s, np.inf))).tolist()
@@ -186,12 +168,11 @@ def _event(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Ev
     rival, chance = rivals[0] if rivals else ("", 0.0)
     end_s = _end_s(evidence, change, alarm_s)
     is_own = any(one.known.fitted_between_s is not None for one in evidence.seen.values())
-    fault = Fault(
+    return Fault(
         change.kind, start_s, alarm_s, end_s, parameters, min(1.0 / (1.0 + chance), _SUREST),
         (rival,) if chance > WORTH_TELLING else (), level="suspect" if is_own and end_s is not None else "fault",
         named_s=named_s, witness="current",
     )  # fmt: skip
-    return Event(fault, explained)
 
 
 def named(
@@ -281,30 +262,16 @@ def verdict_of(
     asked = would_show(seen)
     status, reason = _status(known, asked, faults, suspicions, ratio, when)
     return CurrentAudit(
-        status,
-        "; ".join((reason, *series.notes)),
-        known.explained_share,
-        ratio,
-        faults,
-        suspicions,
-        series.time_s,
-        series.current_a,
-        seen.healthy_a,
-        seen.sigma_a,
-        (series.motion.time_s, series.motion.asked_deg),
-        whole_share,
+        status, "; ".join((reason, *series.notes)), known.explained_share, ratio, faults, suspicions, series.time_s,
+        series.current_a, seen.healthy_a, seen.sigma_a, (series.motion.time_s, series.motion.asked_deg), whole_share,
         asked=asked,
-    )
+    )  # fmt: skip
 
 
 def _status(
-    known: CalibratedCurrent,
-    asked: bool,
-    faults: Sequence[Fault],
-    suspicions: Sequence[Fault],
-    ratio: float | None,
+    known: CalibratedCurrent, asked: bool, faults: Sequence[Fault], suspicions: Sequence[Fault], ratio: float | None,
     when: str,
-) -> tuple[Status, str]:
+) -> tuple[Status, str]:  # fmt: skip
     if faults:
         return "fault", f"by its current: {'; then '.join(describe(fault) for fault in faults)}"
     if not is_witness(known):

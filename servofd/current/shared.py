@@ -111,11 +111,12 @@ def faults_of_wire(
     causes: list[CommonCause] = []
     evidence = Evidence.of(seen)
     end_s = float(evidence.series.time_s[-1]) if evidence.series.time_s.size else 0.0
-    for event in events_of(evidence):
-        first = event.fault
+    for first in events_of(evidence):
         last_s = end_s if first.end_s is None else first.end_s
         span_s = first.start_s, max(min(last_s, first.alarm_s + _WHOSE_S), first.alarm_s)
-        likeliest = named(evidence, *span_s)[0] or event.explained
+        likeliest = named(evidence, *span_s)[0]
+        if not likeliest:
+            continue
         if len(likeliest[0][0].names) > 1:  # all of them
             if any(_draws(seen[name], span_s) for name in followed & seen.keys()):
                 return found, tuple(causes), first.start_s

@@ -10,7 +10,7 @@ import numpy as np
 from servofd.aircraft.schema import UNKNOWN_SERVO
 from servofd.core.errors import DesignError
 from servofd.current.evidence import GRID_S, LOOKS_S, Evidence
-from servofd.current.judge import by_kind, faults_of, held, is_witness, no_witness, shares_of
+from servofd.current.judge import faults_of, held, is_witness, no_witness, shares_of
 from servofd.current.model import CurrentSeries, Motion, see
 from servofd.detection.faults import Found
 from servofd.detection.residual import Residuals, Threshold
@@ -42,8 +42,8 @@ SLOWEST_HZ: Final = 0.5
 """Two readings in the shortest manoeuvre: a current at 1 Hz still tells a servo that is blocked within 20 s."""
 _SETTLES_S: Final = 4.0
 """Before the first reading of a window the motion is followed for so long: hobby servos forget faster."""
-_KEPT: Final = 64
-"""Windows that ended before which are kept: longer than any fault has to last."""
+_KEPT: Final = 16
+"""Windows that ended before which are kept: at 0.5 Hz a share has to last over five."""
 _LATE_S: Final = 1.0
 """A command that comes later than this after a reading is not waited for: it says nothing of that motion."""
 
@@ -117,8 +117,8 @@ class CurrentStream(Following):
         """Time of the latest reading that was evaluated [s]."""
         self._next_s = np.nan
         """When the next windows end [s]."""
-        self._shares: list[FloatArray] = []
-        """Of the windows that ended before, as long as a kind of fault has to last."""
+        self._shares: FloatArray = np.zeros(0)
+        """Of its limit, what the windows that ended before reached."""
 
     def _take(self, time_s: FloatArray, command_deg: FloatArray) -> None:
         """Keep commands."""
@@ -164,9 +164,8 @@ class CurrentStream(Following):
         if not due_s.size:
             return due_s
         evidence = Evidence.of({self._healthy.name: seen})
-        shares = by_kind(evidence, shares_of(evidence, due_s))
-        self._shares = [*self._shares, *shares.T][-_KEPT - due_s.size :]
-        raised = held(np.array(self._shares).T, seen.series.period_s).max(axis=0)[-due_s.size :] >= 1.0
+        self._shares = np.append(self._shares[-_KEPT:], shares_of(evidence, due_s).max(axis=0))
+        raised = held(self._shares, seen.series.period_s)[-due_s.size :] >= 1.0
         return np.asarray(due_s[raised])
 
     def _judged(self, seen: Seen, fresh: BoolArray, worth_s: FloatArray) -> Piece:
