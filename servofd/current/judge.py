@@ -42,6 +42,9 @@ _BEFORE_S: Final = 30.0
 """Time before an alarm in which its onset is looked for [s]."""
 _BRIEF_S: Final = 10.0
 """What passes sooner is no fault where one part of a log is all that is known of its current: a gust, a landing [s]."""
+_BINDS_S, _AGAIN_S = 20.0, 2.5
+"""A servo that binds does so in one manoeuvre after the other, for as long at least: some seconds of hard work are the
+air's; and time after which what was no fault may be one [s]."""
 _MOST: Final = 6
 """Faults of one flight at most."""
 _ENDS_S, _SIGMAS = 10.0, 3.0
@@ -143,6 +146,7 @@ def events_of(evidence: Evidence) -> Iterator[Fault]:
         at_s, found = at_s[at_s > alarm_s], found + 1
         fault = _fault(evidence, int(np.argmax(shares[:, raised[0]])), alarm_s, from_s)
         if fault is None:
+            at_s, found = at_s[at_s > alarm_s + _AGAIN_S], found - 1
             continue
         if not is_own or fault.end_s is None or fault.end_s - fault.start_s > _BRIEF_S:
             yield fault
@@ -153,7 +157,7 @@ def events_of(evidence: Evidence) -> Iterator[Fault]:
 
 
 def _fault(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Fault | None:
-    """What a change that was noticed at a time is, since when, and until when; None if nothing explains it."""
+    """What a change that was noticed at a time is, since when, and until when; None if it is none, or not yet."""
     time_s, change = evidence.series.time_s, evidence.changes[raised]
     begin, last = np.searchsorted(time_s, (max(alarm_s - _BEFORE_S, from_s), np.nextafter(alarm_s, np.inf))).tolist()
     odds = evidence.odds(change, KINDS[change.kind].size or _LEAST_SIZE)
@@ -164,6 +168,8 @@ def _fault(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Fa
     if not explained or explained[0][1] < KINDS[explained[0][0].kind].limit:
         return None
     change, nats = explained[0]
+    if change.kind == "binding" and alarm_s - start_s < _BINDS_S:
+        return None
     rivals = [(one.kind, math.exp(each - nats)) for one, each in explained if one.kind != change.kind]
     rival, chance = rivals[0] if rivals else ("", 0.0)
     end_s = _end_s(evidence, change, alarm_s)
