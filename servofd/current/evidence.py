@@ -227,17 +227,17 @@ class Evidence:
         found = [fitted(left, 1, columns=(k, len(changes))) for k in range(len(changes))]
         noise = np.maximum(np.fmin.reduce([one.left for one in found]) / count, 1.0)
         places = math.log(max(sum(change.share is not None for change in changes) / len(self.seen), 1.0))
-        told, rows = window.samples > 1, []
+        is_read, rows = window.samples > 1, []
         for change, one in zip(changes, found, strict=True):
             kind, at = KINDS[change.kind], one.scaled(np.maximum(one.left / count, 1.0))
-            away, off = distance(at.beyond(_NONE, np.array([[kind.healthy**2]]))), np.zeros(told.size)
+            away, off = distance(at.beyond(_NONE, np.array([[kind.healthy**2]]))), np.zeros(is_read.size)
             if kind.size is not None:
                 expected = Sizes(np.array([[kind.size]]), np.array([[[kind.deviation**2]]]))
                 off = distance(at.beyond(expected, np.zeros((1, 1))), None)
             explained = np.where(at.value[0] > 0.0, one.explained / noise, 0.0) - off
             cost = 0.0 if change.share is None else places
             deviation = np.sqrt(np.nan_to_num(at.covariance[0, 0], nan=np.inf))
-            gains = (np.where(told, nats, 0.0) for nats in (0.5 * (away - off), 0.5 * explained - cost))
+            gains = (np.where(is_read, nats, 0.0) for nats in (0.5 * (away - off), 0.5 * explained - cost))
             rows.append([*gains, np.nan_to_num(at.value[0]), deviation])
         return Fit(*np.array(rows).transpose(1, 0, 2))
 

@@ -11,7 +11,7 @@ from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, SurfaceAudit
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import Fault
@@ -77,12 +77,7 @@ def with_common_causes(
                 result[place] = _excused(surface, at_s, cause)
             elif surface.surface in struck and cause.kind == "supply":
                 result[place] = _convicted(surface, struck[surface.surface], is_fallen=bool(fell))
-    if not any(one.kind == "supply" for one in causes) and (sagged := _sagged(volts)) is not None:
-        at_s, text = sagged
-        names = [s.surface for s in result if any(-_WITH_IT_S <= f.start_s - at_s <= AROUND_S for f in s.faults)]
-        text = f"{text}{'' if names else ' though no servo failed with it'}: measure it under load"
-        causes.append(CommonCause("supply", at_s, None, tuple(names), text))
-    return tuple(result), tuple(causes)
+    return tuple(result), (*causes, *_of_volts_alone(result, causes, volts))
 
 
 def cause_of_alarms(
@@ -126,6 +121,18 @@ def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
     if 2 * len(fallen) <= len(found):
         return ""
     return fell_from(*np.median(fallen, axis=0).tolist())
+
+
+def _of_volts_alone(
+    surfaces: Sequence[SurfaceAudit], causes: Sequence[CommonCause], volts: Sequence[tuple[FloatArray, FloatArray]]
+) -> Iterator[CommonCause]:
+    """A supply that gave way, where servos do not say so themselves."""
+    sagged = _sagged(volts)
+    if sagged is not None and all(one.kind != "supply" for one in causes):
+        at_s, text = sagged
+        names = [s.surface for s in surfaces if any(-_WITH_IT_S <= f.start_s - at_s <= AROUND_S for f in s.faults)]
+        text = f"{text}{'' if names else ' though no servo failed with it'}: measure it under load"
+        yield CommonCause("supply", at_s, None, tuple(names), text)
 
 
 def _sagged(volts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, str] | None:
