@@ -29,9 +29,9 @@ _SENT = re.compile(r"(?:.*:)?(?:NVF|NVAL|NAMED_VALUE_FLOAT)\[SRVA(\d+)\]\.[vV]al
 _UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
 _EARLY = 0.1
 """Share of a refresh by which the next one may come early."""
-_MOST_A, _SELDOM = 100.0, 0.01
-"""More than any servo of an aircraft of this size draws, stalled ones of the largest less than 20 A; and the share of
-readings that may be none [A]."""
+_MOST_A, _MOST_OF_ONE_A, _SELDOM = 100.0, 25.0, 0.01
+"""More than the servos of an aircraft of this size draw, and than one of them does, stalled ones of the largest less
+than 20 A [A]; and the share of readings that may be none."""
 _REVERSED = 2.0
 """Times as far below zero as above it that a sensor reads which is wired the wrong way round."""
 _OFTEN, _PILED = 0.05, 2.0
@@ -163,15 +163,17 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     fresh = _fresh(time_s, current_a)
     time_s, current_a = time_s[fresh], current_a[fresh]
     notes = []
-    absurd = np.abs(current_a) > _MOST_A
+    is_of_one = source.channel.endswith(tuple(_UNITS)) and not source.channel.startswith("servo")
+    most_a = _MOST_OF_ONE_A if is_of_one else _MOST_A
+    absurd = np.abs(current_a) > most_a
     if float(np.mean(absurd)) > _SELDOM:
         raise NoMeasurement(
             f"current channel {source.channel!r} reads up to {np.abs(current_a).max():.4g} A, which no servo draws: "
-            'say in which unit (a column <surface>_current_ma, or unit = "mA" in the aircraft file); counts have to be '
-            "converted"
+            'say in which unit (a column <surface>_current_ma, or unit = "mA" or "cA" in the aircraft file); counts '
+            "have to be converted"
         )
     if absurd.any():
-        notes.append(f"{np.count_nonzero(absurd)} of its currents are beyond {_MOST_A:g} A and left out")
+        notes.append(f"{np.count_nonzero(absurd)} of its currents are beyond {most_a:g} A and left out")
         time_s, current_a = time_s[~absurd], current_a[~absurd]
     low_a, high_a = np.quantile(current_a, (_SELDOM, 1.0 - _SELDOM)).tolist()
     if -low_a > _REVERSED * max(high_a, 0.0) and float(np.mean(current_a)) < 0.0:

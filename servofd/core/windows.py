@@ -118,6 +118,20 @@ class Sums:
         """Products of all columns with all, shape (q, q, n)."""
         return np.asarray(self.products[self._places])
 
+    def given(self, count: int, precision: FloatArray) -> Sums:
+        """Products of the other columns, once the first so many were fitted to them with a precision (count, count).
+
+        Examples
+        --------
+        >>> a, x = np.array([1.0, 1.0]), np.array([1.0, 3.0])
+        >>> Sums.of(np.array([a, x]), np.ones(2, dtype=bool)).between(0, 2).given(1, np.zeros((1, 1))).products
+        array([[2.]])
+        """
+        table = np.moveaxis(self.table, 2, 0)
+        first, rest = table[:, :count, :count] + precision, table[:, :count, count:]
+        left = table[:, count:, count:] - rest.transpose(0, 2, 1) @ np.linalg.solve(first, rest)
+        return Sums(np.moveaxis(left, 0, 2)[np.triu_indices(left.shape[1])], self.samples)
+
     def rows(self, columns: Sequence[int]) -> list[list[FloatArray]]:
         """Of some columns, in an order of their own: rows of the upper triangle of their products."""
         place = self._places

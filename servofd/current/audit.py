@@ -11,7 +11,8 @@ from servofd.aircraft.current_source import current_sources, read_current, suppl
 from servofd.aircraft.pace import OUTAGE_S
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
-from servofd.current.judge import faults_of, largest_of, limits_of, pushed, tells_motion, verdict_of
+from servofd.current.evidence import largest_of
+from servofd.current.judge import faults_of, limits_of, pushed, tells_motion, verdict_of
 from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import Fault, LogAudit
 
 _GRAVEST: Final = ("fault", "suspect", "healthy", "unknown", "no_data")
-_MARGIN: Final = 1.3
-"""Times what good flights reach, that a fault has to exceed."""
 _AGREE_S: Final = 15.0
 """Two witnesses tell of one event if they notice it within so much of each other."""
 _AT_REST: Final = ("blocked", "unpowered")
@@ -163,25 +162,28 @@ def healthy_currents(
             continue
         for name in names:
             parts.setdefault(name, []).extend(flight[name] for flight in own)
-    found = {}
+    found: dict[str, CalibratedCurrent] = {}
     for name, flights in parts.items():
         try:
-            fitted = fit_current(flights)
+            found[name] = _healthy(flights, is_alone=all(name not in names for names in wires if len(names) > 1))
         except CalibrationError as error:
             reasons[name] = str(error)
-            continue
-        current = widened(fitted, flights)
-        usual_a = float(np.mean([np.mean(each.current_a) for each in flights]))
-        current = current.model_copy(
-            update={"moving_a": round(largest_of([see(each, current) for each in flights]), 4)}
-        )
-        seen = [see(each, current) for each in flights]
-        alone = all(
-            name not in names for names in wires if len(names) > 1
-        )  # where several draw, spread is of none alone
-        wear = wear_of([features_of(each) for each in seen], usual_a) if alone else None
-        found[name] = current.model_copy(update={"wear": wear, "limits": limits_of(seen, _MARGIN)})
+    for names in wires:
+        if set(names) <= found.keys():
+            each_flight = zip(*(parts[name] for name in names), strict=False)
+            limits = limits_of([{one.surface: see(one, found[one.surface]) for one in each} for each in each_flight])
+            found |= {name: found[name].model_copy(update={"limits": limits}) for name in names}
     return found, {name: reason for name, reason in reasons.items() if name not in found}
+
+
+def _healthy(flights: Sequence[CurrentSeries], *, is_alone: bool) -> CalibratedCurrent:
+    """The current of one servo in its good flights; where several draw, spread is of none alone, and no wear known."""
+    known = widened(fit_current(flights), flights)
+    known = known.model_copy(update={"moving_a": round(largest_of([see(each, known) for each in flights]), 4)})
+    if not is_alone:
+        return known
+    usual_a = float(np.mean([np.mean(each.current_a) for each in flights]))
+    return known.model_copy(update={"wear": wear_of([features_of(see(each, known)) for each in flights], usual_a)})
 
 
 def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: CurrentSource) -> CurrentSeries:
@@ -220,7 +222,7 @@ def _judged(
     except (NoMeasurement, CalibrationError) as error:
         return CurrentAudit("unknown", str(error))
     seen = see(series, known)
-    found = verdict_of(seen, tuple(faults_of(seen)), before)
+    found = verdict_of(seen, faults_of(seen), before)
     before.append(features_of(seen))
     if (
         surface.status == "healthy"
@@ -235,10 +237,10 @@ def _judged(
     if still and not found.faults and surface.segment is not None:
         to_s = np.inf if still[0].end_s is None else still[0].end_s
         where = surface.segment.measured_s, surface.segment.measured_deg
-        pushes = pushed(series, known, still[0], where)
+        pushes = pushed(seen, still[0], where)
         if pushes is not None:
             found = replace(found, faults=(pushes,), status="fault", reason=f"by its current: {describe(pushes)}")
-        elif tells_motion(series, known, still[0].start_s, to_s):
+        elif tells_motion(seen, still[0].start_s, to_s):
             found = replace(found, reason=f"{found.reason}; {_SENSOR}")
     return found
 

@@ -138,14 +138,6 @@ class Motion:
         place = np.clip(np.round((at_s - lag_s - self.time_s[0]) / _GRID_S).astype(int), 0, self.time_s.size - 1)
         return np.asarray(averaged(values, width_s)[place])
 
-    def within(self, from_s: float, to_s: float) -> Motion:
-        """The same in a part of its time."""
-        rows = slice(*np.searchsorted(self.time_s, (from_s, to_s + _GRID_S)))
-        return Motion(
-            self.time_s[rows], self.asked_deg[rows], self.deflection_deg[rows], self.speed_deg_s[rows],
-            self.push_deg_s2[rows], self.known[rows],
-        )  # fmt: skip
-
     def is_known(self, at_s: FloatArray) -> BoolArray:
         """Whether commands tell the motion at some times."""
         place = np.clip(((at_s - self.time_s[0]) / _GRID_S).astype(int), 0, self.time_s.size - 1)

@@ -15,10 +15,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.current import CalibratedCurrent
     from servofd.current.model import CurrentSeries
 
-_PARTS: Final = (3, 1)
+_PARTS: Final = (3, 2, 1)
 """Into how many parts a log is cut, one after the other."""
-_MARGIN: Final = 2.0
-"""Times what a part of a log reaches by itself, that the rest has to exceed."""
 
 
 def own_current(series: CurrentSeries) -> CalibratedCurrent:
@@ -49,4 +47,4 @@ def own_current(series: CurrentSeries) -> CalibratedCurrent:
         raise CalibrationError(reason)
     known = min(found, key=lambda each: each[:2])[2]
     part = series.within(*(known.fitted_between_s or (first_s, last_s)))
-    return known.model_copy(update={"limits": limits_of([see(part, known)], _MARGIN)})
+    return known.model_copy(update={"limits": limits_of([{series.surface: see(part, known)}])})

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.current.judge import SURE_NATS, account_of, faults_of, more_of, would_show
+from servofd.current.evidence import Evidence
+from servofd.current.judge import SURE_NATS, events_of, named, would_show
 from servofd.current.model import fit_current, terms
 from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import CommonCause, Fault, two_digits
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.current import CalibratedCurrent
     from servofd.core.types import FloatArray
-    from servofd.current.judge import Account
+    from servofd.current.evidence import Change
     from servofd.current.model import CurrentSeries, Seen
 
 _RIDGE: Final = 1e-3
@@ -32,8 +33,10 @@ _WHOSE_S: Final = 60.0
 """For so long after an alarm it is compared whose motion it goes with: a minute holds manoeuvres of all."""
 _EXPLAINS: Final = 0.5
 """Share of what explains an event best that the motion of a servo has to explain, whose position is at fault then."""
-_ONE_EVENT_S: Final = 15.0
-"""Faults of one wire that are noticed within so much of each other are one event: the longest window is 20 s."""
+_ALIKE: Final = 0.1
+"""Share of what explains an event best within which another explains it as well: stalls are not drawn so finely."""
+_AT_ONCE_S: Final = 15.0
+"""A fault that a position tells is that of a wire if it is noticed within so much of it: the longest window is 20 s."""
 
 
 def own_currents(
@@ -106,69 +109,44 @@ def faults_of_wire(
     """
     found: dict[str, list[Fault]] = {name: [] for name in seen}
     causes: list[CommonCause] = []
-    whole, end_s = _whole(seen), max(float(one.series.time_s[-1]) for one in seen.values())
-    events = [one for each in seen.values() for one in faults_of(each)]
-    events += [one for one in faults_of(whole) if one.kind == "unpowered"]
-    events.sort(key=lambda one: one.alarm_s)
-    while events:
-        first = events[0]
-        event = [one for one in events if one.alarm_s <= first.alarm_s + _ONE_EVENT_S]
-        events = events[len(event) :]
-        last_s = max(np.inf if one.end_s is None else one.end_s for one in event)
-        span_s = min(one.start_s for one in event), min(last_s, first.alarm_s + _WHOSE_S, end_s)
-        at_once = _failed_between(failed, span_s[0], first.alarm_s + _ONE_EVENT_S)
-        accounts = _may_be(seen, whole, span_s, followed, at_once)
-        if accounts is None:
-            return found, tuple(causes), span_s[0]
-        known = [one for name in accounts for one in found[name]]
-        if not accounts or any(one.end_s is None or one.end_s >= first.alarm_s for one in known):
-            continue  # it is of nobody, or what was reported of them lasts
-        before = {name: found[name][-1] for name in accounts if found[name]}
-        if len(before) == len(accounts) and all(one.kind == accounts[name].kind for name, one in before.items()):
-            for name, one in before.items():  # it was hard to see for a while
-                found[name][-1] = replace(one, end_s=first.end_s)
-            if causes and causes[-1].surfaces == tuple(accounts):
-                causes[-1] = replace(causes[-1], end_s=first.end_s)
+    evidence = Evidence.of(seen)
+    end_s = float(evidence.series.time_s[-1]) if evidence.series.time_s.size else 0.0
+    for first in events_of(evidence):
+        last_s = end_s if first.end_s is None else first.end_s
+        span_s = first.start_s, max(min(last_s, first.alarm_s + _WHOSE_S), first.alarm_s)
+        likeliest = named(evidence, *span_s)[0]
+        if not likeliest:
             continue
-        is_of_one = len(accounts) < len(seen) or any(one.kind != "unpowered" for one in accounts.values())
-        for name, account in accounts.items():
-            sure = first.probability / (len(accounts) if is_of_one else 1)
-            own = replace(first, kind=account.kind, parameters=account.parameters, alternatives=(), probability=sure)
-            found[name].append(own)
-        if len(accounts) > 1 and is_of_one:
-            causes.append(_one_of(seen, found, list(accounts)))
+        if len(likeliest[0][0].names) > 1:  # all of them
+            if any(_draws(seen[name], span_s) for name in followed & seen.keys()):
+                return found, tuple(causes), first.start_s
+            names = tuple(seen.keys() - followed or seen)
+        else:
+            names = _whose(likeliest, followed, _failed_between(failed, span_s[0], first.alarm_s + _AT_ONCE_S))
+        is_of_one = len(likeliest[0][0].names) == 1
+        for name in names:
+            own, parameters = named(evidence, *span_s, (name,) if is_of_one else tuple(seen))
+            sure = first.probability / (len(names) if is_of_one else 1)
+            fault = replace(first, kind=own[0][0].kind, parameters=parameters, alternatives=(), probability=sure)
+            found[name].append(fault)
+        if len(names) > 1 and is_of_one:
+            causes.append(_one_of(seen, found, names))
     return found, tuple(causes), np.inf
 
 
-def _may_be(
-    seen: Mapping[str, Seen], whole: Seen, span_s: tuple[float, float], followed: Set[str], failed: Set[str]
-) -> dict[str, Account] | None:
-    """What each servo does that an event between two times may be of: one, several alike, or all without power.
-
-    None if positions say that servos move while nothing flows: then it is the sensor of the current that failed.
-    """
-    accounts = {name: one for name, each in seen.items() if (one := account_of(each, *span_s)) is not None}
-    least = min(accounts.values(), key=lambda one: one.total)
-    rest = account_of(whole, *span_s, "unpowered")
-    if rest is not None and rest.total < least.total:
-        moves = any(_draws(seen[name], span_s) for name in followed & seen.keys())
-        return None if moves else dict.fromkeys(seen.keys() - followed or seen, rest)
-    totals = {name: one.total for name, one in accounts.items()}
-    if least.kind == "binding":  # whose motion it goes with: readings are as uncertain whoever it is
-        totals = {name: more_of(each, whole.noise_a, *span_s) for name, each in seen.items()}
-        bound = {name: account_of(each, *span_s, "binding") for name, each in seen.items()}
-        accounts = {name: one for name, one in bound.items() if one is not None}
-
-    def likeliest(names: Set[str]) -> dict[str, Account]:
-        alike = min((totals[name] for name in names), default=0.0) + SURE_NATS
-        return {name: one for name, one in accounts.items() if name in names and totals[name] <= alike}
-
-    well, best = account_of(whole, *span_s, "healthy"), min(totals.values())
-    enough = best if well is None else well.total + _EXPLAINS * (best - well.total)
-    shown = {name for name in failed & accounts.keys() if totals[name] <= enough}
-    found = likeliest(shown or accounts.keys())
-    free = {name: one for name, one in found.items() if name not in followed}
-    return free or (found if least.kind == "binding" and not failed else likeliest(accounts.keys() - followed))
+def _whose(explained: Sequence[tuple[Change, float]], followed: Set[str], failed: Set[str]) -> tuple[str, ...]:
+    """Of whom an event may be: of those that explain it about as well as the likeliest of them."""
+    nats: dict[str, float] = {}
+    for change, each in explained:
+        if len(change.names) == 1:
+            nats.setdefault(change.names[0], each)
+    best = max(nats.values())
+    shown = {name for name in failed & nats.keys() if nats[name] >= _EXPLAINS * best}
+    free = shown or nats.keys() - (followed if explained[0][0].kind != "binding" else set())
+    likeliest = max((nats[name] for name in free), default=0.0)
+    least = likeliest - max(SURE_NATS, _ALIKE * likeliest)
+    alike = tuple(name for name in nats if name in free and nats[name] >= least)
+    return tuple(name for name in alike if name not in followed) or alike
 
 
 def _draws(seen: Seen, span_s: tuple[float, float]) -> bool:
@@ -181,17 +159,6 @@ def _failed_between(failed: Mapping[str, Sequence[Fault]], from_s: float, to_s: 
     """Servos with a fault that lasts at some time between two."""
     lasts = [(name, one) for name, own in failed.items() for one in own if one.start_s <= to_s]
     return {name for name, one in lasts if one.end_s is None or one.end_s >= from_s}
-
-
-def _whole(seen: Mapping[str, Seen]) -> Seen:
-    """All servos on the wire as if they were one, as far as rest and motion are concerned."""
-    first, *others = seen.values()
-    others_a = np.sum([one.healthy_a - one.known.theta[0] for one in others], axis=0)
-    moving_a2 = np.sum([one.noise_a**2 - one.known.noise.still_a**2 for one in others], axis=0)
-    series = replace(first.series, current_a=first.series.current_a + others_a)
-    return first._replace(
-        series=series, healthy_a=first.healthy_a + others_a, noise_a=np.sqrt(first.noise_a**2 + moving_a2)
-    )
 
 
 def _one_of(seen: Mapping[str, Seen], found: Mapping[str, Sequence[Fault]], names: Sequence[str]) -> CommonCause:

@@ -9,7 +9,8 @@ import numpy as np
 
 from servofd.aircraft.schema import UNKNOWN_SERVO
 from servofd.core.errors import DesignError
-from servofd.current.judge import GRID_S, LOOKS_S, faults_of, is_witness, no_witness, worth_a_look
+from servofd.current.evidence import GRID_S, LOOKS_S, Evidence
+from servofd.current.judge import faults_of, held, is_witness, no_witness, shares_of
 from servofd.current.model import CurrentSeries, Motion, see
 from servofd.detection.faults import Found
 from servofd.detection.residual import Residuals, Threshold
@@ -41,6 +42,8 @@ SLOWEST_HZ: Final = 0.5
 """Two readings in the shortest manoeuvre: a current at 1 Hz still tells a servo that is blocked within 20 s."""
 _SETTLES_S: Final = 4.0
 """Before the first reading of a window the motion is followed for so long: hobby servos forget faster."""
+_KEPT: Final = 16
+"""Windows that ended before which are kept: at 0.5 Hz a share has to last over five."""
 _LATE_S: Final = 1.0
 """A command that comes later than this after a reading is not waited for: it says nothing of that motion."""
 
@@ -113,7 +116,9 @@ class CurrentStream(Following):
         self._passed_s = -np.inf
         """Time of the latest reading that was evaluated [s]."""
         self._next_s = np.nan
-        """When it is asked next whether the current is worth a look [s]."""
+        """When the next windows end [s]."""
+        self._shares: FloatArray = np.zeros(0)
+        """Of its limit, what the windows that ended before reached."""
 
     def _take(self, time_s: FloatArray, command_deg: FloatArray) -> None:
         """Keep commands."""
@@ -152,7 +157,16 @@ class CurrentStream(Following):
         self._passed_s = float(readings[0, -1])
         kept_s = self._passed_s - LOOKS_S[-1]
         self._positions = [row for row in self._positions if row[0] >= kept_s]
-        return self._judged(seen, fresh, worth_a_look(seen, due_s))
+        return self._judged(seen, fresh, self._raised_s(seen, due_s))
+
+    def _raised_s(self, seen: Seen, due_s: FloatArray) -> FloatArray:
+        """Which of these instants a fault is reported at [s]."""
+        if not due_s.size:
+            return due_s
+        evidence = Evidence.of({self._healthy.name: seen})
+        self._shares = np.append(self._shares[-_KEPT:], shares_of(evidence, due_s).max(axis=0))
+        raised = held(self._shares, seen.series.period_s)[-due_s.size :] >= 1.0
+        return np.asarray(due_s[raised])
 
     def _judged(self, seen: Seen, fresh: BoolArray, worth_s: FloatArray) -> Piece:
         """What is shown of the fresh readings, and the first instant that is worth a look."""
@@ -175,6 +189,6 @@ class CurrentStream(Following):
         if readings.shape[1] < 2 or not seen.commands.effective_s.size:
             return Found((), (), seen.residuals.residual_deg)
         commands = seen.commands.effective_s, seen.commands.command_deg
-        found = tuple(faults_of(self._healthy.seen(readings, commands, seen.residuals.context)))
+        found = faults_of(self._healthy.seen(readings, commands, seen.residuals.context))
         faults, suspicions = (tuple(one for one in found if one.level == level) for level in ("fault", "suspect"))
         return Found(faults, suspicions, seen.residuals.residual_deg)

@@ -15,6 +15,7 @@ import numpy as np
 from servofd.aircraft.calibrated import lower_triangle
 from servofd.aircraft.current import FEATURES, NAMES, Wear
 from servofd.core.statistics import Estimate
+from servofd.core.windows import Sizes, distance
 from servofd.current.model import APART, HUBER
 from servofd.detection.verdict import Fault
 
@@ -91,7 +92,7 @@ def wear_of(features: Sequence[FloatArray], usual_a: float) -> Wear | None:
         others = _known(np.delete(table, block, axis=0), usual_a)
         for k in range(len(block)):
             together = table[block[max(0, k + 1 - TOGETHER) : k + 1]]
-            largest = max(largest, distance(others, together))
+            largest = max(largest, distance_of(others, together))
     return known.model_copy(update={"limit": float(f"{max(largest, _LEAST_LIMIT):.4g}")})
 
 
@@ -164,12 +165,12 @@ def _known(table: FloatArray, usual_a: float) -> Wear:
     )
 
 
-def distance(known: Wear, together: FloatArray) -> float:
-    """Squared distance of the mean of some flights (k, 6) from good ones, over the number of features."""
-    away = together.mean(axis=0) - np.array(known.mean)
+def distance_of(known: Wear, together: FloatArray) -> float:
+    """J of the mean of some flights (k, 6) beside good ones, over the number of features."""
     days = _DAYS + (1.0 - _DAYS) / len(together)
     learnt = (_DAYS + (1.0 - _DAYS) / TOGETHER) * TOGETHER / known.flights
-    return float(away @ np.linalg.solve(known.covariance, away)) / len(FEATURES) / (days + learnt)
+    away = (together.mean(axis=0) - np.array(known.mean))[:, None]
+    return float(distance(Sizes(away, (days + learnt) * known.covariance[..., None]), None)[0]) / len(FEATURES)
 
 
 def worn(seen: Seen, before: Sequence[FloatArray] = ()) -> tuple[Fault, ...]:
@@ -178,7 +179,7 @@ def worn(seen: Seen, before: Sequence[FloatArray] = ()) -> tuple[Fault, ...]:
     if known is None or not np.isfinite(own).all():
         return ()
     together = np.array([*(each for each in before if np.isfinite(each).all()), own])[-TOGETHER:]
-    ratio = distance(known, together) / known.limit
+    ratio = distance_of(known, together) / known.limit
     if ratio < 1.0:
         return ()
     first_s, last_s = (float(seen.series.time_s[k]) for k in (0, -1))

@@ -11,7 +11,7 @@ from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, SurfaceAudit
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import Fault
@@ -26,6 +26,9 @@ AROUND_S: Final = 15.0
 FALLEN, _UNDER_LOAD = 0.9, 0.1
 """Share of its volts below which a supply has fallen, each taken as those that it is below for a tenth of the time: the
 rail of the simulated motors sags by 5 % under load."""
+_SAGGED, _BRIEF = 0.8, 0.1
+"""Share of its usual volts below which a supply gave way though servos follow, and share of `AROUND_S` in which it has
+to: starts of motors and gusts take less."""
 _EMPTY, _FULL = 0.75, 0.95
 """Share of its highest volts at which a battery is empty (3.2 of 4.2 V a cell), and below which one is passed by for
 glitches: a share of its readings."""
@@ -74,7 +77,7 @@ def with_common_causes(
                 result[place] = _excused(surface, at_s, cause)
             elif surface.surface in struck and cause.kind == "supply":
                 result[place] = _convicted(surface, struck[surface.surface], is_fallen=bool(fell))
-    return tuple(result), tuple(causes)
+    return tuple(result), (*causes, *_of_volts_alone(result, causes, volts))
 
 
 def cause_of_alarms(
@@ -118,6 +121,43 @@ def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
     if 2 * len(fallen) <= len(found):
         return ""
     return fell_from(*np.median(fallen, axis=0).tolist())
+
+
+def _of_volts_alone(
+    surfaces: Sequence[SurfaceAudit], causes: Sequence[CommonCause], volts: Sequence[tuple[FloatArray, FloatArray]]
+) -> Iterator[CommonCause]:
+    """A supply that gave way, where servos do not say so themselves."""
+    sagged = _sagged(volts)
+    if sagged is not None and all(one.kind != "supply" for one in causes):
+        at_s, text = sagged
+        names = [s.surface for s in surfaces if any(-_WITH_IT_S <= f.start_s - at_s <= AROUND_S for f in s.faults)]
+        text = f"{text}{'' if names else ' though no servo failed with it'}: measure it under load"
+        yield CommonCause("supply", at_s, None, tuple(names), text)
+
+
+def _sagged(volts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, str] | None:
+    """When [s] and by how much the supply of most servos fell by a fifth or more for seconds; None if it did not.
+
+    Before servos have power, and as a log ends with it, volts tell nothing.
+
+    Examples
+    --------
+    >>> time_s = np.arange(0.0, 90.0, 0.5)
+    >>> _sagged([(time_s, np.where(time_s < 40.0, 6.0, 4.5))])
+    (40.0, 'it fell from 6.0 to 4.5 V')
+    """
+    found = []
+    for time_s, volts_v in volts:
+        before, after = (np.searchsorted(time_s, time_s + by_s) for by_s in (-AROUND_S, AROUND_S))
+        low = volts_v < _SAGGED * np.quantile(volts_v, _FULL)
+        for k in np.flatnonzero(np.diff(low.astype(int), prepend=1) == 1).tolist():
+            was_v, is_low = volts_v[before[k] : k], low[k : after[k]]
+            is_inside = time_s[0] <= time_s[k] - AROUND_S and time_s[k] + AROUND_S <= time_s[-1]
+            if is_inside and np.mean(low[before[k] : k]) < _BRIEF and np.mean(is_low) >= _BRIEF:
+                is_v = float(np.median(volts_v[k : after[k]][is_low]))
+                found.append((float(time_s[k]), fell_from(float(np.median(was_v)), is_v)))
+                break
+    return min(found) if 2 * len(found) > len(volts) else None
 
 
 def fell_from(was_v: float, is_v: float) -> str:

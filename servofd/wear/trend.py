@@ -132,7 +132,7 @@ def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> _Shown | None:
     if known is None or source is None or [one.channel for one in sources.values()].count(source.channel) > 1:
         return None  # a wire that several servos share wears for none of them
     seen = see(current_series(log, name, aircraft, source), known)
-    verdict = verdict_of(seen, tuple(faults_of(seen)))
+    verdict = verdict_of(seen, faults_of(seen))
     return _Shown(quantities_of(seen), {}, verdict.reason if verdict.faults else "")
 
 

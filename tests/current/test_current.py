@@ -124,6 +124,7 @@ def test_a_position_that_follows_takes_back_what_an_unknown_current_looks_like(t
         (lambda text: _current(text, lambda value: -value - 0.2), "wired the wrong way round"),
         (lambda text: _current(text, lambda value: -value), "wired the wrong way round"),
         (lambda text: _current(text, lambda value: 1e3 * value), "which no servo draws"),
+        (lambda text: _current(text, lambda value: 1e2 * value), "which no servo draws"),
         (lambda text: _current(text, lambda value: 512.0 + round(value / 8e-4)), "counts have to be converted"),
         (lambda text: _later(text, 1.7e9), "has a clock of its own"),
         (lambda text: _current(text, lambda value: value * float("nan")), "holds no value"),
@@ -274,6 +275,24 @@ def test_servos_without_power_at_once_are_one_supply_that_gave_way(tmp_path: Pat
     assert abs(cause.since_s - START_S) < 1.5
     assert "it fell from 6.0 to 0.4 V" in cause.text
     assert found.sentence.startswith("SUPPLY GAVE WAY at 1:")
+
+
+@pytest.mark.parametrize("again_v", [4.5, 6.0])
+def test_a_supply_that_sags_is_said_though_servos_follow(tmp_path: Path, again_v: float) -> None:
+    """By a quarter for good, or to a half for two seconds in four."""
+
+    def volts_v(at_s: float) -> float:
+        return 6.0 if at_s < START_S else again_v if (at_s - START_S) % 4.0 > 2.0 else min(again_v, 4.5)
+
+    flights = {name: flown(30 + k, 10.0) for k, name in enumerate(("aileron", "elevator", "rudder"))}
+    path = tmp_path / "flight.csv"
+    path.write_text(together(flights, volts_v))
+    found = servofd.audit(path)
+    (cause,) = found.common_causes
+    assert (cause.kind, cause.surfaces) == ("supply", ())
+    assert abs(cause.since_s - START_S) < 0.2
+    assert "it fell from 6.0 to 4.5 V though no servo failed with it" in found.sentence
+    assert {s.status for s in found.surfaces} == {"healthy"}
 
 
 def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
