@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")]
 
-WIDTHS = (60, 100, 200)
+WIDTHS = (60, *(pytest.param(width, marks=pytest.mark.nightly) for width in (100, 200)))
+"""Most is folded in the narrowest."""
 _CODE = re.compile(r"\\x1b|\\x9b|\[\d+(;\d+)*m|\[\?\d+[hl]")
 """A code that did not act."""
 _REFRESHED = b"\x1b[H"
@@ -150,10 +151,10 @@ def test_a_signal_while_the_program_loads_is_one_line(number: signal.Signals) ->
     assert done.stderr == "servofd: interrupted before anything was begun\n"
 
 
-@pytest.mark.parametrize("how", ["SIGTERM", "SIGHUP", "closed"])
+@pytest.mark.parametrize("how", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.nightly), "closed"])
 def test_whatever_ends_it_the_lines_of_json_are_whole(folder: Path, tmp_path: Path, how: str) -> None:
     lines, own = tmp_path / "events.jsonl", tmp_path / "own.tlog"
-    words = ["monitor", str(folder / "flight.tlog"), "-c", str(folder / "plane.toml"), "--speed", "2", "--no-alert"]
+    words = ["monitor", str(folder / "flight.tlog"), "-c", str(folder / "plane.toml"), "--speed", "4", "--no-alert"]
     words += ["--plain", "--json-lines", str(lines), "--tlog", str(own)]
     run = [sys.executable, "-m", "servofd", *words]
     with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as monitor:
