@@ -83,11 +83,6 @@ def test_a_rate_limit_is_the_largest_speed() -> None:
 
 
 @pytest.mark.slow
-def test_backlash_is_named_in_flight() -> None:
-    assert_named(explained(hide(FineServo(backlash_deg=0.8))), "backlash", 0.8, 0.02)
-
-
-@pytest.mark.slow
 def test_a_rate_limit_is_named_in_a_chirp() -> None:
     found = explained(hide(FineServo(rate_deg_s=50.0), "chirp"), context=False)
     assert_named(found, "rate_limit", 50.0, 1.0)
@@ -172,7 +167,7 @@ def test_healthy_servos_at_several_noises(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_what_no_model_contains_is_not_explained(seed: int) -> None:
     found = explained(hide(FineServo(cyclic_deg=0.5), seed=seed, duration_s=60.0))
     assert found.conclusion in ("unexplained", "partly_explained")
@@ -265,8 +260,8 @@ def test_a_jam_stands_out_where_what_came_before_is_not_explained_either() -> No
 
 @pytest.mark.slow
 def test_a_drift_is_no_fault_that_sets_in() -> None:
-    log = hide(FineServo(), "gusty", seed=3, duration_s=40.0)
-    found = explained(replace(log, position_deg=log.position_deg + 1.5 * log.time_s / 40.0))
+    log = hide(FineServo(), "gusty", seed=3, duration_s=24.0)
+    found = explained(replace(log, position_deg=log.position_deg + 1.5 * log.time_s / 24.0))
     assert found.fault_s is None
     assert found.conclusion == "partly_explained"
 
