@@ -20,6 +20,7 @@ from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName
 from servofd.simulation.airframe import fly_airframe
 from servofd.simulation.airframe_log import airframe_log
+from tests.fleet.conftest import in_line
 
 ROOT = Path(__file__).parent.parent
 STUCK = ROOT / "sample_logs" / "faser_stuck_flight.mat"
@@ -272,12 +273,13 @@ def test_every_other_result_is_kept_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_folder_is_a_fleet_and_its_results_are_the_same(tmp_path: Path) -> None:
+def test_a_folder_is_a_fleet_and_its_results_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     for name in ("faser_stuck_flight.mat", "faser_healthy_flight.mat"):
         (tmp_path / name).symlink_to(ROOT / "sample_logs" / name)
     judged = servofd.audit(tmp_path)
     assert isinstance(judged, servofd.Fleet)
-    assert main(["audit", str(tmp_path), "-o", str(tmp_path / "results"), "--workers", "1"]) == 1
+    assert main(["audit", str(tmp_path), "-o", str(tmp_path / "results")]) == 1
     pd.testing.assert_frame_equal(servofd.fleet(tmp_path / "results").to_pandas(), judged.to_pandas())
     assert judged.to_pandas().status.tolist() == ["fault", "healthy"]
 

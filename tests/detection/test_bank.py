@@ -79,6 +79,7 @@ class TestSmallButLasting:
         assert (found.faults, found.suspicions) == ((), ())
 
 
+@pytest.mark.slow
 def test_a_lasting_fault_is_told_so_many_samples_later() -> None:
     measured_deg = flown(3, Bias(20.0, bias_deg=4.0), TIME_S)
     (first,), (later,) = (judged(TIME_S, command(3, TIME_S), measured_deg, persistence=many).faults for many in (1, 4))
@@ -108,6 +109,7 @@ class TestFlights:
         assert (fault.kind, fault.end_s) == (kind, None)
         assert fault.start_s < 5.0
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("kind", ["bias", pytest.param("stuck", marks=pytest.mark.nightly), "oscillation"])
     def test_a_log_that_starts_inside_a_fault_which_passes(self, kind: str) -> None:
         passing = replace(GROSS[kind], start_s=0.0, end_s=15.0)
@@ -116,6 +118,7 @@ class TestFlights:
         assert fault.end_s is not None
         assert 10.0 < fault.end_s < 17.0
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "kind", [pytest.param("bias", marks=pytest.mark.nightly), "oscillation", "stuck", "deadband"]
     )
@@ -127,6 +130,7 @@ class TestFlights:
         assert fault.end_s is not None
         assert 25.0 < fault.end_s < 33.0
 
+    @pytest.mark.slow
     def test_two_faults_one_after_the_other(self) -> None:
         healthy_deg = flown(4, Bias(10.0, end_s=20.0, bias_deg=2.5), TIME_S)
         measured_deg = np.where(TIME_S < 40.0, healthy_deg, flown(4, Stuck(40.0), TIME_S))

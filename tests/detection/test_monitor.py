@@ -122,8 +122,10 @@ class TestTheSameStepAsOffline:
         ("kind", "lost"),
         [
             ("interval", 0.05),
-            ("constant", 0.0),
-            *(pytest.param(*each, marks=pytest.mark.nightly) for each in (("interval", 0.0), ("constant", 0.05))),
+            *(
+                pytest.param(*each, marks=pytest.mark.nightly)
+                for each in (("interval", 0.0), ("constant", 0.0), ("constant", 0.05))
+            ),
         ],
     )
     def test_alarms_come_at_the_same_times_with_the_same_names(self, kind: str, lost: float) -> None:
@@ -163,6 +165,7 @@ def watched(entry: Surface, model: ServoModel, segment: Series, piece: int = 1) 
     return monitor, events + monitor.finish()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["jam", pytest.param("offset", marks=pytest.mark.nightly)])
 def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None:
     entry, model = surface()
@@ -177,6 +180,7 @@ def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None
 
 
 class TestNoVerdictFromNoMeasurement:
+    @pytest.mark.slow
     def test_a_wrong_scale_is_one_alarm_that_is_taken_back_and_then_said(self) -> None:
         entry, model = surface()
         right = flight(3)

@@ -29,7 +29,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_good_part_calibrates_and_the_whole_shows_both_jams(config: Path, tmp_path: Path) -> None:
     found = servofd.calibrate([LOG], config, spans=((float("-inf"), 93.0),))
     assert len(found.surfaces) == 6

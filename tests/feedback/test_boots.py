@@ -22,7 +22,7 @@ def test_no_fault_spans_a_reboot_and_each_boot_is_judged_on_its_own(tmp_path: Pa
         parts.append(path.read_bytes())
     both = tmp_path / "both.bin"
     both.write_bytes(parts[0] + parts[1])
-    first, second = servofd.audit(both)
+    first, second = servofd.audit(both, "simulated")
     assert (first.log.run, second.log.run) == ("boot 1", "boot 2")
     for result in (first, second):
         for surface in result.surfaces:

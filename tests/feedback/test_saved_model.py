@@ -127,6 +127,7 @@ def test_a_servo_that_does_not_explain_its_own_test_is_not_saved(
     assert not saved.exists()
 
 
+@pytest.mark.slow
 def test_a_model_that_no_tolerance_fits_accuses_not_its_own_run() -> None:
     """A position that jumps by 6 deg twice a second, whatever the command: no tolerance of a servo allows that."""
     plane = plain_aircraft(["rudder"], "s9256")

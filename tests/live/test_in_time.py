@@ -92,7 +92,7 @@ class Flown:
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(fault, id=fault.kind, marks=() if fault.kind in ("stuck", "slow") else pytest.mark.nightly)
+        pytest.param(fault, id=fault.kind, marks=() if fault.kind == "slow" else pytest.mark.nightly)
         for fault in FAULTS
     ],
 )

@@ -165,6 +165,7 @@ def test_a_vehicle_that_starts_again_is_watched_again(aircraft: Aircraft) -> Non
     field.wait(5.0)
     field.fly(vehicle(lively(duration_s=20.0, stuck_s=15.0, seed=4)))
     events = field.end()
+    assert [e.text for e in events if e.event == "no_data"] == ["vehicle 1 has restarted; the monitor begins anew"]
     assert [surface for surface, _ in kinds(events, "alarm")] == ["elevator"]
     assert kinds(events, "alarm")[0][1] == pytest.approx(15.2, abs=1.0)
     rate_hz = next(monitor.rate_hz for _, monitor in field.session.watched if monitor.name == "elevator")

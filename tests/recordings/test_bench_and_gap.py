@@ -42,6 +42,7 @@ def gap(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "gap.rrd"
 
 
+@pytest.mark.slow
 def test_there_are_no_verdicts_to_review(gap: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "secret_hangar" not in everything(gap)
     assert main(["review", str(gap)]) == 2

@@ -127,7 +127,7 @@ def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
 @pytest.mark.parametrize(
     ("servo", "name", "value", "within"),
     [
-        (FineServo(delay_s=0.03), "delay", 0.03, 4e-4),
+        pytest.param(FineServo(delay_s=0.03), "delay", 0.03, 4e-4, marks=pytest.mark.nightly),
         pytest.param(FineServo(slow=0.75), "slow_dynamics", 0.75, 0.01, marks=pytest.mark.nightly),
         (FineServo(deadband_deg=1.2), "deadband", 1.2, 0.05),
         (FineServo(backlash_deg=0.8), "backlash", 0.8, 0.03),
@@ -222,7 +222,7 @@ def jammed(log: Hidden, from_s: float, until_s: float) -> Hidden:
     ("noise_deg", "step_deg"),
     [
         pytest.param(0.02, 0.3, marks=pytest.mark.nightly),
-        (0.05, 0.3),
+        pytest.param(0.05, 0.3, marks=pytest.mark.nightly),
         pytest.param(0.05, 0.8, marks=pytest.mark.nightly),
         (0.2, 2.0),
     ],
@@ -266,6 +266,7 @@ def test_a_drift_is_no_fault_that_sets_in() -> None:
     assert found.conclusion == "partly_explained"
 
 
+@pytest.mark.slow
 def test_a_gain_that_a_slow_command_shows_is_no_drift() -> None:
     """Error and command rise along a line together: an offset that grows would not follow the command."""
     time_s = np.arange(0.0, 60.0, 0.02)

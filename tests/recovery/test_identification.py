@@ -121,6 +121,7 @@ def check_invariants(name: str, seed: int) -> None:
         assert result.intervals["delay_s"].low <= truth.delay_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(1, 6))])
 def test_rate_limits_from_a_large_step(seed: int) -> None:
     servo = identify(step(72.0, seed=seed)).servo
@@ -163,6 +164,7 @@ def test_offset_gain_and_sign_of_the_position() -> None:
     assert any("runs against the command" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_a_position_in_radians_is_doubted() -> None:
     segment = sweep("hs225bb-eq31", duration_s=30.0)
     in_degrees, in_radians = (
@@ -221,6 +223,7 @@ def test_a_dead_band_from_a_slow_triangle() -> None:
     assert result.servo.dead_band_deg == pytest.approx(1.5, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level_deg", [0.0, 0.4])
 def test_play_that_hides_in_the_noise_widens_the_interval_of_the_bandwidth(level_deg: float) -> None:
     """Errors look white (0.2 deg), and play of 0.4 deg lowers the bandwidth by 14 %; without it it is well known."""

@@ -129,7 +129,7 @@ AUTOPILOT_VERDICTS: dict[str, tuple[str, str | None, float]] = {
     [
         *((name, False) for name in AUTOPILOT_VERDICTS),
         *(
-            pytest.param(name, True, marks=[] if name.endswith((".ulg", "volz_stuck.bin")) else pytest.mark.nightly)
+            pytest.param(name, True, marks=[] if name.endswith(".ulg") else pytest.mark.nightly)
             for name in AUTOPILOT_VERDICTS
         ),
     ],

@@ -17,6 +17,7 @@ from servofd.servo.faults import Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.cli.test_calibrate import flown as table_flight
 from tests.cli.test_calibrate import logged
+from tests.fleet.conftest import in_line
 from tests.live.vehicles import PLANE, flown, plane_file
 from tests.recovery.fine_servo import FineServo, hide
 from tests.terminal.terminals import Terminal
@@ -72,7 +73,9 @@ def printed(words: list[str], width: int, monkeypatch: pytest.MonkeyPatch) -> tu
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_what_verbs_print(folder: Path, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, shown = printed(["audit", str(folder / "logs"), "--servo", "hs225bb-eq31"], width, monkeypatch)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("servofd.fleets.run.run_local", in_line)
+        code, shown = printed(["audit", str(folder / "logs"), "--servo", "hs225bb-eq31"], width, monkeypatch)
     assert (code, "JAMMED" in shown, "healthy" in shown) == (1, True, True)
     target = str(folder / f"calibrated{width}.toml")
     code, shown = printed(["calibrate", str(folder / "logs" / "good.csv"), "-o", target], width, monkeypatch)
