@@ -177,6 +177,13 @@ class Flight:
         """What the aircraft does at a time."""
         return next((name for name, start_s, end_s in self.phases if start_s <= time_s < end_s), "")
 
+    def only(self, *names: str) -> Flight:
+        """The log of some surfaces alone; in that of an autopilot they are on the first outputs."""
+        places = [self.surfaces.index(name) for name in names]
+        return replace(
+            self, surfaces=names, command_deg=self.command_deg[:, places], position_deg=self.position_deg[:, places]
+        )
+
     def table(self) -> bytes:
         """As plain table: commands and positions in rows of their own, empty where there is none."""
         n, m, s = self.command_s.size, self.position_s.size, len(self.surfaces)
@@ -203,13 +210,13 @@ class Flight:
         rcou = {"TimeUS": micros(self.command_s)} | {f"C{k}": np.zeros(n, np.int64) for k in range(1, 15)}
         rcou["C3"] = np.full(n, 1500, np.int64)
         parameters = {"SERVO3_FUNCTION": 70.0}
-        for i, output in enumerate(_OUTPUTS):
+        for i, output in enumerate(_OUTPUTS[: len(self.surfaces)]):
             rcou[f"C{output}"] = np.round(1500.0 + self.command_deg[:, i] / scale).astype(np.int64)
             parameters |= {f"SERVO{output}_FUNCTION": (4.0, 4.0, 19.0, 21.0)[i], f"SERVO{output}_TRIM": 1500.0}
             parameters |= {f"SERVO{output}_MIN": 1100.0, f"SERVO{output}_MAX": 1900.0, f"SERVO{output}_REVERSED": 0.0}
         time_s = np.concatenate([self.position_s[np.isfinite(d)] for d in self.position_deg.T])
         ids = np.concatenate(
-            [np.full(np.isfinite(d).sum(), o - 1) for o, d in zip(_OUTPUTS, self.position_deg.T, strict=True)]
+            [np.full(np.isfinite(d).sum(), o - 1) for o, d in zip(_OUTPUTS, self.position_deg.T, strict=False)]
         )
         deg = np.concatenate([d[np.isfinite(d)] for d in self.position_deg.T])
         order = np.argsort(time_s, kind="stable")
@@ -241,7 +248,7 @@ class Flight:
         pulses: dict[str, ArrayLike] = {"time_usec": sent_us, "servo3_raw": np.full(sent_us.size, 1500)}
         parameters = {"SERVO3_FUNCTION": 70.0}
         told: list[tuple[str, NDArray[np.int64], dict[str, ArrayLike]]] = []
-        for i, output in enumerate(_OUTPUTS):
+        for i, output in enumerate(_OUTPUTS[: len(self.surfaces)]):
             us = 1500.0 + self.command_deg[:, i] / self.aircraft.deg_per_us
             pulses[f"servo{output}_raw"] = np.round(us).astype(np.int64)
             parameters |= {f"SERVO{output}_FUNCTION": (4.0, 4.0, 19.0, 21.0)[i], f"SERVO{output}_TRIM": 1500.0}

@@ -20,6 +20,7 @@ from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName
 from servofd.simulation.airframe import fly_airframe
 from servofd.simulation.airframe_log import airframe_log
+from tests.fleet.conftest import in_line
 
 ROOT = Path(__file__).parent.parent
 STUCK = ROOT / "sample_logs" / "faser_stuck_flight.mat"
@@ -57,11 +58,8 @@ def test_a_result_is_short_and_a_loop_over_it_gives_itself(stuck: servofd.Audit)
 
 @pytest.mark.slow
 def test_a_cell_is_escaped_and_needs_nothing(tmp_path: Path) -> None:
-    table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
     name = "<script>alert(1)</script>"
-    renamed = table.rename(columns=lambda column: column.replace("elevator", name))
-    found = servofd.audit(renamed, surfaces=(name,))
-    assert isinstance(found, servofd.Audit)
+    found = one_run(rudder().rename(columns=lambda column: column.replace("rudder", name)))
     for text in (found._repr_html_(), found.save_html(tmp_path / "a.html").read_text()):
         assert "<script>alert" not in text
         assert "&lt;script&gt;alert" in text
@@ -69,22 +67,18 @@ def test_a_cell_is_escaped_and_needs_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_table_is_judged_as_its_file() -> None:
-    path = ROOT / "sample_logs" / "table_three_faults.csv"
-    table = pd.read_csv(path)
-    of_file = servofd.audit(path)
-    for given in (table, table.set_index("time_s")):
-        of_table = servofd.audit(given)
-        assert isinstance(of_table, servofd.Audit)
-        assert isinstance(of_file, servofd.Audit)
-        pd.testing.assert_frame_equal(of_table.to_pandas(), of_file.to_pandas())
+def test_a_table_is_judged_as_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "rudder.csv"
+    rudder().to_csv(path, index=False)
+    of_file, of_table = one_run(path), one_run(rudder())
+    pd.testing.assert_frame_equal(of_table.to_pandas(), of_file.to_pandas())
 
 
 @pytest.mark.slow
 def test_runs_come_one_after_the_other(tmp_path: Path) -> None:
-    table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
+    table = rudder()
     twice = pd.concat([table.assign(run="first"), table.assign(run="second")])
-    found = servofd.audit(twice, servo="hs225bb-eq31", surfaces=("rudder",))
+    found = servofd.audit(twice, servo="hs225bb-eq31")
     assert isinstance(found, servofd.Audits)
     assert found.to_pandas()["run"].tolist() == ["first", "second"]
     assert repr(found).count("OFF BY +2.5 deg") == 2
@@ -279,7 +273,8 @@ def test_every_other_result_is_kept_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_folder_is_a_fleet_and_its_results_are_the_same(tmp_path: Path) -> None:
+def test_a_folder_is_a_fleet_and_its_results_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     for name in ("faser_stuck_flight.mat", "faser_healthy_flight.mat"):
         (tmp_path / name).symlink_to(ROOT / "sample_logs" / name)
     judged = servofd.audit(tmp_path)
@@ -291,17 +286,17 @@ def test_a_folder_is_a_fleet_and_its_results_are_the_same(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_table_is_called_what_it_is() -> None:
-    table = pd.read_csv(ROOT / "sample_logs" / "table_three_faults.csv")
-    assert repr(servofd.audit(table, surfaces=("aileron",))).splitlines()[0].endswith("(DataFrame, table, 40.0 s)")
+    found = servofd.audit(rudder(), servo="hs225bb-eq31")
+    assert repr(found).splitlines()[0].endswith("(DataFrame, table, 40.0 s)")
     with pytest.raises(ConfigError, match=r"^DataFrame: "):
-        servofd.audit(table[["elevator_cmd_deg"]])
+        servofd.audit(rudder()[["rudder_cmd_deg"]])
 
 
 @pytest.mark.slow
 def test_a_table_is_a_log_for_every_verb_of_one_flight() -> None:
     log = ROOT / "sample_logs" / "hidden" / "hidden_07.csv"
-    explained = servofd.explain(pd.read_csv(log), surface="elevator")
-    assert explained.answer == servofd.explain(log, surface="elevator").answer
+    explained = servofd.explain(pd.read_csv(log), surface="elevator", servo="hs225bb-eq31")
+    assert explained.answer == servofd.explain(log, surface="elevator", servo="hs225bb-eq31").answer
     with pytest.raises(TypeError, match=r"a log is a path, .* and not of type int"):
         servofd.identify([3])  # type: ignore[arg-type]
     with pytest.raises(NoMeasurement, match="no log was named"):
@@ -318,7 +313,7 @@ def test_a_trend_draws_one_surface() -> None:
 @pytest.mark.slow
 def test_a_calibration_tells_what_it_would_show(tmp_path: Path) -> None:
     good = tmp_path / "good.bin"
-    assert main(["simulate", "-o", str(good), "--duration", "120"]) == 0
+    assert main(["simulate", "-o", str(good), "--duration", "60"]) == 0
     found = servofd.calibrate(good)
     table = found.to_pandas()
     assert table.smallest_bias_deg.between(0.1, 3.0).all()

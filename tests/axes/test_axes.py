@@ -147,6 +147,7 @@ def test_one_short_flight_is_refused() -> None:
         calibrate_motion([flown(1, duration_s=30.0)])
 
 
+@pytest.mark.slow
 def test_a_log_that_is_too_short_is_left_out_and_the_others_calibrate() -> None:
     model = calibrate_motion([flown(seed) for seed in range(1, 4)] + [flown(9, duration_s=8.0)])
     assert model.flights == 3
@@ -178,6 +179,7 @@ def test_an_axis_that_was_asked_too_little_does_not_keep_the_others_from_being_c
         assert (not audit.not_judged) == cleared
 
 
+@pytest.mark.slow
 def test_one_flight_calibrates_by_its_halves_and_says_how_often_it_is_wrong() -> None:
     model = calibrate_motion([flown(1, duration_s=300.0)])
     assert (model.flights, model.days) == (1, 1)

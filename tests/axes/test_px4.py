@@ -18,6 +18,7 @@ from tests.axes.flights import flown
 from tests.axes.ulogs import ALLOCATED, ELEVONS, Surfaces, read_as_ulog
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surfaces", [ALLOCATED, ELEVONS, None], ids=["ailerons", "elevons", "actuator_controls"])
 def test_ailerons_elevons_and_old_controls_ask_the_same_of_roll(surfaces: Surfaces | None, tmp_path: Path) -> None:
     flight = flown(4, duration_s=180.0, aileron_share=0.4, from_s=100.0, gusts=1.0)

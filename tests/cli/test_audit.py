@@ -58,8 +58,19 @@ def test_the_json_is_what_the_contract_says(capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["flight", "chirp", "steps", "doublets"])
-@pytest.mark.parametrize("suffix", ["csv", "mat"])
+@pytest.mark.parametrize(
+    ("command", "suffix"),
+    [
+        ("flight", "csv"),
+        ("chirp", "mat"),
+        *(
+            pytest.param(command, suffix, marks=pytest.mark.nightly)
+            for command in ("flight", "chirp", "steps", "doublets")
+            for suffix in ("csv", "mat")
+            if (command, suffix) not in (("flight", "csv"), ("chirp", "mat"))
+        ),
+    ],
+)
 def test_what_simulate_writes_audit_reads(
     command: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,7 +106,7 @@ def test_another_servo_can_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixt
 @pytest.mark.slow
 def test_the_servo_that_is_named_judges_an_autopilots_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(tmp_path / "flight.bin")
-    main(["simulate", "-o", path, "--servo", "s9254", "--command", "steps"])
+    main(["simulate", "-o", path, "--servo", "s9254", "--command", "steps", "--duration", "40"])
     capsys.readouterr()
     right, document = audited([path, "--servo", "s9254"], capsys)
     wrong, _ = audited([path, "--servo", "hs225bb-eq31"], capsys)
@@ -150,11 +161,10 @@ def test_damage_is_recorded_and_shown(tmp_path: Path, capsys: pytest.CaptureFixt
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:2000] + lines[2300:-1]) + lines[-1][:12])
     capsys.readouterr()
-    code, document = audited([str(path)], capsys)
-    kinds = {damage["kind"] for damage in document["logs"][0]["damage"]}
-    assert kinds == {"gap", "truncated"}
+    code = main(["audit", str(path), "--json", str(tmp_path / "a.json")])
+    (document,) = json.loads((tmp_path / "a.json").read_text())["logs"]
+    assert {damage["kind"] for damage in document["damage"]} == {"gap", "truncated"}
     assert code == 0
-    main(["audit", str(path)])
     assert re.search(r"Damage of the log.* gap ", capsys.readouterr().out, re.DOTALL)
 
 
@@ -235,7 +245,7 @@ def motion(rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.slow
 def test_commands_and_positions_in_rows_of_their_own_have_the_verdict_of_one_table(tmp_path: Path) -> None:
     """At stamps of their own, and at the same ones."""
-    time_s, command, position = motion(50.0)
+    time_s, command, position = motion(25.0)
     head, found = "time_s,tail_cmd_deg,tail_pos_deg\n", {}
     for name, later_s in (("together", None), ("same", 0.0), ("between", 0.007)):
         rows = []
@@ -254,7 +264,7 @@ def test_commands_and_positions_in_rows_of_their_own_have_the_verdict_of_one_tab
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate_hz", [9.9, 10.0, 10.02])
+@pytest.mark.parametrize("rate_hz", [9.9, 10.02])
 def test_ten_positions_a_second_are_judged(rate_hz: float, tmp_path: Path) -> None:
     path = tmp_path / "slow.csv"
     np.savetxt(

@@ -243,6 +243,7 @@ def test_the_example_of_an_effect_of_ones_own(tmp_path: Path, capsys: pytest.Cap
     assert "worn_gear comes from a file of your own" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_a_reading_that_creeps_is_not_explained_by_an_offset(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

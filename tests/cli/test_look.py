@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from servofd.cli import main
+from tests.fleet.conftest import in_line
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 
@@ -67,9 +68,13 @@ def test_a_page_goes_where_it_is_wanted(flight: Path, tmp_path: Path, capsys: py
 
 
 @pytest.mark.slow
-def test_a_folder_is_many_flights_with_a_page_each(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_is_many_flights_with_a_page_each(
+    flight: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     shutil.copy(SAMPLES / "table_three_faults.csv", flight.parent)
-    code, lines, _ = looked(capsys, flight.parent, "--workers", "1")
+    words = [flight.parent, "--servo", "hs225bb-eq31"]
+    code, lines, _ = looked(capsys, *words)
     folder = flight.parent / "servofd"
     assert code == 1
     assert lines[0] == f"2 of 2 judged logs show a fault. → {folder / 'fleet.html'}"
@@ -80,7 +85,7 @@ def test_a_folder_is_many_flights_with_a_page_each(flight: Path, capsys: pytest.
     links = re.findall(r'<a href="(.*?)">', (folder / "fleet.html").read_text())
     assert len(links) == 2
     assert all((folder / link).is_file() for link in links)
-    assert looked(capsys, flight.parent, "--workers", "1")[1] == lines  # the pages are no logs
+    assert looked(capsys, *words)[1] == lines  # the pages are no logs
 
 
 @pytest.mark.parametrize(
@@ -140,7 +145,10 @@ def test_the_page_is_opened_where_somebody_can_see_it(
 
 
 @pytest.mark.slow
-def test_each_row_of_a_folder_has_a_thumbnail_and_leads_to_its_flight(tmp_path: Path) -> None:
+def test_each_row_of_a_folder_has_a_thumbnail_and_leads_to_its_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     logs, pages = tmp_path / "flights", tmp_path / "pages"
     logs.mkdir()
     for name in ("faser_stuck_flight.mat", "faser_healthy_flight.mat"):

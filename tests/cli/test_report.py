@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import servofd
@@ -157,12 +158,13 @@ def test_the_verdict_never_hides_what_was_not_judged() -> None:
 @pytest.mark.slow
 def test_what_rests_on_a_fitted_zero_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The rudder of this log is off from 10 s on; a servo fitted to the log cannot know which part is right."""
-    log = SAMPLES / "table_three_faults.csv"
+    table = pd.read_csv(SAMPLES / "table_three_faults.csv")[["time_s", "rudder_cmd_deg", "rudder_pos_deg"]]
+    table.to_csv(log := tmp_path / "rudder.csv", index=False)
     told = "its zero was fitted to this log: it may as well have been off by -2.5 deg until 0:10, and right since"
-    main(["audit", str(log), "--surface", "rudder", "--html", str(tmp_path / "fitted.html")])
+    main(["audit", str(log), "--html", str(tmp_path / "fitted.html")])
     assert told in capsys.readouterr().out
     assert told in (tmp_path / "fitted.html").read_text()
-    main(["audit", str(log), "--surface", "rudder", "--servo", "hs225bb-eq31"])
+    main(["audit", str(log), "--servo", "hs225bb-eq31"])
     assert "was fitted" not in capsys.readouterr().out
 
 

@@ -61,7 +61,15 @@ def test_every_effect_shows_in_the_surface_that_has_it(name: str, size: str, tmp
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["rate_limit, asymmetric", "airload", "voltage_rate", "supply_coupling", "external_load"]
+    "name",
+    [
+        "rate_limit, asymmetric",
+        "airload",
+        *(
+            pytest.param(name, marks=pytest.mark.nightly)
+            for name in ("voltage_rate", "supply_coupling", "external_load")
+        ),
+    ],
 )
 def test_what_was_hidden_is_named_with_its_size(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     effect = name.partition(",")[0]

@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import SurfaceAudit
 
 SEED = 220
+TWO = SURFACES[1:3]
+"""That is enough of an aircraft; each surface has a servo to be fitted."""
 
 
 def table(seed: int, style: str, time_s: FloatArray | None = None) -> pd.DataFrame:
     """A healthy flight as a recorder would write it: in each row the last command, if it is fresh, and position."""
-    flown = fly(stranger(seed), 1, style, duration_s=90.0)
+    flown = fly(stranger(seed), 1, style, duration_s=90.0).only(*TWO)
     time_s = flown.position_s[flown.position_s > 1.0] if time_s is None else time_s
     asked, seen = (
         np.maximum(np.searchsorted(at_s, time_s, side="right") - 1, 0) for at_s in (flown.command_s, flown.position_s)
@@ -46,7 +48,7 @@ def changed(
 ) -> pd.DataFrame:
     """The same with other commands and positions of all surfaces."""
     columns = {"time_s": frame["time_s"].to_numpy()}
-    for name in SURFACES:
+    for name in TWO:
         names = f"{name}_cmd_deg", f"{name}_pos_deg"
         columns |= dict(zip(names, change(*(frame[each].to_numpy() for each in names)), strict=True))
     return pd.DataFrame(columns)
@@ -81,7 +83,11 @@ def test_one_surface_alone_is_judged_as_among_others() -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda asked, seen: (asked, 3.0 + noise_deg(seen)), "jammed from the beginning, or no reading"),
+        pytest.param(
+            lambda asked, seen: (asked, 3.0 + noise_deg(seen)),
+            "jammed from the beginning, or no reading",
+            marks=pytest.mark.nightly,
+        ),
         pytest.param(
             lambda asked, seen: (asked, 20.0 * np.sin(0.01 * np.arange(seen.size))),
             "no servo predicts this surface",
@@ -107,7 +113,7 @@ FORMS = ("bin", *(pytest.param(form, marks=pytest.mark.nightly) for form in ("cs
 
 @cache
 def _minute(rate_hz: float | None) -> Flight:
-    return fly(stranger(SEED, position_hz=rate_hz), 1, "aerobatics", duration_s=60.0)
+    return fly(stranger(SEED, position_hz=rate_hz), 1, "aerobatics", duration_s=60.0).only(*TWO)
 
 
 def in_form(form: str, folder: Path, change: Callable[[Flight], Flight], rate_hz: float | None = None) -> list[Any]:
@@ -130,12 +136,12 @@ def test_an_autopilots_log_or_table_that_tells_nothing_says_why(
     form: str, change: Callable[[Flight], Flight], told: str, tmp_path: Path
 ) -> None:
     found = in_form(form, tmp_path, change)
-    assert len(found) == 4
+    assert len(found) == len(TWO)
     assert all(verdict.status == "unknown" and told in verdict.reason for verdict in found)
 
 
 def _wanders(flight: Flight) -> FloatArray:
-    return np.repeat(20.0 * np.sin(0.01 * np.arange(flight.position_s.size))[:, None], len(SURFACES), axis=1)
+    return np.repeat(20.0 * np.sin(0.01 * np.arange(flight.position_s.size))[:, None], len(TWO), axis=1)
 
 
 @pytest.mark.slow
@@ -153,19 +159,15 @@ def test_an_autopilots_log_or_table_is_judged_and_accuses_nobody(
 ) -> None:
     found = in_form(form, tmp_path, change, rate_hz)
     assert {verdict.status for verdict in found} <= {"healthy", "suspect", "unknown"}
-    assert [verdict.model.origin for verdict in found] == ["fitted"] * 4
+    assert [verdict.model.origin for verdict in found] == ["fitted"] * len(TWO)
 
 
 @pytest.mark.slow
-def test_a_sign_is_an_error_of_a_table_and_a_convention_of_an_autopilot(tmp_path: Path) -> None:
-    """Pulses have no angle of their own: a servo that turns the other way is mounted so."""
-    for form in ("csv", "bin"):
-        found = in_form(form, tmp_path, lambda f: replace(f, position_deg=-f.position_deg))
-        assert all(verdict.status != "fault" for verdict in found)
-        told = ["check the sign" in verdict.reason for verdict in found]
-        assert told == [form == "csv"] * 4
-        if form == "csv":
-            assert {verdict.status for verdict in found} == {"suspect"}
+def test_a_sign_is_a_convention_of_an_autopilot(tmp_path: Path) -> None:
+    """Pulses have no angle of their own: a servo that turns the other way is mounted so. In a table it is an error."""
+    found = in_form("bin", tmp_path, lambda f: replace(f, position_deg=-f.position_deg))
+    assert all(verdict.status != "fault" for verdict in found)
+    assert not any("check the sign" in verdict.reason for verdict in found)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -181,7 +183,7 @@ def test_servos_of_an_autopilot_that_are_jammed_from_the_beginning(
 ) -> None:
     log = str(tmp_path / f"jammed.{suffix}")
     jams = [word for name in ("elevator", "aileron", "rudder") for word in ("--fault", f"{name}:stuck@0")]
-    assert main(["simulate", "-o", log, "--seed", "4", *jams]) == 0
+    assert main(["simulate", "-o", log, "--seed", "4", "--duration", "40", *jams]) == 0
     assert main(["audit", log]) == 2
     assert capsys.readouterr().out.count("jammed from the beginning, or no reading of this surface") == 3
 
@@ -203,4 +205,4 @@ def test_rows_of_ten_hertz_that_come_unevenly_are_judged_and_their_servos_not_ac
             found = judged(table(seed, style, time_s)).values()
             assert all(verdict.status != "fault" for verdict in found)
             origins += [verdict.model.origin for verdict in found]
-    assert origins.count("fitted") > 3 * len(seeds)
+    assert origins.count("fitted") >= 1.5 * len(seeds)

@@ -39,7 +39,7 @@ TIME_S = np.arange(6000) / 100.0
 
 
 @pytest.mark.parametrize("kind", GROSS)
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_a_gross_fault_gets_its_name(kind: str, seed: int) -> None:
     found = judged(TIME_S, command(seed, TIME_S), flown(seed, replace(GROSS[kind], start_s=20.0), TIME_S), "interval")
     assert [fault.kind for fault in found.faults] == [kind]
@@ -60,7 +60,7 @@ def test_what_nothing_explains_is_unknown() -> None:
 
 
 class TestSmallButLasting:
-    @pytest.mark.parametrize("bias_deg", [0.9, -0.9, 1.1])
+    @pytest.mark.parametrize("bias_deg", [-0.9, 1.1])
     def test_a_bias_below_the_constant_threshold_is_suspect(self, bias_deg: float) -> None:
         command_deg = COMMANDS["calm"](TIME_S, np.random.default_rng(2))
         measured_deg = deviating(TIME_S, command_deg) + bias_deg * (TIME_S >= 20.0)
@@ -79,13 +79,11 @@ class TestSmallButLasting:
         assert (found.faults, found.suspicions) == ((), ())
 
 
-@pytest.mark.parametrize("persistence", [1, 4])
-def test_a_lasting_fault_is_told_so_many_samples_later(persistence: int) -> None:
+@pytest.mark.slow
+def test_a_lasting_fault_is_told_so_many_samples_later() -> None:
     measured_deg = flown(3, Bias(20.0, bias_deg=4.0), TIME_S)
-    (first,), (later,) = (
-        judged(TIME_S, command(3, TIME_S), measured_deg, persistence=many).faults for many in (1, persistence)
-    )
-    assert later.alarm_s - first.alarm_s == pytest.approx(0.01 * (persistence - 1), abs=1e-9)
+    (first,), (later,) = (judged(TIME_S, command(3, TIME_S), measured_deg, persistence=many).faults for many in (1, 4))
+    assert later.alarm_s - first.alarm_s == pytest.approx(0.03, abs=1e-9)
 
 
 def only(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) -> Found:
@@ -111,7 +109,8 @@ class TestFlights:
         assert (fault.kind, fault.end_s) == (kind, None)
         assert fault.start_s < 5.0
 
-    @pytest.mark.parametrize("kind", ["stuck", "bias", "oscillation"])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("kind", ["bias", pytest.param("stuck", marks=pytest.mark.nightly), "oscillation"])
     def test_a_log_that_starts_inside_a_fault_which_passes(self, kind: str) -> None:
         passing = replace(GROSS[kind], start_s=0.0, end_s=15.0)
         fault = only(TIME_S, command(2, TIME_S), flown(2, passing, TIME_S))
@@ -119,7 +118,10 @@ class TestFlights:
         assert fault.end_s is not None
         assert 10.0 < fault.end_s < 17.0
 
-    @pytest.mark.parametrize("kind", ["bias", "oscillation", "stuck", "deadband"])
+    @pytest.mark.slow
+    @pytest.mark.parametrize(
+        "kind", [pytest.param("bias", marks=pytest.mark.nightly), "oscillation", "stuck", "deadband"]
+    )
     def test_a_passing_fault_has_an_end(self, kind: str) -> None:
         passing = replace(GROSS[kind], start_s=20.0, end_s=30.0)
         fault = only(TIME_S, command(3, TIME_S), flown(3, passing, TIME_S))
@@ -128,6 +130,7 @@ class TestFlights:
         assert fault.end_s is not None
         assert 25.0 < fault.end_s < 33.0
 
+    @pytest.mark.slow
     def test_two_faults_one_after_the_other(self) -> None:
         healthy_deg = flown(4, Bias(10.0, end_s=20.0, bias_deg=2.5), TIME_S)
         measured_deg = np.where(TIME_S < 40.0, healthy_deg, flown(4, Stuck(40.0), TIME_S))
@@ -137,7 +140,7 @@ class TestFlights:
         assert 19.0 < bias.end_s < 23.0
         assert 40.0 <= jam.start_s <= jam.alarm_s < 45.0
 
-    @pytest.mark.parametrize("seed", [0, 2])
+    @pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.nightly)])
     def test_a_small_lasting_loss_is_one_fault_by_the_interval_threshold(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
         command_deg = COMMANDS["gusty"](TIME_S, rng)

@@ -89,9 +89,20 @@ def assert_same_as_offline(model: ServoModel, raw: Series, entry: Surface) -> No
 
 class TestTheSameStepAsOffline:
     @pytest.mark.slow
-    @pytest.mark.parametrize("servo", ["hs225bb-eq31", pytest.param("s9254", marks=pytest.mark.slow)])
-    @pytest.mark.parametrize("lost", [0.0, pytest.param(0.05, marks=pytest.mark.slow), 0.3])
-    @pytest.mark.parametrize("period_s", [None, 0.02])
+    @pytest.mark.parametrize(
+        ("servo", "lost", "period_s"),
+        [
+            ("hs225bb-eq31", 0.3, None),
+            ("s9254", 0.05, 0.02),
+            *(
+                pytest.param(servo, lost, period_s, marks=pytest.mark.nightly)
+                for servo in ("hs225bb-eq31", "s9254")
+                for lost in (0.0, 0.05, 0.3)
+                for period_s in (None, 0.02)
+                if (lost, period_s) not in ((0.3, None), (0.05, 0.02))
+            ),
+        ],
+    )
     def test_residual_and_threshold_do_not_depend_on_how_a_stream_is_cut(
         self, servo: str, lost: float, period_s: float | None
     ) -> None:
@@ -107,8 +118,16 @@ class TestTheSameStepAsOffline:
         assert_same_as_offline(model, troubled(servo), entry)
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("kind", ["interval", pytest.param("constant", marks=pytest.mark.slow)])
-    @pytest.mark.parametrize("lost", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
+    @pytest.mark.parametrize(
+        ("kind", "lost"),
+        [
+            ("interval", 0.05),
+            *(
+                pytest.param(*each, marks=pytest.mark.nightly)
+                for each in (("interval", 0.0), ("constant", 0.0), ("constant", 0.05))
+            ),
+        ],
+    )
     def test_alarms_come_at_the_same_times_with_the_same_names(self, kind: str, lost: float) -> None:
         entry, model = surface(kind)
         raw = flight(4, lost=lost, stuck_s=22.0)
@@ -127,7 +146,7 @@ class TestTheSameStepAsOffline:
     @pytest.mark.slow
     def test_a_healthy_flight_is_quiet(self) -> None:
         entry, model = surface()
-        monitor, events = watched(entry, model, flight(5, lost=0.05))
+        monitor, events = watched(entry, model, flight(5, lost=0.05), 5)
         assert (events, monitor.has_fault, monitor.was_judged) == ([], False, True)
 
 
@@ -146,7 +165,8 @@ def watched(entry: Surface, model: ServoModel, segment: Series, piece: int = 1) 
     return monitor, events + monitor.finish()
 
 
-@pytest.mark.parametrize("what", ["jam", "offset"])
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["jam", pytest.param("offset", marks=pytest.mark.nightly)])
 def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None:
     entry, model = surface()
     segment = flight(3)
@@ -160,6 +180,7 @@ def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None
 
 
 class TestNoVerdictFromNoMeasurement:
+    @pytest.mark.slow
     def test_a_wrong_scale_is_one_alarm_that_is_taken_back_and_then_said(self) -> None:
         entry, model = surface()
         right = flight(3)

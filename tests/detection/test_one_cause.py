@@ -75,21 +75,22 @@ def test_a_jam_is_its_own_whatever_the_others_do(silent_s: tuple[float, float]) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [pytest.param(0.33, marks=pytest.mark.nightly), 0.5])
-def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float) -> None:
-    """Six servos of which nobody knows anything but what this log shows."""
-    (result,) = servofd.audit(slowed(6, share))
+@pytest.mark.parametrize(("share", "count"), [pytest.param(0.33, 6, marks=pytest.mark.nightly), (0.5, 3)])
+def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float, count: int) -> None:
+    """Servos of which nobody knows anything but what this log shows."""
+    (result,) = servofd.audit(slowed(count, share))
     assert {surface.status for surface in result.surfaces} == {"fault"}
     for surface in result.surfaces:
         (fault,) = surface.faults
         assert fault.kind == "slow"
         assert fault.parameters["bandwidth_scale"].value == pytest.approx(share, abs=0.1)
     (cause,) = result.common_causes
-    assert (cause.kind, cause.end_s, len(cause.surfaces)) == ("supply", None, 6)
+    assert (cause.kind, cause.end_s, len(cause.surfaces)) == ("supply", None, count)
     assert cause.since_s == pytest.approx(45.0, abs=1.0)
     assert result.sentence.startswith("SUPPLY GAVE WAY at 0:45")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sags", [False, True])
 def test_two_that_become_slow_with_their_supply_are_at_fault_of_it(sags: bool) -> None:
     """A model that knows the supply explains why they are slow, and does not make them well."""
@@ -108,6 +109,7 @@ def test_two_that_become_slow_with_their_supply_are_at_fault_of_it(sags: bool) -
     assert "it fell from 6.0 to 4.2 V" in cause.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("least_v", [4.3, 5.6])
 def test_a_monitor_names_the_supply_that_gave_way(tmp_path: Path, least_v: float) -> None:
     """What its model knows of the supply makes no slow servo well; and while volts stay, two slow ones are two."""
@@ -156,6 +158,7 @@ def test_alarms_from_the_first_seconds_on_may_be_another_aircrafts_file(
     assert cause is None or "another aircraft's file" in cause.text
 
 
+@pytest.mark.slow
 def test_an_offset_that_looked_like_a_jam_at_rest_has_its_name_as_it_moves(tmp_path: Path) -> None:
     """Nothing tells them apart before the surface is asked to move; then a monitor corrects itself."""
     time_s = np.arange(0.0, 90.0, 0.02)
@@ -177,7 +180,8 @@ def test_an_offset_that_looked_like_a_jam_at_rest_has_its_name_as_it_moves(tmp_p
     assert alarm.fault.parameters["bias_deg"].value == pytest.approx(10.0, abs=0.5)
 
 
-@pytest.mark.parametrize("column", ["servo_voltage_v", "servo1_voltage_v"])
+@pytest.mark.slow
+@pytest.mark.parametrize("column", [pytest.param("servo_voltage_v", marks=pytest.mark.nightly), "servo1_voltage_v"])
 def test_a_supply_that_dies_little_by_little_makes_no_servo_well(column: str) -> None:
     """Down to 2.4 of 6 V within a minute, which is no battery that empties."""
     time_s = np.arange(0.0, 150.0, 0.02)

@@ -45,6 +45,7 @@ def nearest(residuals: Residuals, threshold: Threshold) -> float:
     return float(np.max(np.abs(residuals.residual_deg[rows]) / threshold.level_deg[rows]))
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(command_deg=commands, off=st.tuples(shares, shares, shares, shares), seed=st.integers(0, 1000))
 def test_a_servo_within_its_tolerances_stays_below(

@@ -59,7 +59,7 @@ def test_no_run_is_at_fault_and_healthy_is_earned(name: str, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["20kg", "-40kg"])
+@pytest.mark.parametrize("load", [pytest.param("20kg", marks=pytest.mark.nightly), "-40kg"])
 def test_a_cycle_of_thirteen_seconds_is_healthy_and_a_jam_in_it_is_found(load: str) -> None:
     """Each cycle of a ball screw begins in motion; the jam comes after a third of it."""
     cycles = pd.read_csv(DATA / "bench" / "ram" / f"ram_normal_{load}.csv.gz").groupby("run")

@@ -29,7 +29,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_good_part_calibrates_and_the_whole_shows_both_jams(config: Path, tmp_path: Path) -> None:
     found = servofd.calibrate([LOG], config, spans=((float("-inf"), 93.0),))
     assert len(found.surfaces) == 6
@@ -80,14 +80,18 @@ def bench(threshold_deg: float) -> Aircraft:
     )
 
 
+NO_PLAY = [("no_play", run) for run in "234"]
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "bench").is_dir(), reason="no bench data: set SERVOFD_EXTERNAL_DATA")
 @pytest.mark.parametrize(
     ("name", "run"),
     [
-        *(("gravity_load", run) for run in "03"),
-        *(("no_play", run) for run in "1234"),
+        ("gravity_load", "0"),
+        ("no_play", "1"),
         ("play", "4"),
+        *(pytest.param(*each, marks=pytest.mark.nightly) for each in (("gravity_load", "3"), *NO_PLAY)),
         pytest.param("play", "3", marks=pytest.mark.xfail(strict=True, reason="run 2, which a hand pulls, is slow")),
     ],
 )

@@ -79,7 +79,7 @@ def test_the_drafted_file_gives_the_same_verdicts(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        pytest.param("ardupilot_sitl_feedback.bin", "ArduPlane V4.7.0-dev", marks=pytest.mark.slow),
+        pytest.param("ardupilot_sitl_feedback.bin", "ArduPlane V4.7.0-dev", marks=pytest.mark.nightly),
         ("ardupilot_plane_1s.bin", "ArduPlane V3.8.2-dev"),
         ("ardupilot_no_gps.bin", "ArduCopter V3.6.8"),
         ("ardupilot_vtol.tlog", "NAMED_VALUE_FLOAT SRVP1"),

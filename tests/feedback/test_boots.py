@@ -22,7 +22,7 @@ def test_no_fault_spans_a_reboot_and_each_boot_is_judged_on_its_own(tmp_path: Pa
         parts.append(path.read_bytes())
     both = tmp_path / "both.bin"
     both.write_bytes(parts[0] + parts[1])
-    first, second = servofd.audit(both)
+    first, second = servofd.audit(both, "simulated")
     assert (first.log.run, second.log.run) == ("boot 1", "boot 2")
     for result in (first, second):
         for surface in result.surfaces:
@@ -31,7 +31,7 @@ def test_no_fault_spans_a_reboot_and_each_boot_is_judged_on_its_own(tmp_path: Pa
             assert surface.residuals.time_s[-1] - surface.residuals.time_s[0] < 41.0
     assert [s.surface for s in first.surfaces if s.status == "fault"] == ["rudder"]
     assert not second.has_fault
-    assert main(["audit", str(both)]) == 1
+    assert main(["audit", str(both), "-c", "simulated"]) == 1
 
 
 def _two_boots(folder: Path, *, first: list[str], second: list[str]) -> Path:

@@ -65,7 +65,7 @@ def fitted_verdict(command_deg: FloatArray, position_deg: FloatArray) -> Surface
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.nightly), 2])
 def test_a_servo_that_becomes_slow_is_fitted_as_it_was_and_named_from_when_it_changed(seed: int) -> None:
     command_deg, from_s = commands(seed), 40.0
     before, after = (model.simulate(TIME_S, command_deg, TIME_S) for model in (AT_FIRST, servo(2.0)))
@@ -81,7 +81,7 @@ def test_a_servo_that_becomes_slow_is_fitted_as_it_was_and_named_from_when_it_ch
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.nightly), 2])
 def test_an_oscillation_that_the_autopilot_answers_does_not_become_the_servos_resonance(seed: int) -> None:
     """In a closed loop the command leads the oscillation by a quarter of a period, as if it had caused it."""
     from_s, frequency_hz = 45.0, 3.0

@@ -99,6 +99,7 @@ def test_the_scale_of_pulses_is_found(unit: str) -> None:
         assert surface.surface.threshold_deg < 1.5
 
 
+@pytest.mark.slow
 def test_the_pulse_of_a_command_is_found_behind_the_lag_of_its_repetition() -> None:
     """A real ArduPlane has RCOU at 25 Hz and CSRV.PosCmd at 50 Hz, 20 to 30 ms later than the pulse."""
     log = log_of([0], base=0, command_field=True)

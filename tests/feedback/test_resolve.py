@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, tmp_path: Path) -> None:
     path = str(tmp_path / f"flown.{suffix}")
     stuck = ["--fault", "elevator:stuck@20"]
-    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "60", *stuck]) == 0
+    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "40", *stuck]) == 0
     (result,) = servofd.audit(path, "simulated")
     verdicts = {surface.surface: surface for surface in result.surfaces}
     assert {name: s.status for name, s in verdicts.items()} == {
@@ -35,7 +35,7 @@ def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["csv", "bin"])
+@pytest.mark.parametrize("suffix", [pytest.param("csv", marks=pytest.mark.nightly), "bin"])
 def test_every_verb_reads_a_log_with_the_file_of_its_aircraft(
     suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -84,7 +84,7 @@ def test_an_aircraft_drafted_from_one_kind_of_log_judges_the_others(
 
 def test_an_output_is_enough(tmp_path: Path) -> None:
     path = str(tmp_path / "flown.bin")
-    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "60"]) == 0
+    assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "40"]) == 0
     pulse = {"unit": "us", "trim_us": 1500.0, "slope_deg_per_us": 0.09}
     rudder = Surface.model_validate({"servo": "hs225bb-eq31", "output": 4, "command": pulse})
     plane = load_aircraft("simulated").model_copy(update={"surfaces": {"rudder": rudder}})

@@ -30,7 +30,9 @@ def test_a_saved_explanation_finds_its_own_run_healthy(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", ["deadband:width_deg=1.5", "rate_limit:rate_limit_deg_s=40"])
+@pytest.mark.parametrize(
+    "effect", ["deadband:width_deg=1.5", pytest.param("rate_limit:rate_limit_deg_s=40", marks=pytest.mark.nightly)]
+)
 def test_what_is_saved_is_what_was_shown_with_its_effects(effect: str, tmp_path: Path) -> None:
     run, saved = str(tmp_path / "run.csv"), str(tmp_path / "better.toml")
     shown, again = tmp_path / "shown.json", tmp_path / "again.json"
@@ -100,7 +102,7 @@ HIDDEN = sorted((Path(__file__).parents[2] / "sample_logs" / "hidden").glob("hid
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "log",
-    [pytest.param(log, id=log.stem, marks=[] if k % 3 == 0 else pytest.mark.nightly) for k, log in enumerate(HIDDEN)],
+    [pytest.param(log, id=log.stem, marks=[] if k % 6 == 0 else pytest.mark.nightly) for k, log in enumerate(HIDDEN)],
 )
 def test_an_identified_servo_accuses_none_of_its_own_tests(log: Path, tmp_path: Path) -> None:
     saved = tmp_path / "mine.toml"
@@ -125,6 +127,7 @@ def test_a_servo_that_does_not_explain_its_own_test_is_not_saved(
     assert not saved.exists()
 
 
+@pytest.mark.slow
 def test_a_model_that_no_tolerance_fits_accuses_not_its_own_run() -> None:
     """A position that jumps by 6 deg twice a second, whatever the command: no tolerance of a servo allows that."""
     plane = plain_aircraft(["rudder"], "s9256")

@@ -122,6 +122,7 @@ def test_a_clean_flight_has_none_but_its_unknown_beginning(suffix: str, tmp_path
     np.testing.assert_array_equal(why == Why.BOOT, time_s >= time_s[1400])
 
 
+@pytest.mark.slow
 def test_every_verb_sees_the_same_marks(tmp_path: Path) -> None:
     flight, _ = spoilt(flown(), "FROZEN")
     path = tmp_path / "flight.bin"

@@ -23,6 +23,7 @@ from servofd.fleets.store import FleetStore, locked, read_logs
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+KNOWN = ("--servo", "hs225bb-eq31")
 KEYS = ["path", "run", "surface"]
 
 
@@ -50,7 +51,9 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 def test_a_folder_is_judged_like_its_logs_one_by_one(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, err = run(capsys, "audit", logs / "may", "-o", tmp_path / "results", "--json", tmp_path / "fleet.json")
+    code, out, err = run(
+        capsys, "audit", *KNOWN, logs / "may", "-o", tmp_path / "results", "--json", tmp_path / "fleet.json"
+    )
     assert code == 1
     sentence, *lines = out.splitlines()
     assert sentence == f"1 of 2 judged logs shows a fault. → {tmp_path}/results/fleet.html"
@@ -58,7 +61,7 @@ def test_a_folder_is_judged_like_its_logs_one_by_one(
     assert lines[1] == "healthy flight3.csv All 2 surfaces followed their commands."
     assert err == ""
     one_by_one = [str(logs / "may" / f"flight{k}.csv") for k in (3, 4)]
-    assert main(["audit", *one_by_one, "--json", str(tmp_path / "one.json")]) == 1
+    assert main(["audit", *KNOWN, *one_by_one, "--json", str(tmp_path / "one.json")]) == 1
     assert json.loads((tmp_path / "fleet.json").read_text()) == json.loads((tmp_path / "one.json").read_text())
     page = (tmp_path / "results" / "fleet.html").read_text()
     assert "1 of 2 judged logs shows a fault" in page
@@ -71,7 +74,7 @@ def test_logs_at_an_address_are_fetched_and_named_by_it(
 ) -> None:
     memory = pytest.importorskip("fsspec").filesystem("memory")
     memory.pipe("/flights/may.csv", (logs / "may" / "flight4.csv").read_bytes())
-    words = ["audit", "memory://flights", "-o", tmp_path / "r", "--json", tmp_path / "a.json"]
+    words = ["audit", *KNOWN, "memory://flights", "-o", tmp_path / "r", "--json", tmp_path / "a.json"]
     assert run(capsys, *words)[0] == 1
     assert json.loads((tmp_path / "a.json").read_text())["logs"][0]["path"] == "memory:///flights/may.csv"
     assert run(capsys, *words)[0] == 1
@@ -82,7 +85,7 @@ def test_logs_at_an_address_are_fetched_and_named_by_it(
 def test_what_could_not_be_judged_is_said_and_the_rest_is_done(
     logs: Path, capsys: pytest.CaptureFixture[str], judged: list[str]
 ) -> None:
-    code, out, err = run(capsys, "audit", logs)
+    code, out, err = run(capsys, "audit", *KNOWN, logs)
     assert code == 1
     assert len(judged) == 6
     assert "passed over 3 files that are no logs" in err
@@ -117,7 +120,7 @@ def test_tables_are_read_by_pandas_and_duckdb(results: Path) -> None:
 def test_tables_are_read_by_rerun(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from rerun.experimental import ParquetReader
 
-    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    run(capsys, "audit", *KNOWN, logs / "may", "-o", tmp_path / "r")
     (part,) = (tmp_path / "r" / "surfaces").glob("*.parquet")
     assert sum(chunk.num_rows for chunk in ParquetReader(part).stream().to_chunks()) >= 4
 
@@ -128,11 +131,11 @@ def test_finished_logs_are_not_done_again(
 ) -> None:
     mine = tmp_path / "mine"
     shutil.copytree(logs / "may", mine)
-    assert run(capsys, "audit", mine, "-o", tmp_path / "r")[0] == 1
+    assert run(capsys, "audit", *KNOWN, mine, "-o", tmp_path / "r")[0] == 1
     assert len(judged) == 2
     shutil.copy(logs / "flight0.csv", mine / "new.csv")
     shutil.copy(logs / "may" / "flight3.csv", mine / "a copy of flight3.csv")
-    code, out, err = run(capsys, "audit", mine, "-o", tmp_path / "r")
+    code, out, err = run(capsys, "audit", *KNOWN, mine, "-o", tmp_path / "r")
     assert (code, len(judged)) == (1, 3)
     assert "3 of 4 logs are done already" in err
     assert "1 of 3 judged logs" in out
@@ -145,7 +148,7 @@ def test_the_same_bytes_twice_in_one_run_count_once(
 ) -> None:
     shutil.copytree(logs / "may", tmp_path / "mine")
     shutil.copy(tmp_path / "mine" / "flight3.csv", tmp_path / "mine" / "copy.csv")
-    _, out, err = run(capsys, "audit", tmp_path / "mine", "-o", tmp_path / "r")
+    _, out, err = run(capsys, "audit", *KNOWN, tmp_path / "mine", "-o", tmp_path / "r")
     assert "the same bytes as another log; counted once" in err
     assert "1 of 2 judged logs" in out
 
@@ -170,9 +173,9 @@ def test_another_threshold_is_another_job_and_the_first_comes_back(
 def test_another_version_judges_again(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, judged: list[str]
 ) -> None:
-    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    run(capsys, "audit", *KNOWN, logs / "may", "-o", tmp_path / "r")
     monkeypatch.setattr("servofd.batch.key.__version__", "99.0")
-    assert "another version" in run(capsys, "audit", logs / "may", "-o", tmp_path / "r")[2]
+    assert "another version" in run(capsys, "audit", *KNOWN, logs / "may", "-o", tmp_path / "r")[2]
     assert len(judged) == 4
 
 
@@ -189,10 +192,10 @@ def test_an_interrupt_keeps_what_was_done(
         return is_new
 
     monkeypatch.setattr(FleetStore, "add", struck)
-    assert main(["audit", str(logs), "-o", str(tmp_path / "r")]) == 130
+    assert main(["audit", *KNOWN, str(logs), "-o", str(tmp_path / "r")]) == 130
     monkeypatch.setattr(FleetStore, "add", real)
     capsys.readouterr()
-    _, _, err = run(capsys, "audit", logs, "-o", tmp_path / "r")
+    _, _, err = run(capsys, "audit", *KNOWN, logs, "-o", tmp_path / "r")
     assert "3 of 6 logs are done already" in err
     assert len(judged) == 6
     assert len(read_logs(tmp_path / "r")) == 6
@@ -200,10 +203,10 @@ def test_an_interrupt_keeps_what_was_done(
 
 @pytest.mark.slow
 def test_parts_without_their_logs_are_removed(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    run(capsys, "audit", *KNOWN, logs / "may", "-o", tmp_path / "r")
     (part,) = (tmp_path / "r" / "logs").glob("*.parquet")
     part.unlink()
-    run(capsys, "audit", logs / "may", "-o", tmp_path / "r")
+    run(capsys, "audit", *KNOWN, logs / "may", "-o", tmp_path / "r")
     assert len(pd.read_parquet(tmp_path / "r" / "surfaces")) == 4
 
 
@@ -212,7 +215,7 @@ def test_a_log_that_could_not_be_read_is_tried_again_and_replaced(
     tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     late = tmp_path / "late.csv"
-    words = ["audit", late, "--workers", "1", "-o", tmp_path / "r"]
+    words = ["audit", *KNOWN, late, "--workers", "1", "-o", tmp_path / "r"]
     assert run(capsys, *words)[0] == 2
     shutil.copy(logs / "flight0.csv", late)
     assert run(capsys, *words)[0] == 0
@@ -230,7 +233,7 @@ def test_results_of_another_form_are_refused(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, why: str
 ) -> None:
     (tmp_path / "fleet.json").write_text(content)
-    for words in (["audit", logs, "-o", tmp_path], ["fleet", tmp_path]):
+    for words in (["audit", *KNOWN, logs, "-o", tmp_path], ["fleet", tmp_path]):
         code, out, err = run(capsys, *words)
         assert (code, out) == (2, "")
         assert why in err.splitlines()[-1]
@@ -239,8 +242,8 @@ def test_results_of_another_form_are_refused(
 def test_folders_that_are_none_are_refused(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     for words, why in (
-        (["audit", logs, "-o", tmp_path / "file"], "is a file"),
-        (["audit", logs, "--rrd", tmp_path / "a.rrd"], "--rrd takes one log"),
+        (["audit", *KNOWN, logs, "-o", tmp_path / "file"], "is a file"),
+        (["audit", *KNOWN, logs, "--rrd", tmp_path / "a.rrd"], "--rrd takes one log"),
         (["fleet", tmp_path], "no results of many logs"),
         (["audit", tmp_path / "*.bin"], "no file fits this pattern"),
     ):
@@ -306,7 +309,7 @@ def test_a_store_refuses_a_folder_with_tables_of_others(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_only_one_audit_writes_to_a_folder(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["audit", logs / "may", "-o", tmp_path]
+    words = ["audit", *KNOWN, logs / "may", "-o", tmp_path]
     with FleetStore(tmp_path, Job().key):
         code, _, err = run(capsys, *words)
     assert code == 2
@@ -340,7 +343,7 @@ def test_a_fleet_with_a_log_that_was_not_judged_is_not_green(tmp_path: Path) -> 
     logs.mkdir()
     shutil.copy(Path(__file__).parents[2] / "sample_logs" / "faser_healthy_flight.mat", logs)
     (logs / "broken.csv").write_text("time_s,elevator_cmd_deg,elevator_pos_deg\n0,x,0\n")
-    assert main(["audit", str(logs), "-o", str(tmp_path / "results")]) == 2
+    assert main(["audit", *KNOWN, str(logs), "-o", str(tmp_path / "results")]) == 2
     page = (tmp_path / "results" / "fleet.html").read_text()
     assert '<header class="banner unknown">' in page
     assert "None of 1 judged logs shows a fault, 1 more could not be judged." in page

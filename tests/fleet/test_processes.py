@@ -28,6 +28,7 @@ _MAIN = (
     "from servofd.cli import main; sys.exit(main(sys.argv[1:]))"
 )
 """Whoever starts the tests in the background has interrupts ignored, and that is inherited."""
+KNOWN = ("--servo", "hs225bb-eq31")
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -58,7 +59,8 @@ def test_an_end_in_the_middle_keeps_what_was_done_and_the_next_run_goes_on(
     at_once = (
         "import servofd.fleets.store; servofd.fleets.store._SECONDS_PER_PART = 0.0\n" if end == signal.SIGKILL else ""
     )
-    command = [sys.executable, "-c", at_once + _MAIN, "audit", str(many), "-o", str(tmp_path / "r"), "--workers", "1"]
+    command = [sys.executable, "-c", at_once + _MAIN, "audit", str(many), *KNOWN, "-o", str(tmp_path / "r")]
+    command += ["--workers", "1"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
@@ -94,7 +96,18 @@ def test_a_log_that_kills_its_process_is_given_up_and_the_others_are_judged(logs
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     done = subprocess.run(
-        [sys.executable, "-m", "servofd", "audit", str(three), "--workers", "2", "--json", str(tmp_path / "out.json")],
+        [
+            sys.executable,
+            "-m",
+            "servofd",
+            "audit",
+            str(three),
+            *KNOWN,
+            "--workers",
+            "2",
+            "--json",
+            str(tmp_path / "out.json"),
+        ],
         capture_output=True,
         text=True,
         env=environment,

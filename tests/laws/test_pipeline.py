@@ -31,7 +31,7 @@ ALIKE_S = 1e-3
 CUT_ALIKE_S = 0.1
 """Noise, and with it the threshold, is estimated from the log itself: half of it gives almost the same."""
 
-few = settings(max_examples=6, deadline=None, derandomize=True)
+few = settings(max_examples=3, deadline=None, derandomize=True)
 flights = st.builds(
     lambda seed, surface, fault: simulate_flight(
         plain_aircraft(SURFACES, "hs225bb-eq31"), command="gusty", duration_s=DURATION_S, rate_hz=RATE_HZ, seed=seed,

@@ -61,6 +61,7 @@ def test_the_distance_of_healthy_windows_is_chi_square_on_the_side_of_a_fault() 
     assert np.all(distance(drawn)[~beyond] < distance(drawn, None)[~beyond])
 
 
+@pytest.mark.slow
 def test_the_scores_of_a_position_are_sizes_over_what_they_scatter_by() -> None:
     """`servofd.detection.changes` follows a stream in one compiled loop; this is the same by the windows of others."""
     rng = np.random.default_rng(4)

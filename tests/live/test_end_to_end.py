@@ -159,7 +159,7 @@ def test_of_two_signing_vehicles_behind_a_bad_link_the_right_one_is_told(tmp_pat
 @pytest.mark.parametrize("silent", [False, True])
 def test_every_byte_that_a_monitor_sends(aircraft_file: Path, silent: bool) -> None:
     port = free_port(socket.SOCK_STREAM)
-    flight = flown(command="lively", duration_s=24.0, faults={"elevator": Stuck(12.0)})
+    flight = flown(command="lively", duration_s=20.0, faults={"elevator": Stuck(8.0)})
     record = bytearray()
     quiet = ["--no-request", "--no-alert"] if silent else []
     with (

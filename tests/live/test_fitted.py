@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Drafted from a good flight of 120 s."""
     folder: Path = tmp_path_factory.mktemp("fitted")
-    good = fly(stranger(5), 1, "aerobatics", duration_s=120.0).write(folder / "good.csv")
+    good = fly(stranger(5), 1, "aerobatics", duration_s=120.0).only("elevator", "rudder").write(folder / "good.csv")
     with pytest.MonkeyPatch.context() as patch, (folder / "plane.toml").open("w") as target:
         patch.setattr("sys.stdout", target)
         assert main(["config", str(good)]) == 0
@@ -44,7 +44,8 @@ def test_it_finds_what_an_audit_with_the_same_drafted_file_finds(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], failure: Failure | None, kinds: list[str]
 ) -> None:
     flight, recording = tmp_path / "flight.csv", tmp_path / "flight.rrd"
-    fly(stranger(5), 2, "aerobatics", duration_s=100.0, failure=failure).write(flight)
+    flown = fly(stranger(5), 2, "aerobatics", duration_s=100.0, failure=failure)
+    flown.only("elevator", "rudder").write(flight)
     (audited,) = servofd.audit(flight, load_aircraft(file))
     sessions: list[Session] = []
 

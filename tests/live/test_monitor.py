@@ -73,7 +73,7 @@ def heard(
     session, events, stepped_s, now_s = Session(codec or Codec(0, 191), {0: aircraft}), [], 0.0, 0.0
     for now_s, frame in frames:
         events += session.take(now_s, frame)
-        if now_s - stepped_s > 0.02:
+        if now_s - stepped_s > 0.1:
             stepped_s = now_s
             events += session.step(now_s)
     return session, events + session.finish(now_s)
@@ -119,9 +119,10 @@ class TestAsAnAudit:
                 pieces.append((piece.residuals.time_s, piece.residuals.residual_deg))
 
         session.listener = listen
-        for now_s, frame in replayed(healthy):
+        for number, (now_s, frame) in enumerate(replayed(healthy)):
             session.take(now_s, frame)
-            session.step(now_s)
+            if number % 20 == 0:
+                session.step(now_s)
         session.finish(now_s)
         time_s, residual_deg = (np.concatenate(column) for column in zip(*pieces, strict=True))
         log = logparsers.read(io.BytesIO(healthy))
@@ -168,7 +169,7 @@ class TestBadLinks:
         [
             pytest.param(BadLink(loss=0.05, seed=1), 0.1, marks=pytest.mark.nightly),
             (BadLink(loss=0.3, seed=2), 0.4),
-            (BadLink(duplicate=0.2, reorder=0.1, seed=3), 0.05),
+            pytest.param(BadLink(duplicate=0.2, reorder=0.1, seed=3), 0.05, marks=pytest.mark.nightly),
             pytest.param(BadLink(corrupt=0.05, seed=4), 0.1, marks=pytest.mark.nightly),
         ],
         ids=["5 %", "30 %", "order", "corrupt"],
@@ -206,7 +207,8 @@ class TestBadLinks:
 
     @pytest.mark.slow
     def test_a_vehicle_that_restarts_is_watched_anew(self, healthy: bytes, aircraft: Aircraft) -> None:
-        first = list(replayed(healthy))
+        whole = list(replayed(healthy))
+        first = [(at_s, frame) for at_s, frame in whole if at_s < whole[0][0] + 15.0]
         gap_s = first[-1][0] - first[0][0] + 1.0
         session, events = heard([*first, *((at_s + gap_s, frame) for at_s, frame in first)], aircraft)
         assert [event.text for event in events if event.text.startswith("vehicle")] == [
@@ -217,29 +219,10 @@ class TestBadLinks:
         assert vehicle.now_s == pytest.approx(gap_s - 1.0, abs=1.0), "seconds of its second boot"
         assert vehicle.began_s == [0.0, pytest.approx(gap_s - 1.0, abs=1.0)]
 
-    @pytest.mark.slow
-    def test_a_second_vehicle_is_another_one(self, log: bytes, healthy: bytes, aircraft: Aircraft) -> None:
-        other = [(at_s, readdressed(frame, 7)) for at_s, frame in replayed(log)]
-        frames = sorted([*replayed(healthy), *other], key=lambda entry: entry[0])
-        session, events = Session(Codec(0, 191), {1: aircraft, 7: aircraft}), []
-        for number, (now_s, frame) in enumerate(frames):
-            events += session.take(now_s, frame)
-            events += session.step(now_s) if number % 20 == 0 else []
-        session.finish(now_s)
-        at_fault = {(vehicle.system, m.name) for vehicle, m in session.watched if m.has_fault}
-        assert at_fault == {(7, "elevator"), (7, "rudder")}
-
     def test_with_a_key_unsigned_frames_say_nothing(self, healthy: bytes, aircraft: Aircraft) -> None:
         session, events = heard(replayed(healthy), aircraft, Codec(0, 191, signature=Signature(bytes(32), 1.7e9)))
         assert (session.frames, events) == (0, [])
         assert session.waiting().startswith("nothing that it hears is signed")
-
-
-def readdressed(frame: bytes, system: int) -> bytes:
-    (message,) = Codec(1, 1).decode(frame)
-    again = Codec(system, message.component)
-    again._mav.seq = message.sequence
-    return again.encode(message.name, message.fields)
 
 
 class Listener:
@@ -277,10 +260,10 @@ class TestOnSockets:
         """In real time: the arrival times in the log that it writes have to be believable."""
         port, listener = free_port(), Listener()
         lines, tlog, rrd = (tmp_path / name for name in ("events.jsonl", "own.tlog", "own.rrd"))
-        flight = flown(duration_s=16.0, faults={"elevator": Stuck(9.0)})
+        flight = flown(duration_s=11.0, faults={"elevator": Stuck(6.0)})
         outputs = ["--json-lines", str(lines), "--tlog", str(tlog), "--rrd", str(rrd)]
         target = ["--alert-to", f"udpout:127.0.0.1:{listener.port}"]
-        arguments = ["monitor", f"udpin:127.0.0.1:{port}", "-c", str(config), "--plain", "--duration", "19"]
+        arguments = ["monitor", f"udpin:127.0.0.1:{port}", "-c", str(config), "--plain", "--duration", "13"]
         up = BadLink()
         with relayed(port, BadLink(), up) as relay:
             thread, codes = in_background([*arguments, *outputs, *target])

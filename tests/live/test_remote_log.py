@@ -131,7 +131,7 @@ def test_a_log_that_stops_in_the_middle_of_a_block_is_judged_until_there(
 ) -> None:
     """The telemetry log that the monitor kept, replayed and audited, and the blocks themselves as a log of the card."""
     field, stored = watching(aircraft_of_the_card(tmp_path))
-    field.fly(vehicle(lively(duration_s=25.0, stuck_s=15.0)))
+    field.fly(vehicle(lively(duration_s=18.0, stuck_s=12.0)))
     ((_, alarm_s),) = kinds(field.end(), "alarm")
     reader, blocks, ends, at = Codec(0, 191), {}, [], 0
     for _, frame in replayed(bytes(stored)):

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from servofd.simulation.vehicle.vehicle import Vehicle
 
 EPOCH_S = 1.7e9
+STEPPED = 5
+"""Turns, at 50 Hz, to a step of the monitor: as in a replay, which takes steps of 0.1 s."""
 QUIET = {"link_lost", "link_restored", "no_data"}
 
 
@@ -84,7 +86,8 @@ class Field:
                         for heard in speakers[plane.system].decode(datagram):
                             self._down([speakers[plane.system].encode(*m) for m in plane.receive(heard, now_us)])
             self.sent.clear()
-            self.events += self.session.step(self.now_s)
+            if turn % STEPPED == 0:
+                self.events += self.session.step(self.now_s)
 
     def wait(self, duration_s: float) -> None:
         """Nothing comes."""
@@ -124,7 +127,7 @@ def some(*often: str) -> list[Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trouble", some("none", "everything"))
+@pytest.mark.parametrize("trouble", some("everything"))
 def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=1), up=BadLink(seed=2))
     field.fly(vehicle(lively(stuck_s=15.0)))
@@ -135,7 +138,7 @@ def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trouble", some("none", "everything"))
+@pytest.mark.parametrize("trouble", some("everything"))
 def test_a_healthy_flight_stays_quiet_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=3), up=BadLink(seed=4))
     field.fly(vehicle(flown(duration_s=30.0)))
@@ -144,31 +147,32 @@ def test_a_healthy_flight_stays_quiet_through_a_bad_link(aircraft: Aircraft, tro
 
 @pytest.mark.slow
 def test_silence_is_a_lost_link_and_no_servo(aircraft: Aircraft) -> None:
-    field = Field.of({0: aircraft}, down=BadLink(outages_s=((8.0, 28.0),)))
-    field.fly(vehicle(lively(duration_s=45.0, stuck_s=35.0)))
+    field = Field.of({0: aircraft}, down=BadLink(outages_s=((8.0, 18.0),)))
+    field.fly(vehicle(lively(duration_s=32.0, stuck_s=25.0)))
     events = field.end()
     (lost,), (restored,) = kinds(events, "link_lost"), kinds(events, "link_restored")
     assert lost[1] == pytest.approx(8.0, abs=2.5)
     assert restored[1] >= lost[1]
     assert [surface for surface, _ in kinds(events, "alarm")] == ["elevator"]
-    assert kinds(events, "alarm")[0][1] > 35.0
+    assert kinds(events, "alarm")[0][1] > 25.0
 
 
 @pytest.mark.slow
 def test_a_vehicle_that_starts_again_is_watched_again(aircraft: Aircraft) -> None:
     """Clock back to zero, rates back to the usual ones: the monitor asks again, and tells times of the new boot."""
     field = Field.of({0: aircraft})
-    field.fly(vehicle(lively(duration_s=20.0)))
+    field.fly(vehicle(lively(duration_s=10.0)))
     field.wait(5.0)
-    field.fly(vehicle(lively(duration_s=25.0, stuck_s=15.0, seed=4)))
+    field.fly(vehicle(lively(duration_s=20.0, stuck_s=15.0, seed=4)))
     events = field.end()
+    assert [e.text for e in events if e.event == "no_data"] == ["vehicle 1 has restarted; the monitor begins anew"]
     assert [surface for surface, _ in kinds(events, "alarm")] == ["elevator"]
     assert kinds(events, "alarm")[0][1] == pytest.approx(15.2, abs=1.0)
     rate_hz = next(monitor.rate_hz for _, monitor in field.session.watched if monitor.name == "elevator")
     assert rate_hz == pytest.approx(40.0, abs=4.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_wrap_of_the_clock_is_no_event(aircraft: Aircraft) -> None:
     flight = lively(stuck_s=15.0)
     field = Field.of({0: aircraft})
@@ -181,7 +185,9 @@ def test_the_wrap_of_the_clock_is_no_event(aircraft: Aircraft) -> None:
 @pytest.mark.slow
 def test_two_vehicles_with_the_same_messages_are_kept_apart(aircraft: Aircraft) -> None:
     field = Field.of({1: aircraft, 2: aircraft})
-    field.fly(vehicle(lively(), system=1), vehicle(lively(stuck_s=15.0, seed=5), system=2))
+    field.fly(
+        vehicle(lively(duration_s=20.0), system=1), vehicle(lively(duration_s=20.0, stuck_s=12.0, seed=5), system=2)
+    )
     field.end()
     found = {
         (vehicle.system, monitor.name): [fault.kind for fault in monitor.faults]
@@ -197,18 +203,18 @@ def test_unsigned_frames_are_not_believed_when_there_is_a_key(aircraft: Aircraft
     field.fly(vehicle(lively(duration_s=5.0)))
     assert not field.session.vehicles
     field.codec = Codec(1, 1, signature=key)
-    field.fly(vehicle(lively(stuck_s=15.0)))
+    field.fly(vehicle(lively(duration_s=18.0, stuck_s=12.0)))
     assert {surface for surface, _ in kinds(field.end(), "alarm")} == {"elevator"}
 
 
 @pytest.mark.slow
 def test_what_another_station_slows_down_is_asked_for_again(aircraft: Aircraft) -> None:
     field = Field.of({0: aircraft})
-    plane = vehicle(flown(duration_s=60.0))
+    plane = vehicle(flown(duration_s=45.0))
     turn = plane.turn
 
     def slowed(index: int) -> Any:
-        if index == 1500:  # 30 s; MAVProxy does so every few seconds unless it is told not to
+        if index == 500:  # 10 s; MAVProxy does so every few seconds unless it is told not to
             plane.receive(said("REQUEST_DATA_STREAM", req_stream_id=0, req_message_rate=4, start_stop=1), 0)
         return turn(index)
 
@@ -227,7 +233,7 @@ def test_what_another_station_slows_down_is_asked_for_again(aircraft: Aircraft) 
 def test_what_comes_too_slowly_for_the_servo_is_told(aircraft: Aircraft, rate_hz: float, is_slow: bool) -> None:
     field = Field.of({0: aircraft})
     field.session.send = None
-    field.fly(vehicle(flown(duration_s=30.0), message_hz=rate_hz))
+    field.fly(vehicle(flown(duration_s=15.0), message_hz=rate_hz))
     told = [
         note for note in field.session.notes if "slow for a servo whose bandwidth is 4.5 Hz: 18 Hz would do" in note
     ]

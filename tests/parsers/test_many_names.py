@@ -134,6 +134,7 @@ def test_ten_million_names(make: Callable[[int], bytes]) -> None:
     assert memory < 6.0
 
 
+@pytest.mark.slow
 def test_a_log_of_so_many_definitions_keeps_the_first() -> None:
     rcou = b"\xa3\x95\x80\x96\x0dRCOU" + b"QH".ljust(16, b"\0") + b"TimeUS,C1".ljust(64, b"\0")
     rows = b"".join(b"\xa3\x95\x96" + struct.pack("<QH", 20_000 * k, 1500 + k) for k in range(1, 50))

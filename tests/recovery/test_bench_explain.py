@@ -36,7 +36,7 @@ def explained(effects: Effects, runs: int = 4) -> Explanation:
     return explain_gap([run(seed, effects) for seed in range(runs)], KNOWN, on_bench=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_current_limit_is_named_and_measured() -> None:
     record = hidden(3, {"current_limit": {"knee_deg": 3.0}}, "sweep", 0.05, duration_s=30.0)
     segment = Series("servo", record.time_s, record.command_deg, record.time_s, record.measured_deg)

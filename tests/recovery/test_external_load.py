@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ SLOW, SUM, PRODUCT = 24.84, 70.04, 4921.0
 DEG_PER_NM, FRICTION_DEG = 22.0, 0.4
 
 
+@cache
 def pushed_servo(friction_deg: float, seed: int) -> tuple[FloatArray, ...]:
     """Time [s], command [deg], position [deg] and load [N m] of a servo integrated in steps of 0.25 ms."""
     rng = np.random.default_rng(seed)

@@ -86,7 +86,7 @@ def test_intervals_hold_the_truth(effect: type[Effect], values: list[float], com
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("period_s", [0.033, 0.05])
+@pytest.mark.parametrize("period_s", [pytest.param(0.033, marks=pytest.mark.nightly), 0.05])
 def test_frames_are_found_whatever_their_phase(period_s: float) -> None:
     for seed, phase in ((2, 0.41), (3, 0.93)):
         record = flown((), [], seed)

@@ -54,7 +54,7 @@ def test_steps_of_two_sizes_tell() -> None:
     assert not any("slow_dynamics" in tie for tie in found.selection.ties)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_linear_servo_lacks_nothing() -> None:
     """What a linear servo explains to the noise has no effect, though one would take away a little more."""
     found = explained(_ONE, np.inf)

@@ -42,12 +42,11 @@ def test_structures_that_are_none_of_the_models() -> None:
 
 @pytest.mark.slow
 def test_lost_torque_is_found_when_it_is_lost_and_a_healthy_run_is_not_accused() -> None:
-    for seed in (2, 4):
-        drawn = lot(seed)
-        found = found_in(drawn)
-        assert [each.run for each in found] == [drawn.run]
-        assert drawn.is_found(found)
-        assert found_in(lot(seed, healthy=True)) == []
+    drawn = lot(2)
+    found = found_in(drawn)
+    assert [each.run for each in found] == [drawn.run]
+    assert drawn.is_found(found)
+    assert found_in(lot(2, healthy=True)) == []
 
 
 @pytest.mark.nightly

@@ -15,6 +15,7 @@ import pytest
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main, parsed
 from servofd.core.tolerance import Tolerance
+from tests.fleet.conftest import in_line
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text()
@@ -185,6 +186,7 @@ def test_the_examples_of_many_logs_run(
 ) -> None:
     page = (ROOT / "docs" / "fleet.md").read_text()
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     (commands,), (code,) = blocks(page, "sh"), blocks(page, "python")
     folder, *made, audit = commands.splitlines()
     assert folder == "mkdir flights"
@@ -219,6 +221,7 @@ def test_the_aircraft_files_of_the_documentation_are_valid(tmp_path: Path) -> No
     assert load_aircraft(config).table is not None
 
 
+@pytest.mark.slow
 def test_the_bench_output_of_appendix_c_is_audited(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tab-separated `meas pwm cmd` at 1 kHz without header or time, a step from 500 to 900 us."""
     from servofd.servo.library import servo_named

@@ -124,8 +124,16 @@ AUTOPILOT_VERDICTS: dict[str, tuple[str, str | None, float]] = {
 }
 
 
-@pytest.mark.parametrize("name", AUTOPILOT_VERDICTS)
-@pytest.mark.parametrize("configured", [False, True])
+@pytest.mark.parametrize(
+    ("name", "configured"),
+    [
+        *((name, False) for name in AUTOPILOT_VERDICTS),
+        *(
+            pytest.param(name, True, marks=[] if name.endswith(".ulg") else pytest.mark.nightly)
+            for name in AUTOPILOT_VERDICTS
+        ),
+    ],
+)
 @pytest.mark.slow
 def test_autopilot_logs_are_audited_with_nothing_configured_by_hand(
     name: str, configured: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -17,6 +17,7 @@ from servofd.servo.faults import Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.cli.test_calibrate import flown as table_flight
 from tests.cli.test_calibrate import logged
+from tests.fleet.conftest import in_line
 from tests.live.vehicles import PLANE, flown, plane_file
 from tests.recovery.fine_servo import FineServo, hide
 from tests.terminal.terminals import Terminal
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")]
 
-WIDTHS = (60, 100, 200)
+WIDTHS = (60, *(pytest.param(width, marks=pytest.mark.nightly) for width in (100, 200)))
+"""Most is folded in the narrowest."""
 _CODE = re.compile(r"\\x1b|\\x9b|\[\d+(;\d+)*m|\[\?\d+[hl]")
 """A code that did not act."""
 _REFRESHED = b"\x1b[H"
@@ -71,7 +73,9 @@ def printed(words: list[str], width: int, monkeypatch: pytest.MonkeyPatch) -> tu
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_what_verbs_print(folder: Path, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, shown = printed(["audit", str(folder / "logs"), "--servo", "hs225bb-eq31"], width, monkeypatch)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("servofd.fleets.run.run_local", in_line)
+        code, shown = printed(["audit", str(folder / "logs"), "--servo", "hs225bb-eq31"], width, monkeypatch)
     assert (code, "JAMMED" in shown, "healthy" in shown) == (1, True, True)
     target = str(folder / f"calibrated{width}.toml")
     code, shown = printed(["calibrate", str(folder / "logs" / "good.csv"), "-o", target], width, monkeypatch)
@@ -150,10 +154,10 @@ def test_a_signal_while_the_program_loads_is_one_line(number: signal.Signals) ->
     assert done.stderr == "servofd: interrupted before anything was begun\n"
 
 
-@pytest.mark.parametrize("how", ["SIGTERM", "SIGHUP", "closed"])
+@pytest.mark.parametrize("how", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.nightly), "closed"])
 def test_whatever_ends_it_the_lines_of_json_are_whole(folder: Path, tmp_path: Path, how: str) -> None:
     lines, own = tmp_path / "events.jsonl", tmp_path / "own.tlog"
-    words = ["monitor", str(folder / "flight.tlog"), "-c", str(folder / "plane.toml"), "--speed", "2", "--no-alert"]
+    words = ["monitor", str(folder / "flight.tlog"), "-c", str(folder / "plane.toml"), "--speed", "4", "--no-alert"]
     words += ["--plain", "--json-lines", str(lines), "--tlog", str(own)]
     run = [sys.executable, "-m", "servofd", *words]
     with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as monitor:
