@@ -13,7 +13,7 @@ from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
 from servofd.feedback.tables import log_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     import pandas as pd
 
@@ -107,7 +107,9 @@ def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:
     return logparsers.read(path, layout_of(aircraft))
 
 
-def flown_aircraft(log: FlightLog, known: Aircraft | None = None, servo: str | None = None) -> Aircraft:
+def flown_aircraft(
+    log: FlightLog, known: Aircraft | None = None, servo: str | None = None, only: Collection[str] = ()
+) -> Aircraft:
     """The aircraft that flew a log: as it is known, or as the log shows it, with the servo that was asked for.
 
     Surfaces whose channels a log lacks are looked for by the outputs of the autopilot that turn them. Servos that the
@@ -119,6 +121,8 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None = None, servo: str | N
         What is known of the aircraft; without surfaces, their motion alone.
     servo : str, optional
         Servo of all surfaces: a name of the library, or a servo file; ``unknown`` fits each servo to the log.
+    only : collection of str
+        Surfaces whose servos are wanted; all if empty.
     """
     own = known is not None and bool(known.surfaces)
     try:
@@ -132,6 +136,7 @@ def flown_aircraft(log: FlightLog, known: Aircraft | None = None, servo: str | N
     if servo not in (None, UNKNOWN_SERVO):
         flown = flown.with_servo(servo)  # a saved file may name those of some surfaces alone
     unnamed = [name for name, surface in flown.surfaces.items() if servo == UNKNOWN_SERVO or not surface.names_servo]
+    unnamed = [name for name in unnamed if not only or name in only]
     if not unnamed or (log.is_of_autopilot and not own):  # whose surfaces come with servos that were fitted to it
         return flown
     from servofd.feedback.fitted import fitted_aircraft

@@ -56,7 +56,7 @@ def audit(
     cycles: dict[str, list[FloatArray]] = {}
     for run in logs_of(log, job.aircraft):
         try:
-            flown = flown_aircraft(run, job.aircraft, job.servo)
+            flown = flown_aircraft(run, job.aircraft, job.servo, job.surfaces)
         except NoMeasurement as error:  # the other runs are judged first
             nothing = nothing or _alone(run, str(error), job)
             continue

@@ -12,6 +12,7 @@ import pytest
 from strangers import Failure, Flight, draw_failure, fly, stranger
 
 import servofd
+from servofd.feedback.flown import flown_aircraft, one_log
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 
@@ -271,3 +272,14 @@ def test_a_surface_that_leaves_its_command_is_not_cleared_however_little_was_ask
     table[table.time_s > 61.0].to_csv(tmp_path / "since.csv", index=False)  # it may have been trimmed so
     (result,) = servofd.audit(tmp_path / "since.csv")
     assert result["rudder"].status != "healthy"
+
+
+def test_the_servo_of_a_surface_that_nobody_asked_about_is_not_fitted() -> None:
+    path = "sample_logs/table_three_faults.csv"
+    flown = flown_aircraft(one_log(path), only=("rudder",))
+    assert [name for name, surface in flown.surfaces.items() if surface.model.origin == "fitted"] == ["rudder"]
+    (alone,), (whole,) = servofd.audit(path, surfaces=("rudder",)), servofd.audit(path)
+    assert [surface.surface for surface in alone.surfaces] == ["rudder"]
+    assert [(f.kind, f.start_s) for f in alone["rudder"].faults] == [
+        (f.kind, f.start_s) for f in whole["rudder"].faults
+    ]
