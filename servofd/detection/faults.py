@@ -95,6 +95,7 @@ _OF_ONE_CONTACT: Final = 3
 _EVEN: Final = 0.5
 """What is less probable has no name that counts: of sound surfaces in calm air (`benchmarks/jsbsim_flights.py`, even
 seeds) three were at fault, with jams and play of at most 1 deg, and probabilities of .28 to .48."""
+_STANDING: Final = {"stuck", "hardover", "floating"}
 SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 
@@ -272,18 +273,11 @@ def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
     never = lasted_s <= 0.0  # better than health at no time
     short = fault.kind in _LASTING and lasted_s < _SHORTEST_WEAR_S
     little = fault.kind == "loss_of_effectiveness" and _size(fault, "gain") >= _STILL_ALL
-    barely = ratio < LOUD and (short or little or _may_be_none(fault))
+    barely = ratio < LOUD and (short or little or _may_be_none(fault) or _has_no_name(fault))
     size, least = _LEAST_DEG.get(fault.kind, ("", 0.0))
     tiny = _size(fault, size) < least
     is_early = fault.kind in _SHOWN_EARLY and fault.start_s >= fault.alarm_s
-    if (
-        still_fast
-        or tiny
-        or never
-        or (not is_far and is_early)
-        or barely
-        or (_has_no_name(fault) and (ratio < LOUD or not is_far))
-    ):
+    if still_fast or tiny or never or (not is_far and is_early) or barely or (fault.kind == "unknown" and not is_far):
         own = () if fault.kind == "unknown" else (fault.kind,)
         return replace(fault, kind="healthy", parameters={}, alternatives=(*own, *fault.alternatives)[:3])
     return fault
@@ -295,8 +289,9 @@ def _size(fault: Fault, name: str) -> float:
 
 
 def _has_no_name(fault: Fault) -> bool:
-    """Whether no kind of it is more probable than all others together."""
-    return fault.kind == "unknown" or fault.probability < _EVEN
+    """Whether it is not more probable than all other kinds; that a surface stands still has a name, if not why."""
+    stands = fault.kind in _STANDING and bool({*fault.alternatives[:1]} & _STANDING)
+    return fault.kind == "unknown" or (fault.probability < _EVEN and not stands)
 
 
 def _may_be_none(fault: Fault) -> bool:

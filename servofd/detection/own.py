@@ -83,7 +83,7 @@ width of dead band, friction and play together, and the speed below which they a
 _UNUSUAL: Final = 3.0
 """Deviations from a sound servo beyond which a log is not cleared."""
 _CAUGHT_UP_S, _LASTS_S = 2.0, 3
-"""After so long even a slow servo is where it was asked to be, and so many seconds in a row are no passing thing."""
+"""After so long even a slow servo is where it was asked to be, and so many seconds at the end are no passing thing."""
 _DEADBAND, _FRICTION, _PLAY, _RATE = (
     NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "ln_rate")
 )
@@ -260,7 +260,7 @@ def _judged(
     at_first = any(fault.start_s < whole.time_s[0] + _TELLING_S for fault in mended)
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * at_first
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
-    if np.nanmean(sigma_deg**2) > np.nanvar(whole.measured_deg[flight.judged]):  # it tells less than no servo does
+    if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None
     return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole)
 
@@ -332,14 +332,14 @@ def _sure(part: _Part) -> FloatArray:
 def departed(segment: Series) -> str:
     """Since when a position stands where no sound servo would, of a log that no servo predicts; nothing if it does not.
 
-    Before, it stood where one would: that is no matter of trim or scale.
+    Before, it stood where one would, so that it is no matter of trim or scale, and it does not come back.
 
     Examples
     --------
     >>> from servofd.aircraft.series import Series
     >>> t = np.arange(0.0, 60.0, 0.1)
     >>> departed(Series("rudder", t, np.sin(t), t, np.where(t < 40.0, 0.0, -24.0)))
-    'it stands 24 deg from all that it is asked for since 40 s'
+    'it stands 23 deg from all that it is asked for since 40 s'
     >>> departed(Series("rudder", t, np.sin(t), t, np.full(t.size, -24.0)))
     ''
     """
@@ -356,11 +356,13 @@ def departed(segment: Series) -> str:
             allowed_deg = _UNUSUAL * (_BIAS_DEG + _GAIN * float(np.abs(asked_deg).max()))
             beyond = max(at - float(asked_deg.max()), float(asked_deg.min()) - at)
             away_deg[k] = beyond if beyond > allowed_deg else 0.0
-    away = np.convolve(away_deg > 0.0, np.ones(_LASTS_S), "valid") >= _LASTS_S
-    begins = int(np.argmax(away)) if away.any() else 0
-    if begins < _TELLING_S:
+    back = np.flatnonzero(away_deg == 0.0)
+    begins = int(back[-1]) + 1 if back.size else 0
+    if begins < _TELLING_S or seconds.size - begins < _LASTS_S or back.size < begins:
         return ""
-    return f"it stands {away_deg[begins]:.0f} deg from all that it is asked for since {seconds[begins]:.0f} s"
+    return (
+        f"it stands {np.median(away_deg[begins:]):.0f} deg from all that it is asked for since {seconds[begins]:.0f} s"
+    )
 
 
 def unusual(theta: FloatArray) -> str:
