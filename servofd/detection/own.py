@@ -84,6 +84,8 @@ _UNUSUAL: Final = 3.0
 """Deviations from a sound servo beyond which a log is not cleared."""
 _CAUGHT_UP_S, _LASTS_S = 2.0, 3
 """After so long even a slow servo is where it was asked to be, and so many seconds in a row are no passing thing."""
+_TURNS_DEG: Final = 180.0
+"""No surface is further from its command: a reading that is has another unit, or is none."""
 _DEADBAND, _FRICTION, _PLAY, _RATE = (
     NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "ln_rate")
 )
@@ -330,7 +332,7 @@ def _sure(part: _Part) -> FloatArray:
 
 
 def departed(segment: Series) -> str:
-    """Since when a position stands where no sound servo would, of a log that no servo predicts; nothing if it does not.
+    """When a position stood where no sound servo would, of a log that no servo predicts; nothing if it never did.
 
     Before, it stood where one would: that is no matter of trim or scale.
 
@@ -345,7 +347,7 @@ def departed(segment: Series) -> str:
     """
     known = np.isfinite(segment.measured_deg)
     time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
-    seconds = np.arange(np.ceil(time_s[0]), np.floor(time_s[-1])) if time_s.size else np.zeros(0)
+    seconds = np.unique(np.floor(time_s))  # a clock may jump by years
     away_deg = np.zeros(seconds.size)
     for k, from_s in enumerate(seconds):
         here = measured_deg[slice(*np.searchsorted(time_s, (from_s, from_s + 1.0)))]
@@ -355,12 +357,17 @@ def departed(segment: Series) -> str:
             at = float(np.median(here))
             allowed_deg = _UNUSUAL * (_BIAS_DEG + _GAIN * float(np.abs(asked_deg).max()))
             beyond = max(at - float(asked_deg.max()), float(asked_deg.min()) - at)
-            away_deg[k] = beyond if beyond > allowed_deg else 0.0
-    away = np.convolve(away_deg > 0.0, np.ones(_LASTS_S), "valid") >= _LASTS_S
+            away_deg[k] = beyond if allowed_deg < beyond < _TURNS_DEG else 0.0
+    away = away_deg[: -_LASTS_S + 1] > 0.0
+    for later in range(1, _LASTS_S):
+        away &= away_deg[later : away.size + later] > 0.0
     begins = int(np.argmax(away)) if away.any() else 0
     if begins < _TELLING_S:
         return ""
-    return f"it stands {away_deg[begins]:.0f} deg from all that it is asked for since {seconds[begins]:.0f} s"
+    back = np.flatnonzero(away_deg[begins:] == 0.0)
+    begun_s = f"{seconds[begins]:.0f}"
+    when = f"from {begun_s} to {seconds[begins + back[0]]:.0f} s" if back.size else f"since {begun_s} s"
+    return f"it stands {away_deg[begins]:.0f} deg from all that it is asked for {when}"
 
 
 def unusual(theta: FloatArray) -> str:
