@@ -262,7 +262,8 @@ def _judged(
     at_first = any(fault.start_s < whole.time_s[0] + _TELLING_S for fault in mended)
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * at_first
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
-    if np.nanmean(sigma_deg**2) > np.nanvar(whole.measured_deg[flight.judged]):  # it tells less than no servo does
+    moves = max(np.nanvar(whole.measured_deg[flight.judged]), np.nanvar(fitted.theta[0] * whole.commands[1]))
+    if np.nanmean(sigma_deg**2) > moves:  # it tells less than no servo does; one that jams moves less than it is asked
         return None
     return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole)
 
