@@ -29,6 +29,8 @@ rail of the simulated motors sags by 5 % under load."""
 _SAGGED, _BRIEF = 0.8, 0.1
 """Share of its usual volts below which a supply gave way though servos follow, and share of `AROUND_S` in which it has
 to: starts of motors and gusts take less."""
+_DEAD: Final = 0.3
+"""Share of its usual volts on which no servo moves: less, though all servos follow, is no reading of their supply."""
 _EMPTY, _FULL = 0.75, 0.95
 """Share of its highest volts at which a battery is empty (3.2 of 4.2 V a cell), and below which one is passed by for
 glitches: a share of its readings."""
@@ -127,7 +129,8 @@ def _of_volts_alone(
     surfaces: Sequence[SurfaceAudit], causes: Sequence[CommonCause], volts: Sequence[tuple[FloatArray, FloatArray]]
 ) -> Iterator[CommonCause]:
     """A supply that gave way, where servos do not say so themselves."""
-    sagged = _sagged(volts)
+    follow = any(s.status == "healthy" for s in surfaces) and not any(s.faults for s in surfaces)
+    sagged = _sagged([_above(_DEAD, *one) for one in volts] if follow else volts)
     if sagged is not None and all(one.kind != "supply" for one in causes):
         at_s, text = sagged
         names = [s.surface for s in surfaces if any(-_WITH_IT_S <= f.start_s - at_s <= AROUND_S for f in s.faults)]
@@ -138,13 +141,14 @@ def _of_volts_alone(
 def _sagged(volts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, str] | None:
     """When [s] and by how much the supply of most servos fell by a fifth or more for seconds; None if it did not.
 
-    Before servos have power, and as a log ends with it, volts tell nothing.
+    Before servos have power, and as a log ends with it, volts tell nothing; and a battery that empties gives no way.
 
     Examples
     --------
     >>> time_s = np.arange(0.0, 90.0, 0.5)
     >>> _sagged([(time_s, np.where(time_s < 40.0, 6.0, 4.5))])
     (40.0, 'it fell from 6.0 to 4.5 V')
+    >>> _sagged([(time_s, np.linspace(8.4, 6.4, time_s.size))])
     """
     found = []
     for time_s, volts_v in volts:
@@ -154,10 +158,17 @@ def _sagged(volts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, str]
             was_v, is_low = volts_v[before[k] : k], low[k : after[k]]
             is_inside = time_s[0] <= time_s[k] - AROUND_S and time_s[k] + AROUND_S <= time_s[-1]
             if is_inside and np.mean(low[before[k] : k]) < _BRIEF and np.mean(is_low) >= _BRIEF:
-                is_v = float(np.median(volts_v[k : after[k]][is_low]))
-                found.append((float(time_s[k]), fell_from(float(np.median(was_v)), is_v)))
-                break
+                usual_v, is_v = float(np.median(was_v)), float(np.median(volts_v[k : after[k]][is_low]))
+                if is_v < _SAGGED * usual_v:
+                    found.append((float(time_s[k]), fell_from(usual_v, is_v)))
+                    break
     return min(found) if 2 * len(found) > len(volts) else None
+
+
+def _above(share: float, time_s: FloatArray, volts_v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The readings of a supply that are no less than a share of its usual ones."""
+    known = volts_v >= min(share * float(np.quantile(volts_v, _FULL)), float(volts_v.max()))
+    return time_s[known], volts_v[known]
 
 
 def fell_from(was_v: float, is_v: float) -> str:

@@ -83,7 +83,9 @@ width of dead band, friction and play together, and the speed below which they a
 _UNUSUAL: Final = 3.0
 """Deviations from a sound servo beyond which a log is not cleared."""
 _CAUGHT_UP_S, _LASTS_S = 2.0, 3
-"""After so long even a slow servo is where it was asked to be, and so many seconds at the end are no passing thing."""
+"""After so long even a slow servo is where it was asked to be, and so many seconds in a row are no passing thing."""
+_TURNS_DEG: Final = 180.0
+"""No surface is further from its command: a reading that is has another unit, or is none."""
 _DEADBAND, _FRICTION, _PLAY, _RATE = (
     NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "ln_rate")
 )
@@ -330,9 +332,10 @@ def _sure(part: _Part) -> FloatArray:
 
 
 def departed(segment: Series) -> str:
-    """Since when a position stands where no sound servo would, of a log that no servo predicts; nothing if it does not.
+    """When a position stood where no sound servo would, of a log that no servo predicts; nothing if it never did.
 
-    Before, it stood where one would, so that it is no matter of trim or scale, and it does not come back.
+    Before, it stood where one would, so that it is no matter of trim or scale; and it left once: what comes and goes
+    has little to do with its command.
 
     Examples
     --------
@@ -345,7 +348,7 @@ def departed(segment: Series) -> str:
     """
     known = np.isfinite(segment.measured_deg)
     time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
-    seconds = np.arange(np.ceil(time_s[0]), np.floor(time_s[-1])) if time_s.size else np.zeros(0)
+    seconds = np.unique(np.floor(time_s))  # a clock may jump by years
     away_deg = np.zeros(seconds.size)
     for k, from_s in enumerate(seconds):
         here = measured_deg[slice(*np.searchsorted(time_s, (from_s, from_s + 1.0)))]
@@ -355,14 +358,13 @@ def departed(segment: Series) -> str:
             at = float(np.median(here))
             allowed_deg = _UNUSUAL * (_BIAS_DEG + _GAIN * float(np.abs(asked_deg).max()))
             beyond = max(at - float(asked_deg.max()), float(asked_deg.min()) - at)
-            away_deg[k] = beyond if beyond > allowed_deg else 0.0
-    back = np.flatnonzero(away_deg == 0.0)
-    begins = int(back[-1]) + 1 if back.size else 0
-    if begins < _TELLING_S or seconds.size - begins < _LASTS_S or back.size < begins:
+            away_deg[k] = beyond if allowed_deg < beyond < _TURNS_DEG else 0.0
+    away = np.flatnonzero(away_deg)
+    if away.size < _LASTS_S or away[0] < _TELLING_S or np.ptp(away) >= away.size:
         return ""
-    return (
-        f"it stands {np.median(away_deg[begins:]):.0f} deg from all that it is asked for since {seconds[begins]:.0f} s"
-    )
+    begun_s, over_s = f"{seconds[away[0]]:.0f}", f"{seconds[away[-1]] + 1.0:.0f}"
+    when = f"since {begun_s} s" if away[-1] == seconds.size - 1 else f"from {begun_s} to {over_s} s"
+    return f"it stands {np.median(away_deg[away]):.0f} deg from all that it is asked for {when}"
 
 
 def unusual(theta: FloatArray) -> str:

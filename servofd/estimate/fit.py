@@ -30,8 +30,9 @@ _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 """Delays at which descents begin [s]: between them the misfit may have another valley."""
 _FIRST_STEPS, _STEPS = 2, 30
 """Steps of the descents that are compared, and of the one that is continued."""
-_KEPT: Final = 16
-"""Servos whose errors and slopes are kept, of those that descents begin with or end at."""
+_KEPT, _KEPT_ROWS = 16, 2_000_000
+"""Servos whose errors and slopes are kept, of those that descents begin with or end at; and rows of them at most, which
+take 256 MB: of two hours at 100 Hz sixteen would take 1.5 GB."""
 _CLOSE: Final = 0.5
 """Misfit, of which one standard deviation of a number makes 1 or more, by which a step must improve."""
 _LOOSER_DEG: Final = 0.6
@@ -228,8 +229,9 @@ class _Flights:
 
     def __init__(self, records: Sequence[Record], reach_deg: tuple[float, float]) -> None:
         self.records, self.whole, self.reach_deg = records, joined(records), reach_deg
-        self._left = lru_cache(maxsize=_KEPT)(self._left_by)
-        self._slopes = lru_cache(maxsize=_KEPT)(self._slopes_by)
+        kept = min(_KEPT, _KEPT_ROWS // max(self.whole.time_s.size, 1))
+        self._left = lru_cache(maxsize=kept)(self._left_by)
+        self._slopes = lru_cache(maxsize=kept)(self._slopes_by)
 
     def left(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Errors [deg] and largest speeds [deg/s] in the usable rows of all records, shape (n,)."""

@@ -295,6 +295,15 @@ def test_a_supply_that_sags_is_said_though_servos_follow(tmp_path: Path, again_v
     assert {s.status for s in found.surfaces} == {"healthy"}
 
 
+def test_a_battery_that_empties_is_no_supply_that_gives_way(tmp_path: Path) -> None:
+    flights = {name: flown(30 + k, 10.0) for k, name in enumerate(("aileron", "elevator"))}
+    path = tmp_path / "flight.csv"
+    path.write_text(together(flights, lambda at_s: 8.4 - 2.2 * at_s / 180.0))
+    found = servofd.audit(path)
+    assert {s.status for s in found.surfaces} == {"healthy"}
+    assert found.common_causes == ()
+
+
 def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", written(tmp_path / "flight.csv", flown(5, 10.0, seconds=40.0)), "--json"]) == 0
     (surface,) = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]

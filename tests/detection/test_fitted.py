@@ -17,6 +17,7 @@ from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from servofd.core.types import FloatArray
@@ -283,3 +284,45 @@ def test_the_servo_of_a_surface_that_nobody_asked_about_is_not_fitted() -> None:
     assert [(f.kind, f.start_s) for f in alone["rudder"].faults] == [
         (f.kind, f.start_s) for f in whole["rudder"].faults
     ]
+
+
+@pytest.mark.parametrize(
+    ("rows", "position_deg"),
+    [
+        (45, lambda at_s: 5.0 * np.sin(at_s)),
+        (6000, lambda at_s: np.where(at_s < 20.0, 0.0, 2050.0)),
+        (6000, lambda at_s: np.where((at_s > 60.0) & (at_s < 65.0), -9999.0, 0.0)),
+    ],
+    ids=["less than a second", "counts, once its sensor has begun", "a value that stands for none"],
+)
+def test_no_surface_leaves_its_command_by_what_is_no_angle(
+    rows: int, position_deg: Callable[[FloatArray], FloatArray]
+) -> None:
+    t = np.arange(rows) / 50.0
+    noise_deg = 0.05 * np.random.default_rng(4).standard_normal(rows)
+    asked_deg = 0.2 * np.sin(t) if rows > 50 else 5.0 * np.sin(t)
+    (result,) = servofd.audit(
+        pd.DataFrame({"time_s": t, "rudder_cmd_deg": asked_deg, "rudder_pos_deg": position_deg(t) + noise_deg})
+    )
+    assert result["rudder"].status == "unknown"
+
+
+def test_a_surface_that_comes_back_to_its_command_was_away_for_so_long() -> None:
+    t = np.arange(0.0, 120.0, 0.05)
+    gone = (t > 60.0) & (t < 70.0)
+    noise_deg = 0.05 * np.random.default_rng(4).standard_normal(t.size)
+    position_deg = np.where(gone, 20.0, 0.2 * np.sin(t)) + noise_deg
+    whole = {"time_s": t, "rudder_cmd_deg": 0.2 * np.sin(t), "rudder_pos_deg": position_deg}
+    for at_s in (t, np.where(t < 80.0, t, t + 1e7)):  # the clock of an autopilot may be set in flight
+        (result,) = servofd.audit(pd.DataFrame({**whole, "time_s": at_s}))
+        assert result["rudder"].status == "suspect"
+        assert "20 deg from all that it is asked for from 60 to 70 s" in result["rudder"].reason
+
+
+@pytest.mark.slow
+def test_volts_on_which_no_servo_moves_are_no_reading_where_it_follows() -> None:
+    table, good = good_aileron()
+    assert good.status == "healthy"
+    gone = (table.time_s > table.time_s[0] + 17.0) & (table.time_s < table.time_s[0] + 20.0)
+    (found,) = servofd.audit(table.assign(servo_voltage_v=np.where(gone, 0.0, 6.0)))
+    assert (found.surfaces[0].status, found.common_causes) == ("healthy", ())
