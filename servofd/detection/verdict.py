@@ -247,6 +247,8 @@ SURE, WORTH_TELLING = 0.95, 0.02
 """Probabilities from which a name counts as certain, and an alternative is worth mentioning."""
 SERVO_OR_SENSOR = "servo or its feedback: "
 """What a position alone tells is of one of these."""
+_EVEN = 0.5
+"""Probability below which something else is likelier."""
 EXPLAINED = "the tolerances of a working servo explain it"
 """Why an alarm is taken back."""
 
@@ -271,6 +273,8 @@ def describe(fault: Fault) -> str:
     >>> from servofd.detection.verdict import Fault
     >>> describe(Fault("stuck", 10.0, 10.4, None, {"position_deg": Estimate(3.1, 3.0, 3.2)}, 0.8, ("deadband",)))
     'stuck at 3.1 deg since 10.00 s, perhaps a dead band (alarm at 10.40 s)'
+    >>> describe(Fault("healthy", 45.9, 52.2, None, {}, 0.4, ("deadband",)))
+    'crossed the threshold by too little to tell what it is since 45.90 s, perhaps a dead band (alarm at 52.20 s)'
     """
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
     text = filled(KINDS[fault.kind].clause, values)
@@ -286,6 +290,8 @@ def describe(fault: Fault) -> str:
         doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":
         text = "crossed the threshold, but the tolerances of a working servo explain it"
+        if fault.probability < _EVEN and fault.alternatives:
+            text, doubt = "crossed the threshold by too little to tell what it is", _perhaps(fault)
     confirmed = "" if fault.confirmed_by is None else f", and {_confirmation(fault.confirmed_by)}"
     return f"{text} {since}{doubt}{confirmed} (alarm at {fault.alarm_s:.2f} s)"
 
