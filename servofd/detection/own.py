@@ -349,22 +349,26 @@ def departed(segment: Series) -> str:
     known = np.isfinite(segment.measured_deg)
     time_s, measured_deg = segment.measured_s[known], segment.measured_deg[known]
     seconds = np.unique(np.floor(time_s))  # a clock may jump by years
-    away_deg = np.zeros(seconds.size)
+    away_deg, at_deg = np.zeros((2, seconds.size))
     for k, from_s in enumerate(seconds):
         here = measured_deg[slice(*np.searchsorted(time_s, (from_s, from_s + 1.0)))]
         first, last = np.searchsorted(segment.command_s, (from_s - _CAUGHT_UP_S, from_s + 1.0)).tolist()
         asked_deg = segment.command_deg[max(first - 1, 0) : last]
         if here.size and asked_deg.size:
-            at = float(np.median(here))
+            at_deg[k] = at = float(np.median(here))
             allowed_deg = _UNUSUAL * (_BIAS_DEG + _GAIN * float(np.abs(asked_deg).max()))
             beyond = max(at - float(asked_deg.max()), float(asked_deg.min()) - at)
             away_deg[k] = beyond if allowed_deg < beyond < _TURNS_DEG else 0.0
-    away = np.flatnonzero(away_deg)
+    is_away = away_deg > 0.0
+    if is_away.any():  # a command that goes there for a moment does not bring it back
+        is_there = np.abs(at_deg - np.median(at_deg[is_away])) < _UNUSUAL * _BIAS_DEG
+        is_away |= is_there & (seconds > seconds[np.argmax(is_away)])
+    away = np.flatnonzero(is_away)
     if away.size < _LASTS_S or away[0] < _TELLING_S or np.ptp(away) >= away.size:
         return ""
     begun_s, over_s = f"{seconds[away[0]]:.0f}", f"{seconds[away[-1]] + 1.0:.0f}"
     when = f"since {begun_s} s" if away[-1] == seconds.size - 1 else f"from {begun_s} to {over_s} s"
-    return f"it stands {np.median(away_deg[away]):.0f} deg from all that it is asked for {when}"
+    return f"it stands {np.median(away_deg[away_deg > 0.0]):.0f} deg from all that it is asked for {when}"
 
 
 def unusual(theta: FloatArray) -> str:

@@ -270,6 +270,9 @@ def test_a_surface_that_leaves_its_command_is_not_cleared_however_little_was_ask
     rudder = result["rudder"]
     assert rudder.status in {"fault", "suspect"}
     assert "23 deg from all that it is asked for since 60 s" in rudder.reason
+    full = table.assign(rudder_cmd_deg=np.where((t > 80.0) & (t < 82.0), -25.0, asked_deg))  # the way it went
+    (result,) = servofd.audit(full)
+    assert result["rudder"].status in {"fault", "suspect"}
     table[table.time_s > 61.0].to_csv(tmp_path / "since.csv", index=False)  # it may have been trimmed so
     (result,) = servofd.audit(tmp_path / "since.csv")
     assert result["rudder"].status != "healthy"
