@@ -129,11 +129,17 @@ class CalibratedCurrent(BaseModel):
     """Usual airspeed; 0 where it was not logged."""
     airspeeds_m_s: tuple[_Finite, _Finite] | None = None
     """The slowest and the fastest that was flown while it was fitted; None where it was not logged."""
-    limits: dict[Literal["blocked", "unpowered", "binding"], _Positive] = {}
+    limits_nats: dict[Literal["blocked", "unpowered", "binding"], _Positive] = {}
     """Nats by which each fault must be likelier than a good servo: more than any stretch of good flights reached."""
     fitted_between_s: tuple[_Finite, _Finite] | None = None
     """The part of a log that it was fitted to, where it was not calibrated."""
     wear: Wear | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_old_limits(cls, given: object) -> object:
+        """Files of before hold the limits of other tests: the usual ones serve as well."""
+        return {key: value for key, value in given.items() if key != "limits"} if isinstance(given, dict) else given
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -170,7 +176,7 @@ def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:
     Examples
     --------
     >>> current = CalibratedCurrent.model_construct(
-    ...     parameters={"idle": 0.1}, between=((1.0,),), lag_s=0.02, wear=None, limits={},
+    ...     parameters={"idle": 0.1}, between=((1.0,),), lag_s=0.02, wear=None, limits_nats={},
     ...     noise=CurrentNoise(still_a=0.02, share=0.3, colour=0.2, period_s=0.1),
     ... )
     >>> current_to_toml("rudder", current)[:3]
@@ -179,7 +185,7 @@ def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:
     heading = f"surfaces.{toml_key(name)}.healthy_current"
     tables = known.model_dump(exclude_none=True, exclude_defaults=True)
     matrix, parameters = tables.pop("between"), tables.pop("parameters")
-    parts = {key: tables.pop(key) for key in ("noise", "limits", "wear") if key in tables}
+    parts = {key: tables.pop(key) for key in ("noise", "limits_nats", "wear") if key in tables}
     lines = ["", f"[{heading}]", *toml_lines(tables), "between = [  # covariance between good flights, lower triangle"]
     lines += [*(f"    {toml_value(row)}," for row in matrix), "]", "", f"[{heading}.parameters]"]
     lines += toml_lines(parameters, REGRESSORS)

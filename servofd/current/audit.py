@@ -172,7 +172,7 @@ def healthy_currents(
         if set(names) <= found.keys():
             each_flight = zip(*(parts[name] for name in names), strict=False)
             limits = limits_of([{one.surface: see(one, found[one.surface]) for one in each} for each in each_flight])
-            found |= {name: found[name].model_copy(update={"limits": limits}) for name in names}
+            found |= {name: found[name].model_copy(update={"limits_nats": limits}) for name in names}
     return found, {name: reason for name, reason in reasons.items() if name not in found}
 
 

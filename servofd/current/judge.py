@@ -71,7 +71,7 @@ def limit_of(known: CalibratedCurrent, kind: str) -> float:
     """Nats by which a kind of fault has to be likelier than a good servo; never, where one log is all that is known."""
     if known.fitted_between_s is not None and kind == "binding":
         return math.inf
-    learnt: Mapping[str, float] = {str(name): limit for name, limit in known.limits.items()}
+    learnt: Mapping[str, float] = {str(name): limit for name, limit in known.limits_nats.items()}
     return max(KINDS[kind].limit, learnt.get(kind, 0.0))
 
 

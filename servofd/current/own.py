@@ -47,4 +47,4 @@ def own_current(series: CurrentSeries) -> CalibratedCurrent:
         raise CalibrationError(reason)
     known = min(found, key=lambda each: each[:2])[2]
     part = series.within(*(known.fitted_between_s or (first_s, last_s)))
-    return known.model_copy(update={"limits": limits_of([{series.surface: see(part, known)}])})
+    return known.model_copy(update={"limits_nats": limits_of([{series.surface: see(part, known)}])})

@@ -344,3 +344,16 @@ def test_a_jam_that_draws_more_than_any_motion_is_no_fault_of_the_sensor() -> No
     assert fault.confirmed_by is not None
     assert 1.0 < fault.confirmed_by.parameters["current_a"].value < 1.4  # the simulated stall
     assert "sensor" not in elevator.reason
+
+
+@pytest.mark.slow
+def test_limits_of_an_older_file_are_those_of_other_tests_and_hide_nothing(tmp_path: Path, calibrated: str) -> None:
+    lines = Path(calibrated).read_text().replace("healthy_current.limits_nats]", "healthy_current.limits]").splitlines()
+    assert "[surfaces.aileron.healthy_current.limits]" in lines
+    older = [
+        f"{line.split()[0]} = 1e6" if line.startswith(("blocked =", "unpowered =", "binding =")) else line
+        for line in lines
+    ]
+    (tmp_path / "older.toml").write_text("\n".join(older))
+    (found,) = servofd.audit(written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")), tmp_path / "older.toml")
+    assert [fault.kind for fault in found["aileron"].faults] == ["blocked"]
