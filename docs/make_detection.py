@@ -176,7 +176,8 @@ hypothesis i is
 
 What looks alike shares it: a geared servo without power stays where it is, and play that the air pushes is an offset. Below
 {hypotheses._SURE:g}, or where the best hypothesis leaves most of what a good servo does not do, the name is `unknown`. If the winner is
-*healthy*, and no statistic is beyond {hypotheses.LOUD:g} times its limit, the alarm is listed as a suspicion.
+*healthy*, or less likely than all others together, and no statistic is beyond {hypotheses.LOUD:g} times its limit, the alarm is listed as a
+suspicion; and so is one without a name while the residual stays within what good flights do.
 
 **Its end** is where the healthy servo becomes the better explanation again, by {faults._ENDED:g} s of one standard deviation for {faults._AFTER_END_S:g} s, or by {faults._SURELY_ENDED:g} s
 of it at once. A jammed servo between two manoeuvres is quiet, and stays one fault. The tests begin anew {faults.AGAIN_S:g} s later.
