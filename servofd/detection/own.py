@@ -366,6 +366,8 @@ def departed(segment: Series) -> str:
     away = np.flatnonzero(is_away)
     if away.size < _LASTS_S or away[0] < _TELLING_S or np.ptp(away) >= away.size:
         return ""
+    if np.abs(np.median(at_deg[: away[0]]) - np.median(at_deg[away])) < _UNUSUAL * _BIAS_DEG:
+        return ""  # its command left, and it stayed
     begun_s, over_s = f"{seconds[away[0]]:.0f}", f"{seconds[away[-1]] + 1.0:.0f}"
     when = f"since {begun_s} s" if away[-1] == seconds.size - 1 else f"from {begun_s} to {over_s} s"
     return f"it stands {np.median(away_deg[away_deg > 0.0]):.0f} deg from all that it is asked for {when}"
