@@ -35,7 +35,7 @@ from servofd.detection.hypotheses import (
     unexplained_deg,
 )
 from servofd.detection.outages import LONGEST_S
-from servofd.detection.verdict import Fault
+from servofd.detection.verdict import EVEN, Fault
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -92,10 +92,8 @@ _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_
 _SHORTEST_WEAR_S: Final = 2.0
 _OF_ONE_CONTACT: Final = 3
 """So many brief faults, each soon after the one before, have one cause."""
-_EVEN: Final = 0.5
-"""What is less probable has no name that counts: of sound surfaces in calm air (`benchmarks/jsbsim_flights.py`, even
-seeds) three were at fault, with jams and play of at most 1 deg, and probabilities of .28 to .48."""
 _STANDING: Final = {"stuck", "hardover", "floating"}
+"""Kinds of which each may be another: all that shows is that a surface stands still."""
 SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 
@@ -291,7 +289,7 @@ def _size(fault: Fault, name: str) -> float:
 def _has_no_name(fault: Fault) -> bool:
     """Whether it is not more probable than all other kinds; that a surface stands still has a name, if not why."""
     stands = fault.kind in _STANDING and bool({*fault.alternatives[:1]} & _STANDING)
-    return fault.kind == "unknown" or (fault.probability < _EVEN and not stands)
+    return fault.kind == "unknown" or (fault.probability < EVEN and not stands)
 
 
 def _may_be_none(fault: Fault) -> bool:

@@ -247,8 +247,9 @@ SURE, WORTH_TELLING = 0.95, 0.02
 """Probabilities from which a name counts as certain, and an alternative is worth mentioning."""
 SERVO_OR_SENSOR = "servo or its feedback: "
 """What a position alone tells is of one of these."""
-_EVEN = 0.5
-"""Probability below which something else is likelier."""
+EVEN = 0.5
+"""Probability below which all other kinds together are likelier: of sound surfaces in calm air three were at fault with
+.28 to .48, for jams and play of at most 1 deg (even seeds of `benchmarks/jsbsim_flights.py`)."""
 EXPLAINED = "the tolerances of a working servo explain it"
 """Why an alarm is taken back."""
 
@@ -290,7 +291,7 @@ def describe(fault: Fault) -> str:
         doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":
         text = "crossed the threshold, but the tolerances of a working servo explain it"
-        if fault.probability < _EVEN and fault.alternatives:
+        if fault.probability < EVEN and fault.alternatives:
             text, doubt = "crossed the threshold by too little to tell what it is", _perhaps(fault)
     confirmed = "" if fault.confirmed_by is None else f", and {_confirmation(fault.confirmed_by)}"
     return f"{text} {since}{doubt}{confirmed} (alarm at {fault.alarm_s:.2f} s)"
