@@ -30,6 +30,8 @@ _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 """Delays at which descents begin [s]: between them the misfit may have another valley."""
 _FIRST_STEPS, _STEPS = 2, 30
 """Steps of the descents that are compared, and of the one that is continued."""
+_RIVAL_STEPS, _FAR = 4, 2.0
+"""Steps of a servo that moves much like the best one, and times the least misfit from which it is not continued."""
 _KEPT, _KEPT_ROWS = 16, 2_000_000
 """Servos whose errors and slopes are kept, of those that descents begin with or end at; and rows of them at most, which
 take 256 MB: of two hours at 100 Hz sixteen would take 1.5 GB."""
@@ -131,6 +133,8 @@ class Fit:
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
     scatter: FloatArray
     """Covariance with what is not in the model, as parts of the flights disagree, shape (13, 13)."""
+    thirds: FloatArray
+    """How each third of the samples alone would change the parameters, to first order; shape (3, 13)."""
 
     @property
     def offset_deg(self) -> float:
@@ -178,8 +182,11 @@ def fit(
     theta = _best(flights.problem(_rough_sigma(flights, first.x)), [first.x]).x
     error, speed = flights.left(theta)
     problem = flights.problem(_noise(error, speed, records).sigma_deg(speed))
-    again = [theta, *_alike(theta)] if start is None else [theta, begins[0]]
-    return _finished(flights, [_best(problem, [each]) for each in again])
+    found = _best(problem, [theta])
+    rivals = [_best(problem, [each], _RIVAL_STEPS) for each in (_alike(theta) if start is None else begins)]
+    least = min(each.misfit for each in (found, *rivals))
+    close = [each for each in rivals if each.misfit < _FAR * least]
+    return _finished(flights, [found, *(_best(problem, [each.x]) for each in close)])
 
 
 def reach_of(records: Sequence[Record]) -> tuple[float, float]:
@@ -305,6 +312,7 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     halves = left.changes[0] - left.changes[1]
     apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
     scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
+    thirds = best.changes([np.delete(np.arange(error.size), third) for third in np.array_split(np.arange(error.size), 3)])
     estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
@@ -317,6 +325,7 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     return Fit(
         theta, covariance, noise, flights.reach_deg, tuple(whole),
         tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, scatter,
+        thirds,
     )  # fmt: skip
 
 
