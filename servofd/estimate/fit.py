@@ -312,7 +312,8 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     halves = left.changes[0] - left.changes[1]
     apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
     scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
-    thirds = best.changes([np.delete(np.arange(error.size), third) for third in np.array_split(np.arange(error.size), 3)])
+    rows = np.arange(error.size)
+    thirds = best.changes([np.delete(rows, third) for third in np.array_split(rows, 3)])
     estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
