@@ -133,8 +133,6 @@ class Fit:
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
     scatter: FloatArray
     """Covariance with what is not in the model, as parts of the flights disagree, shape (13, 13)."""
-    thirds: FloatArray
-    """How each third of the samples alone would change the parameters, to first order; shape (3, 13)."""
 
     @property
     def offset_deg(self) -> float:
@@ -312,8 +310,6 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     halves = left.changes[0] - left.changes[1]
     apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
     scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
-    rows = np.arange(error.size)
-    thirds = best.changes([np.delete(rows, third) for third in np.array_split(rows, 3)])
     estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
@@ -326,7 +322,6 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     return Fit(
         theta, covariance, noise, flights.reach_deg, tuple(whole),
         tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, scatter,
-        thirds,
     )  # fmt: skip
 
 
