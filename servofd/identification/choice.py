@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from servofd.core.errors import IdentificationError
 from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.records import Run
 from servofd.servo.library import second_order
-
-if TYPE_CHECKING:
-    pass
 
 _STEP_SHARE = 0.2
 """Share of the commanded range from which on a change is a step."""
@@ -102,18 +99,18 @@ def choose_linear(runs: Sequence[Run], order: int | None) -> Choice:
 
 def _criterion(runs: Sequence[Run], fit: MotionFit) -> float:
     """BIC with a lower price for the poles; with a dc gain of 1 if that is better, for a free gain hides a pole."""
-    unity = with_unity_gain(runs, fit) if fit.is_white and fit.servo.linear.gain > 0.0 else None
-    count = int(np.concatenate(fit.errors_deg).size)
-    rebate = max(0.0, float(np.log(count)) - _CHANCE) * fit.servo.linear.order
-    return (unity or fit).bic - rebate
+    rebate = max(0.0, float(np.log(fit.count)) - _CHANCE) * fit.servo.linear.order
+    return (with_unity_gain(runs, fit) or fit).bic - rebate
 
 
 def with_unity_gain(runs: Sequence[Run], fit: MotionFit) -> MotionFit | None:
-    """The same servo with a dc gain of exactly 1, if the data do not object (smaller BIC); else None.
+    """The same servo with a dc gain of exactly 1, if that fits (smaller BIC) and leaves noise alone; else None.
 
     Thesis Appendix A does the same ("a0 = b0"): a chirp hardly shows the gain at zero frequency, and its error
     would spread to bandwidth and poles.
     """
+    if not fit.is_white or fit.servo.linear.gain <= 0.0:
+        return None
     linear = replace(fit.servo.linear, gain=1.0)
     fixed = fit_motion(runs, replace(fit.servo, linear=linear, fixed_gain=True))
     return fixed if fixed.bic < fit.bic else None

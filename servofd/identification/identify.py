@@ -49,8 +49,6 @@ _LARGEST_ERROR = 0.3
 """Of the position's own deviation; the worst real servo so far leaves 0.06."""
 _FOLLOWS = 0.7
 """Share of the position's deviation that a model may leave if the servo follows."""
-_SWAPPED_RAD = 0.05
-"""Mean phase above which the position is ahead of the command [rad]: the columns are swapped."""
 
 
 def identify(
@@ -112,7 +110,7 @@ def identify(
     _check_drift(free, tests)
     fit = free = _with_effects(tests, free, order)
     progress("rate limits and dead band")
-    unity = with_unity_gain(tests.fitted(fit), fit) if fit.is_white and fit.servo.linear.gain > 0.0 else None
+    unity = with_unity_gain(tests.fitted(fit), fit)
     if unity is not None:
         fit = unity
         notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
@@ -188,7 +186,10 @@ class _Tests:
             return cls(tuple(names), tuple(runs), (), (), None, None, tuple(notes))
         nominal = average(responses)[0]
         band = nominal.band_rad_s()
-        _check_phase(nominal, band, labels[0])
+        if band is None:
+            raise IdentificationError(
+                f"{labels[0]}: the tests have no frequencies in common in which position follows command"
+            )
         small = tuple(run for run, _, _ in sweeps)
         return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes))
 
@@ -243,20 +244,6 @@ def _sweep(run: Run, uniform: Uniform) -> FrequencyResponse | None:
     response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s)
     band = response.band_rad_s()
     return response if band is not None and band[1] >= _NARROWEST_SWEEP * band[0] else None
-
-
-def _check_phase(response: FrequencyResponse, band: tuple[float, float] | None, label: str) -> None:
-    """A position that leads its command on average is a command."""
-    if band is None:
-        raise IdentificationError(f"{label}: the tests have no frequencies in common in which position follows command")
-    inside = (response.frequency_rad_s >= band[0]) & (response.frequency_rad_s <= band[1])
-    phase = response.phase_rad[inside]
-    phase = phase - np.pi * np.round(phase[0] / np.pi)
-    if float(np.mean(phase)) > _SWAPPED_RAD:
-        raise IdentificationError(
-            f"{label}: the position leads the command by {np.degrees(np.mean(phase)):.0f} deg of phase on average: "
-            "are the two columns swapped?"
-        )
 
 
 def _check_follows(fit: MotionFit, tests: _Tests) -> None:

@@ -87,15 +87,13 @@ class Spread:
     phase_rad: FloatArray
 
 
-def estimate(
-    command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float, lags: int | None = None
-) -> FrequencyResponse:
+def estimate(command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float) -> FrequencyResponse:
     """Estimate the response from uniform samples.
 
-    Biased covariances up to `lags`, a Hann window over them, and their Fourier transforms: the ratio of the cross
+    Biased covariances up to `LAGS_S`, a Hann window over them, and their Fourier transforms: the ratio of the cross
     to the command's spectrum is the response, what remains of the position's spectrum sets the coherence.
     """
-    reach = min(round(LAGS_S / sample_time_s), command_deg.size // 4) if lags is None else lags
+    reach = min(round(LAGS_S / sample_time_s), command_deg.size // 4)
     window = 0.5 * (1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / reach))
     u, y = command_deg - command_deg.mean(), measured_deg - measured_deg.mean()
     size = 2 * max(_FREQUENCIES, 1 << int(np.ceil(np.log2(2 * reach + 1))))
