@@ -280,9 +280,8 @@ def _bounds(runs: Sequence[Run], start: ServoCandidate) -> tuple[FloatArray, Flo
     sample_time_s = min(float(np.median(np.diff(run.measured_s))) for run in runs)
     powers = np.array({1: [1.0], 2: [2.0, 1.0], 3: [1.0, 2.0, 1.0]}[start.linear.order])
     ends_rad_s = _SLOWEST_RAD_S, _NYQUIST_FREQUENCIES * np.pi / sample_time_s
-    lower, upper = (
-        [*powers * np.log(end), delay] for end, delay in zip(ends_rad_s, (0.0, 1e3 * LONGEST_DELAY_S), strict=True)
-    )
+    slowest, fastest = (powers * np.log(each) for each in ends_rad_s)
+    lower, upper = [*slowest, 0.0], [*fastest, 1e3 * LONGEST_DELAY_S]
     if not start.fixed_gain:
         lower, upper = [*lower, -LARGEST_LOG_GAIN], [*upper, LARGEST_LOG_GAIN]
     for _ in [rate for rate in (start.rate_up_deg_s, start.rate_down_deg_s) if rate is not None]:
