@@ -43,31 +43,14 @@ class Manoeuvre(NamedTuple):
     supply_sags: bool = False
 
 
-def _step(size_deg: float) -> Callable[[FloatArray], FloatArray]:
-    return lambda t: size_deg * ((t // 2.0) % 2.0)
-
-
-def _two_steps(t: FloatArray) -> FloatArray:
-    both: FloatArray = np.array([0.0, 5.0, 0.0, 20.0])[(t // 2.0).astype(int) % 4]
-    return both
-
-
-def _doublets(size_deg: float) -> Callable[[FloatArray], FloatArray]:
-    def command(t: FloatArray) -> FloatArray:
-        since_s = t % 3.0
-        both: FloatArray = size_deg * np.select([since_s < 0.5, since_s < 1.0], [1.0, -1.0], 0.0)
-        return both
-
-    return command
+def _levels(each_s: float, *levels_deg: float) -> Callable[[FloatArray], FloatArray]:
+    """Each level for some time, over and over."""
+    return lambda t: np.array(levels_deg)[(t // each_s).astype(int) % len(levels_deg)]
 
 
 def _triangle(size_deg: float, period_s: float) -> Callable[[FloatArray], FloatArray]:
-    def command(t: FloatArray) -> FloatArray:
-        corners_s, corners_deg = period_s * np.arange(5) / 4.0, size_deg * np.array([0.0, 1.0, 0.0, -1.0, 0.0])
-        ramps: FloatArray = np.asarray(np.interp(t % period_s, corners_s, corners_deg), dtype=np.float64)
-        return ramps
-
-    return command
+    corners_s, corners_deg = period_s * np.arange(5) / 4.0, size_deg * np.array([0.0, 1.0, 0.0, -1.0, 0.0])
+    return lambda t: np.interp(t % period_s, corners_s, corners_deg)
 
 
 def _sine(size_deg: float, frequency_hz: float) -> Callable[[FloatArray], FloatArray]:
@@ -89,8 +72,8 @@ def _chirp(sizes_deg: tuple[float, ...], low_hz: float, high_hz: float) -> Calla
 
 
 MANOEUVRES: tuple[Manoeuvre, ...] = (
-    *(Manoeuvre(f"a step of {size:g} deg", _step(size)) for size in (2.0, 5.0, 10.0, 20.0)),
-    *(Manoeuvre(f"a doublet of {size:g} deg", _doublets(size)) for size in (5.0, 10.0)),
+    *(Manoeuvre(f"a step of {size:g} deg", _levels(2.0, 0.0, size)) for size in (2.0, 5.0, 10.0, 20.0)),
+    *(Manoeuvre(f"a doublet of {size:g} deg", _levels(0.5, size, -size, 0.0, 0.0, 0.0, 0.0)) for size in (5.0, 10.0)),
     *(Manoeuvre(f"a slow triangle of {size:g} deg (8 s)", _triangle(size, 8.0)) for size in (2.0, 10.0)),
     *(
         Manoeuvre(f"a sine of {size:g} deg at {rate:g} Hz", _sine(size, rate))
@@ -98,10 +81,10 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     ),
     Manoeuvre("a chirp of 1, 3 and 9 deg from 0.3 to 8 Hz", _chirp((1.0, 3.0, 9.0), 0.3, 8.0)),
     Manoeuvre("sines of 10 deg at 0.5 Hz from 12 to 30 m/s", _sine(10.0, 0.5), air_changes=True),
-    Manoeuvre("steps of 20 deg while the supply sags from 6 to 4.8 V", _step(20.0), supply_sags=True),
+    Manoeuvre("steps of 20 deg while the supply sags from 6 to 4.8 V", _levels(2.0, 0.0, 20.0), supply_sags=True),
 )
 """Simple before complicated."""
-_BY_SIZE = (Manoeuvre(STEPS_OF_TWO_SIZES, _two_steps),)
+_BY_SIZE = (Manoeuvre(STEPS_OF_TWO_SIZES, _levels(2.0, 0.0, 5.0, 0.0, 20.0)),)
 """What tells a limit of the speed from slow poles: the one takes longer for larger steps."""
 
 
