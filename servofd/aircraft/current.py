@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from servofd.aircraft.calibrated import symmetric
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
 
@@ -89,7 +90,7 @@ class Wear(BaseModel):
     @property
     def covariance(self) -> FloatArray:
         """Shape (6, 6)."""
-        return _symmetric(self.between)
+        return symmetric(self.between)
 
 
 class CalibratedCurrent(BaseModel):
@@ -160,14 +161,7 @@ class CalibratedCurrent(BaseModel):
     @property
     def covariance(self) -> FloatArray:
         """Between good flights, shape (terms, terms)."""
-        return _symmetric(self.between)
-
-
-def _symmetric(rows: tuple[tuple[float, ...], ...]) -> FloatArray:
-    out = np.zeros((len(rows), len(rows)))
-    for i, row in enumerate(rows):
-        out[i, : i + 1] = out[: i + 1, i] = row
-    return out
+        return symmetric(self.between)
 
 
 def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:

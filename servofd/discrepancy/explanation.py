@@ -416,13 +416,13 @@ def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven]]:
     record = joined([at_rest(each) for each in records])
     if record.side is not None:
         return record, []
-    kept, stood = driven(records, Fitter(record).linear().physics)
+    kept, stood = driven(records, Fitter(record).linear()[0].physics)
     if not stood:
         return record, []
     # The servo had been fitted to what no servo does.
     clear = joined([at_rest(each) for each in clear_of(records, stood)])
     if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
-        again = driven(records, Fitter(clear).linear().physics)
+        again = driven(records, Fitter(clear).linear()[0].physics)
         kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
     part = joined([at_rest(each) for each in kept])
     return (part, stood) if int(part.counts.sum()) >= _FEWEST_SAMPLES else (record, [])
@@ -493,7 +493,7 @@ def _follows(record: Record, start_s: float) -> bool:
 def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:
     """Whether a servo fitted to one part of a record is far worse on the other, or a search there is in vain."""
     fitter = Fitter(before)
-    for fit in (fitter.descended(final.effects, final.physics), fitter.linear()):
+    for fit in (fitter.descended(final.effects, final.physics), fitter.linear()[0]):
         error_deg = fitter.judged(fit.effects, fit.physics).error_deg
         if np.mean(error_deg[later] ** 2) > _MUCH_WORSE * np.mean(error_deg[before.counts] ** 2):
             return True

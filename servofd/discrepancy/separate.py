@@ -177,6 +177,8 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
     time_s = np.arange(round(_DURATION_S * _RATE_HZ)) / _RATE_HZ
     share, ones = time_s / _DURATION_S, np.ones(time_s.size)
     command_deg = manoeuvre.command(time_s)
+    pressure_pa = _AIR_PA[0] + share * (_AIR_PA[1] - _AIR_PA[0]) if manoeuvre.air_changes else _CRUISE_PA * ones
+    supply_v = _SUPPLY_V - share * (_SUPPLY_V - _SAGGING_V) if manoeuvre.supply_sags else _SUPPLY_V * ones
     return replace(
         record,
         commands=Commands(time_s, command_deg, np.zeros(time_s.size)),
@@ -185,11 +187,8 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
         counts=time_s > _SETTLING_S,
         block=np.zeros(time_s.size, dtype=np.int64),
         fold=np.zeros(time_s.size, dtype=np.int64),
-        pressure_pa=_AIR_PA[0] + share * (_AIR_PA[1] - _AIR_PA[0]) if manoeuvre.air_changes else _CRUISE_PA * ones,
-        voltage_v=_SUPPLY_V - share * (_SUPPLY_V - _SAGGING_V) if manoeuvre.supply_sags else _SUPPLY_V * ones,
-        current_a=None,
+        logged={"airspeed_m_s": pressure_pa, "servo_voltage_v": supply_v},
         pushed=None,
-        temperature_c=None,
         runs=(),
         side=None,
     )

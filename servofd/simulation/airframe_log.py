@@ -9,9 +9,8 @@ import numpy as np
 from logparsers.dataflash.encode import encode
 from logparsers.units import US_PER_S
 from servofd.servo.context import AIR_KG_M3
-from servofd.simulation.ardupilot import banner
 from servofd.simulation.dataflash_writer import pulses, rows, words
-from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
+from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, banner, functions_of
 
 if TYPE_CHECKING:
     from servofd.simulation.airframe import AirframeFlight

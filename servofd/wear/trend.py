@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -378,7 +378,7 @@ def _surface(surface: SurfaceTrend) -> dict[str, Any]:
                 "kind": event.kind,
                 "flight": event.first,
                 "reason": event.reason,
-                "changes": {name: {"before": j.before, "after": j.after} for name, j in event.jumps.items()},
+                "changes": {name: asdict(jump) for name, jump in event.jumps.items()},
             }
             for event in surface.events
         ],
@@ -389,7 +389,7 @@ def _surface(surface: SurfaceTrend) -> dict[str, Any]:
 
 
 def _quantity(one: QuantityTrend) -> dict[str, Any]:
-    what, forecast = QUANTITIES[one.name], one.forecast
+    what = QUANTITIES[one.name]
     return {
         "title": what.title,
         "shown": {"unit": what.unit, "scale": what.scale, "digits": what.digits},
@@ -401,13 +401,7 @@ def _quantity(one: QuantityTrend) -> dict[str, Any]:
         "now": _estimate(one.now),
         "per_flight": None if one.slope is None else _estimate(one.slope),
         "limit": one.limit,
-        "forecast": {
-            "kind": forecast.kind,
-            "reason": forecast.reason,
-            "flight": forecast.flight,
-            "low": forecast.low,
-            "high": forecast.high,
-        },
+        "forecast": asdict(one.forecast),
     }
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from logparsers.protocol import RemoteLogCommand
-from servofd.simulation.vehicle.messages import Send
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from logparsers.dataflash.encode import Rows
 
@@ -31,6 +30,13 @@ _PROLOGUE: Final = ("UNIT", "MULT", "FMTU", "PARM", "MSG")
 
 Client = tuple[int, int]
 """System and component."""
+
+
+class Send(NamedTuple):
+    """A message that shall leave."""
+
+    name: str
+    fields: Mapping[str, Any]
 
 
 class RemoteLog:
