@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from servofd.aircraft.calibration import Entry
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
@@ -55,10 +56,8 @@ class Noise:
         return Noise(self.still_deg, self.lag_s, (pole, 0.0), float(np.sqrt(1.0 - pole**2)), period_s)
 
 
-class CalibratedNoise(BaseModel):
+class CalibratedNoise(Entry):
     """Noise of the reading: ``sigma^2 = still_deg^2 + (lag_s * speed)^2``, coloured."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     still_deg: _Positive
     lag_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]

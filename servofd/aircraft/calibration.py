@@ -17,10 +17,14 @@ Cubic = tuple[Finite, Finite, Finite, Finite]
 _LARGEST_ANGLE_RAD = 2.0 * np.pi
 
 
-class _Channel(BaseModel, ABC):
-    """One channel of a log, and the sign that makes positive mean trailing edge down (rudder: left)."""
+class Entry(BaseModel):
+    """Part of an aircraft file, which has no keys but its own."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class _Channel(Entry, ABC):
+    """One channel of a log, and the sign that makes positive mean trailing edge down (rudder: left)."""
 
     channel: str = ""
     """Empty only for a surface that names its output instead."""

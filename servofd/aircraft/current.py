@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from servofd.aircraft.calibrated import symmetric
+from servofd.aircraft.calibration import Entry
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
 
@@ -40,10 +41,8 @@ AMPERES: Final = {"A": 1.0, "mA": 1e-3, "cA": 1e-2}
 """Amperes for each unit of a current; MAVLink counts those of batteries in hundredths."""
 
 
-class CurrentSource(BaseModel):
+class CurrentSource(Entry):
     """A channel that holds a current, and the one that holds the supply beside it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     channel: Annotated[str, Field(min_length=1)]
     unit: Literal["A", "mA", "cA"]
@@ -56,10 +55,8 @@ class CurrentSource(BaseModel):
         return AMPERES[self.unit]
 
 
-class CurrentNoise(BaseModel):
+class CurrentNoise(Entry):
     """What a healthy current does beside its model: ``sigma^2 = still_a^2 + (share * current of motion)^2``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     still_a: _Positive
     share: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -68,10 +65,8 @@ class CurrentNoise(BaseModel):
     period_s: _Positive
 
 
-class Wear(BaseModel):
+class Wear(Entry):
     """`FEATURES` of good flights or cycles, and what they differ by."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     mean: tuple[_Finite, ...]
     between: tuple[tuple[_Finite, ...], ...]

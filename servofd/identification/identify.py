@@ -133,7 +133,6 @@ def identify(
         offset_deg=float(offsets.mean()),
         response=tests.nominal,
         responses=tests.responses,
-        spread=average(tests.responses)[1] if tests.responses else None,
         band_rad_s=tests.band_rad_s,
         segments=tuple(itertools.chain(*sets)),
     )
@@ -172,7 +171,7 @@ class _Tests:
         _check_all(runs, uniform, labels)
         sweeps = [(run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u))]
         responses = tuple(
-            average([response for run, _, response in sweeps if run.servo == servo])[0]
+            average([response for run, _, response in sweeps if run.servo == servo])
             for servo in sorted({run.servo for run, _, _ in sweeps})
         )
         notes = []
@@ -184,7 +183,7 @@ class _Tests:
         if not responses:
             notes.append("no sweep long enough for a frequency response: fitted to the motion alone")
             return cls(tuple(names), tuple(runs), (), (), None, None, tuple(notes))
-        nominal = average(responses)[0]
+        nominal = average(responses)
         band = nominal.band_rad_s()
         if band is None:
             raise IdentificationError(

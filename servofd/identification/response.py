@@ -79,14 +79,6 @@ class FrequencyResponse:
         return (float(self.frequency_rad_s[first]), float(self.frequency_rad_s[last])) if last > first else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Spread:
-    """How far servos of one kind differ: standard deviations at each frequency, shape (m,)."""
-
-    log_magnitude: FloatArray
-    phase_rad: FloatArray
-
-
 def estimate(command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float) -> FrequencyResponse:
     """Estimate the response from uniform samples.
 
@@ -122,7 +114,7 @@ def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexAr
     return ratio
 
 
-def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, Spread]:
+def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     """Average servos of one kind: logarithm of magnitude and unwrapped phase, weighted by coherence (thesis 3.3)."""
     grid = responses[0].frequency_rad_s
     rows = [
@@ -133,15 +125,10 @@ def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, 
     weights = coherences + 1e-12
     weights /= weights.sum(axis=0)
     magnitude, phase = (weights * magnitudes).sum(axis=0), (weights * phases).sum(axis=0)
-    spread = Spread(
-        np.sqrt((weights * (magnitudes - magnitude) ** 2).sum(axis=0)),
-        np.sqrt((weights * (phases - phase) ** 2).sum(axis=0)),
-    )
     power = np.mean([np.interp(grid, r.frequency_rad_s, r.command_power) for r in responses], axis=0)
-    nominal = FrequencyResponse(
+    return FrequencyResponse(
         grid, np.exp(magnitude + 1j * phase), (weights * coherences).sum(axis=0), power, responses[0].sample_time_s
     )
-    return nominal, spread
 
 
 def _covariance(a: FloatArray, b: FloatArray, reach: int) -> FloatArray:
