@@ -35,8 +35,6 @@ NAMES: Final = tuple(REGRESSORS)
 FEATURES: Final = ("more_up", "more_down", "spread_up", "spread_down", "rough_up", "rough_down")
 """What wear changes: by how much more is left of the current in motion than at rest [A], and the logarithms of its
 spread and of its steps from reading to reading."""
-
-
 AMPERES: Final = {"A": 1.0, "mA": 1e-3, "cA": 1e-2}
 """Amperes for each unit of a current; MAVLink counts those of batteries in hundredths."""
 

@@ -255,9 +255,11 @@ def find_positions(log: FlightLog) -> tuple[Position, ...]:
     """All channels of a log that carry the measured position of a servo, in the order of the log."""
     found = []
     for name in log.channels:
+        if "DEBUG_FLOAT_ARRAY" in name and not _ARRAY_ORIGIN.fullmatch(log[name].origin):
+            continue
         for pattern, command_field, alive_fields in _POSITION_PATTERNS:
             match = pattern.fullmatch(name)
-            if match and _is_told(log, name):
+            if match:
                 stem = name.rsplit(".", 1)[0]
                 command = f"{stem}.{command_field}"
                 alive = tuple(f"{stem}.{field}" for field in alive_fields if f"{stem}.{field}" in log.channels)
@@ -265,11 +267,6 @@ def find_positions(log: FlightLog) -> tuple[Position, ...]:
                 place = "xyz".index(match[2]) if match.lastindex == 2 else 0
                 found.append(Position(name, int(match[1] or 0) + place, known, alive))
     return tuple(found)
-
-
-def _is_told(log: FlightLog, name: str) -> bool:
-    """Whether an array of telemetry is that of positions."""
-    return "DEBUG_FLOAT_ARRAY" not in name or _ARRAY_ORIGIN.fullmatch(log[name].origin) is not None
 
 
 def find_pairs(log: FlightLog) -> tuple[Pair, ...]:

@@ -477,17 +477,12 @@ def _healthy_part(
         quiet = later & (record.time_s < start_s)
         slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
         if not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * usual_deg**2:
-            # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault.
-            if record.known.starts and _follows(record, start_s):
-                continue
-            return before, healthy, start_s
+            # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault: it still follows.
+            there = later & (record.time_s >= start_s) & (record.time_s < start_s + _SOON_S)
+            followed = share_followed(record, simulate(record, record.plant.neutral), there)
+            if not (record.known.starts and followed > _STILL_FOLLOWS):
+                return before, healthy, start_s
     return None
-
-
-def _follows(record: Record, start_s: float) -> bool:
-    """Whether a servo still moves with its command after a time."""
-    there = record.counts & (record.time_s >= start_s) & (record.time_s < start_s + _SOON_S)
-    return share_followed(record, simulate(record, record.plant.neutral), there) > _STILL_FOLLOWS
 
 
 def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:
@@ -595,20 +590,16 @@ def _answer(found: Explanation) -> str:
             parts.append("That alone is no sign of a fault")
     else:
         mostly = _is_mostly_left(found)
+        named = [_named(found, k, judged=not mostly) for k in range(len(steps))]
         if mostly:
             parts.append(f"Mostly unexplained: {after:.3g} of {before:.3g} deg remain on data not fitted")
-        named = [_named(found, k, judged=not mostly) for k in range(len(steps))]
-        parts += [f"A part of it looks like {' and '.join(named)}"] if mostly else [_capital(each) for each in named]
-        if not mostly:
+            parts.append(f"A part of it looks like {' and '.join(named)}")
+        else:
+            parts += [each[:1].upper() + each[1:] for each in named]
             parts.append(f"With this the error falls from {before:.3g} to {after:.3g} deg on data not fitted")
-        if reasons and not mostly:
-            parts.append(f"Not all is explained: {reasons[0]}")
+            parts += [f"Not all is explained: {reason}" for reason in reasons[:1]]
     advice = _advice(found)
     return ". ".join(parts) + (f". Next: {'; '.join(advice)}." if advice else ".")
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _is_mostly_left(found: Explanation) -> bool:

@@ -332,7 +332,7 @@ class Fitter:
 
     def _problem(self, numbers: list[_Number], start: Physics) -> Problem:
         x = self._x(numbers, start)
-        steps = np.array([_step_of(n, each) for n, each in zip(numbers, x.tolist(), strict=True)])
+        steps = _STEP * np.where([n.is_log or n.prior for n in numbers], 1.0, np.maximum(1.0, 0.2 * np.abs(x)))
         low, high = np.array([n.x(n.low) for n in numbers]), np.array([n.x(n.high) for n in numbers])
         prior = np.array([float(n.prior) for n in numbers])
 
@@ -512,11 +512,6 @@ def _idle(effects: tuple[type[Effect], ...], slopes: FloatArray) -> tuple[int, .
             found.append(k)
         first = last
     return tuple(found)
-
-
-def _step_of(number: _Number, x: float) -> float:
-    """Step of the differences that give the slope by a number."""
-    return _STEP * (1.0 if number.is_log or number.prior else max(1.0, 0.2 * abs(x)))
 
 
 def _beside(grid: list[float], value: float) -> list[float]:

@@ -157,7 +157,8 @@ def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, fl
     centre_s = _busiest_s(record, _WINDOW_S)
     total_s = float(record.time_s[-1] - record.time_s[0])
     part = _window(record, centre_s, window_s)
-    usual = sorted(_usual(0.0, np.inf), key=lambda frame: _loss(part, physics, frame))
+    usual = [(period_s, phase) for period_s in _USUAL_S for phase in _phases(period_s, _NEARLY_S)]
+    usual.sort(key=lambda frame: _loss(part, physics, frame))
     while window_s < total_s:
         window_s, kept = window_s * _ZOOM, max(kept // 3, 1)
         part = _window(record, centre_s, window_s)
@@ -172,11 +173,6 @@ def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, fl
     for finer in _FINER if found in turned else ():
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
     return found
-
-
-def _usual(low_s: float, high_s: float) -> list[tuple[float, float]]:
-    usual_s = [period_s for period_s in _USUAL_S if low_s <= period_s <= high_s]
-    return [(period_s, phase) for period_s in usual_s for phase in _phases(period_s, _NEARLY_S)]
 
 
 def _phases(period_s: float, step_s: float) -> list[float]:

@@ -71,8 +71,6 @@ _DECLARED_AT_REST = 0.99
 _DECLARED = 0.95
 """Share of the probability that the declared names of one log hold: most logs leave no doubt, so that over all logs
 they hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
-
-
 Rivals = dict[str, dict[str, Fit]]
 """For each effect of a servo what may stand in its place, and the servos that have it."""
 

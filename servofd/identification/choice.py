@@ -86,8 +86,10 @@ def choose_linear(runs: Sequence[Run], order: int | None) -> Choice:
             runs, [ServoCandidate(replace(each, gain=sign)) for each in _grid(n) for sign in (1.0, -1.0)]
         )
         if n == 2 and 1 in fits:
-            # A far pole hardly differs from a delay: a near one is asked for, too.
-            near = fit_motion(runs, ServoCandidate(_with_second_pole(fits[1].servo.linear)))
+            # A far pole hardly differs from a delay: one that is three times as fast as the first is asked for, too.
+            one, pole = fits[1].servo.linear, float(np.exp(fits[1].servo.linear.shape[0]))
+            beside = LinearServo((np.log(3.0 * pole**2), np.log(4.0 * pole)), one.delay_s, one.gain)
+            near = fit_motion(runs, ServoCandidate(beside))
             fits[n] = min(fits[n], near, key=lambda fit: fit.rms_deg)
     best = min(fits, key=lambda n: _criterion(runs, fits[n]))
     if not np.isfinite(fits[best].rms_deg):
@@ -184,12 +186,6 @@ def _grid(order: int) -> list[LinearServo]:
         pole, pair = 2.0 * np.pi * hz, 2.5 * 2.0 * np.pi * hz
         shapes.append(LinearServo((np.log(pole), 2.0 * np.log(pair), np.log(1.4 * damping * pair)), delay_s))
     return shapes
-
-
-def _with_second_pole(one: LinearServo) -> LinearServo:
-    """A servo of one pole with another, three times as fast."""
-    pole = float(np.exp(one.shape[0]))
-    return LinearServo((np.log(3.0 * pole**2), np.log(4.0 * pole)), one.delay_s, one.gain)
 
 
 def _reordered(servo: LinearServo, order: int) -> LinearServo:

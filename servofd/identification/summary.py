@@ -102,7 +102,9 @@ def notes_on_servo(
     vague = [
         f"{abs(pole.real):.4g}"
         for k, pole in enumerate(poles)
-        if pole.imag == 0.0 and _log_deviation(choice.fit, k) > _UNIDENTIFIABLE
+        if pole.imag == 0.0
+        and choice.fit.interval(lambda servo, k=k: float(np.log(abs(_pole_part(servo, k, "real"))))).deviation
+        > _UNIDENTIFIABLE
     ]
     lag = intervals.get("lag_s")
     known = lag is not None and lag.high - lag.low <= max(_KNOWN_SHARE * linear.lag_s, _KNOWN_LAG_S)
@@ -165,8 +167,3 @@ def notes_on_spread(sweeps: Sequence[Run], order: int | None, names: Sequence[st
         f"{len(linear)} servos: bandwidth {bandwidths[slow]:.4g} to {bandwidths[fast]:.4g} rad/s, delay "
         f"{delays_ms.min():.2f} to {delays_ms.max():.2f} ms, dc gain {gains.min():.4f} to {gains.max():.4f}",
     )
-
-
-def _log_deviation(fit: MotionFit, index: int) -> float:
-    """Standard deviation of the logarithm of a real pole."""
-    return fit.interval(lambda servo: float(np.log(abs(servo.linear.poles_rad_s[index].real)))).deviation
