@@ -15,7 +15,7 @@ from servofd.aircraft.current import CurrentSource
 from servofd.aircraft.schema import plain_channels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from logparsers.records import Channel, FlightLog
     from servofd.aircraft.calibration import Calibration
@@ -317,13 +317,24 @@ def _first_output(log: FlightLog, members: list[Position]) -> int:
     volz = int(np.nan_to_num(log.parameters.get("SERVO_VOLZ_MASK", 0.0)))
     if members[0].group == "CSRV" and volz and all(volz >> i & 1 for i in ids):
         return 1
-    dronecan = 0
-    for name, value in log.parameters.items():
-        if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name):
-            dronecan |= int(value)
-    if dronecan and all(dronecan >> (i - 1) & 1 for i in ids):
+    if counts_from_1(log.parameters, ids):
         return 0
     return max((0, 1), key=lambda base: (_agreement(log, members, base), -base))
+
+
+def counts_from_1(parameters: Mapping[str, float], ids: Collection[int]) -> bool:
+    """Whether a DroneCAN bus numbers these servos from 1, by the bit masks of its drivers.
+
+    Examples
+    --------
+    >>> counts_from_1({"CAN_D1_UC_SRV_BM": 6.0}, [2, 3]), counts_from_1({"CAN_D1_UC_SRV_BM": 6.0}, [1, 2])
+    (True, False)
+    """
+    mask = 0
+    for name, value in parameters.items():
+        if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and math.isfinite(value):
+            mask |= int(value)
+    return bool(mask) and 0 not in ids and all(mask >> (number - 1) & 1 for number in ids)
 
 
 def _agreement(log: FlightLog, members: list[Position], base: int) -> float:
