@@ -347,21 +347,26 @@ def _joined_load(loads: Sequence[Context | None]) -> Context | None:
     )
 
 
-def simulate(record: Record, physics: Physics) -> FloatArray:
-    """Position that a servo with these effects would show [deg], shape (n,)."""
+def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray:
+    """Position that a servo with these effects would show [deg], shape (n,).
+
+    `finer` divides the steps that are taken where something switches.
+    """
     if not record.runs:
         physics = at_run(physics, record.conditions)
     loose_deg = physics.loose_deg
     if record.runs and loose_deg > 0.0 and record.side is None and record.is_zeroed:
-        return np.concatenate([_from_where_it_lay(each, at_run(physics, each.conditions)) for each in record.runs])
+        return np.concatenate(
+            [_from_where_it_lay(each, at_run(physics, each.conditions), finer) for each in record.runs]
+        )
     if record.runs:
-        return np.concatenate([simulate(each, physics) for each in record.runs])
+        return np.concatenate([simulate(each, physics, finer) for each in record.runs])
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
         tight = physics._replace(**dict.fromkeys(loose_shares(), 0.0))
-        lying_deg: FloatArray = simulate(replace(record, side=None), tight) + loose_deg * record.side
+        lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
         return lying_deg
-    return _moved_from(record, physics, _first_deg(record))
+    return _moved_from(record, physics, finer, _first_deg(record))
 
 
 @lru_cache(maxsize=256)
@@ -371,10 +376,10 @@ def _first_deg(record: Record) -> float:
     return float(record.measured_deg[known[0]]) if known.size else 0.0
 
 
-def _moved_from(record: Record, physics: Physics, start_deg: float) -> FloatArray:
+def _moved_from(record: Record, physics: Physics, finer: float, start_deg: float) -> FloatArray:
     """Positions of one run from rest at a place [deg], shape (n,)."""
     commands = record.commands.effective_s, record.commands.command_deg, record.commands.slope_deg_s
-    machine = machine_of(record.plant.transfer, (physics,))
+    machine = machine_of(record.plant.transfer, (physics,), finer)
     moved_deg = machine.run(
         machine.new_state(), received(physics, commands), record.time_s,
         anew=_FIRST_ALONE, measured_deg=np.array([start_deg]),
@@ -403,19 +408,19 @@ def _around(record: Record, late_s: float) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _from_where_it_lay(run: Record, physics: Physics) -> FloatArray:
+def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArray:
     """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
 
     Where that was is not logged. Once the servo has moved, it only shifts the readings: by what agrees best.
     """
     first_deg = _first_deg(run)
-    moved_deg = _moved_from(run, physics, first_deg)
+    moved_deg = _moved_from(run, physics, finer, first_deg)
     there = run.counts & np.logical_or.accumulate(np.abs(moved_deg - first_deg) > _MOVED_DEG)
     if not there.any():
         return moved_deg
     shift_deg = float(np.mean((moved_deg - run.measured_deg)[there]))
     lay_deg = min(max(shift_deg, -physics.loose_deg), physics.loose_deg)
-    return _moved_from(run, physics, first_deg + lay_deg) - lay_deg
+    return _moved_from(run, physics, finer, first_deg + lay_deg) - lay_deg
 
 
 _MOVED_DEG = 1e-3
