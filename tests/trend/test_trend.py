@@ -72,11 +72,11 @@ def test_backlash_behind_the_servo_is_told_from_a_dead_band_before_it(width_deg:
         moved_deg = PLANE.model("rudder").simulate(command.command_s, command.command_deg, time_s)
         noise_deg = 0.1 * np.random.default_rng(seed).standard_normal(command.measured_s.size)
         seen_deg = np.interp(command.measured_s, time_s, play(moved_deg, width_deg, 0.0)) + noise_deg
-        values, _ = estimate_flight(flown(seed=seed, measured_deg=seen_deg), PLANE)
+        values, *_ = estimate_flight(flown(seed=seed, measured_deg=seen_deg), PLANE)
         assert values["dead_band_deg"].value == pytest.approx(width_deg, abs=0.06)
         assert values["play_deg"].value > 0.4 * width_deg
         assert values["delay_s"].value == pytest.approx(0.004, abs=0.003)
-        before, _ = estimate_flight(flown(width_deg, seed), PLANE)
+        before, *_ = estimate_flight(flown(width_deg, seed), PLANE)
         assert "play_deg" not in before or before["play_deg"].value < 0.1 * width_deg
 
 
