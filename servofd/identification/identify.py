@@ -47,6 +47,8 @@ _LEVELS = 10
 """So does one that has no more levels."""
 _LARGEST_ERROR = 0.3
 """Of the position's own deviation; the worst real servo so far leaves 0.06."""
+_SWAPPED_RAD = 0.05
+"""Mean phase above which the position is ahead of the command [rad]: the columns are swapped."""
 _FOLLOWS = 0.7
 """Share of the position's deviation that a model may leave if the servo follows."""
 
@@ -185,10 +187,7 @@ class _Tests:
             return cls(tuple(names), tuple(runs), (), (), None, None, tuple(notes))
         nominal = average(responses)
         band = nominal.band_rad_s()
-        if band is None:
-            raise IdentificationError(
-                f"{labels[0]}: the tests have no frequencies in common in which position follows command"
-            )
+        _check_phase(nominal, band, labels[0])
         small = tuple(run for run, _, _ in sweeps)
         return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes))
 
@@ -243,6 +242,19 @@ def _sweep(run: Run, uniform: Uniform) -> FrequencyResponse | None:
     response = estimate(uniform.command_deg, uniform.measured_deg, uniform.sample_time_s)
     band = response.band_rad_s()
     return response if band is not None and band[1] >= _NARROWEST_SWEEP * band[0] else None
+
+
+def _check_phase(response: FrequencyResponse, band: tuple[float, float] | None, label: str) -> None:
+    """Refuse a position that leads its command, by less than a sample tells of a fast servo in a slow log."""
+    if band is None:
+        raise IdentificationError(f"{label}: the tests have no frequencies in common in which position follows command")
+    phase = response.phase_rad[(response.frequency_rad_s >= band[0]) & (response.frequency_rad_s <= band[1])]
+    lead_rad = float(np.mean(phase - np.pi * np.round(phase[0] / np.pi)))
+    if lead_rad > _SWAPPED_RAD:
+        raise IdentificationError(
+            f"{label}: the position leads the command by {np.degrees(lead_rad):.0f} deg of phase on average: are the "
+            "two columns swapped?"
+        )
 
 
 def _check_follows(fit: MotionFit, tests: _Tests) -> None:
