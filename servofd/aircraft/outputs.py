@@ -99,8 +99,9 @@ _OF_PX4 = (
 PX4_TYPES = dict(enumerate(_OF_PX4.split(), start=1))
 """PX4's CA_SV_CSk_TYPE of surfaces."""
 
-_FULL_TRAVEL_DEG = 45.0
-"""ArduPilot scales angle outputs to +-4500 centidegrees at full travel."""
+FULL_TRAVEL_DEG: Final = 45.0
+"""ArduPilot scales angle outputs to +-4500 centidegrees at SERVOn_MIN and _MAX; what that turns, neither it nor a log
+knows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +137,7 @@ class LoggedOutput:
         0.1125
         """
         span_us = max(self.max_us - self.min_us, 1.0)
-        return 2.0 * _FULL_TRAVEL_DEG / span_us
+        return 2.0 * FULL_TRAVEL_DEG / span_us
 
     @property
     def sign(self) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from servofd.aircraft.calibration import PulseCalibration
-from servofd.aircraft.outputs import SURFACE_FUNCTIONS
+from servofd.aircraft.outputs import FULL_TRAVEL_DEG, SURFACE_FUNCTIONS
 from servofd.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray, IntArray
     from servofd.simulation.flight import SimulatedFlight
 
-FULL_TRAVEL_DEG: Final = 45.0
-"""Deflection at SERVOn_MIN and SERVOn_MAX [deg]: neither firmware nor log knows it, so it is assumed."""
 MOST_OUTPUTS: Final = 14
 """Outputs of one RCOU message."""
 THROTTLE: Final = 3
