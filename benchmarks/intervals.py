@@ -87,7 +87,7 @@ def said(verb: str, seed: int) -> Iterator[_Said]:
     later = log(seed + 5000, "flight", 60.0)
     by, shift_deg = one.measured.correction
     later = replace(later, measured_deg=by * later.measured_deg + shift_deg)
-    values, _ = estimate_flight(later, plane.aircraft)
+    values, *_ = estimate_flight(later, plane.aircraft)
     truths = {
         "bandwidth_hz": one.bandwidth_rad_s.value / (2.0 * np.pi) * bandwidth_rad_s(scale, lag_s) / known[0],
         "delay_s": one.estimates["delay_s"].value + delay_s - known[1],

@@ -21,8 +21,7 @@ from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
 from servofd.axes.motion import motion_of_autopilot
-from servofd.simulation.airframe import AirframeFault, AirframeFlight, fly_airframe
-from servofd.simulation.airframe_log import airframe_parameters
+from servofd.simulation.airframe import AirframeFault, AirframeFlight, airframe_parameters, fly_airframe
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import MotionModel

@@ -18,8 +18,7 @@ import servofd
 from logparsers import LogError
 from servofd.cli import main
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName
-from servofd.simulation.airframe import fly_airframe
-from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.airframe import airframe_log, fly_airframe
 from tests.fleet.conftest import in_line
 
 ROOT = Path(__file__).parent.parent

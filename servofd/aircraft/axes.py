@@ -5,16 +5,17 @@ from __future__ import annotations
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from servofd.aircraft.axis_names import AXES, FORM_NAMES
+from servofd.aircraft.calibration import Entry
 from servofd.core.statistics import Z_95
 from servofd.core.toml_text import toml_lines, toml_value
 from servofd.core.types import FloatArray
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class _Entry(Entry):
+    model_config = ConfigDict(allow_inf_nan=False)
 
 
 class Spread(_Entry):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from servofd.aircraft.noise import Noise
+from servofd.aircraft.calibration import Entry
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
@@ -27,10 +28,36 @@ _UNKNOWN_AIR = 0.6
 within each by 0.3 more (standard deviations, aircraft of even seed in `benchmarks/strangers.py`)."""
 
 
-class CalibratedNoise(BaseModel):
-    """Noise of the reading: ``sigma^2 = still_deg^2 + (lag_s * speed)^2``, coloured."""
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What the reading does beside the position: sigma^2 = still^2 + (lag * speed)^2, coloured as an AR(2) process."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    still_deg: float
+    lag_s: float
+    colour: tuple[float, float]
+    """Of neighbouring samples, each over its sigma."""
+    innovation: float
+    """Standard deviation of what is new in each sample, over sigma."""
+    period_s: float
+    """Time between samples that the colour belongs to."""
+
+    def sigma_deg(self, speed_deg_s: FloatArray) -> FloatArray:
+        """Standard deviation at some largest speeds [deg]."""
+        return np.sqrt(self.still_deg**2 + (self.lag_s * speed_deg_s) ** 2)
+
+    def at(self, period_s: float) -> Noise:
+        """The same noise, sampled at another rate."""
+        ratio = period_s / self.period_s
+        if 1 / 1.3 < ratio < 1.3:
+            return self
+        first, second = self.colour
+        near = first / (1.0 - second)
+        pole = float(np.clip(max(near, 0.0) ** ratio, 0.0, 0.95))
+        return Noise(self.still_deg, self.lag_s, (pole, 0.0), float(np.sqrt(1.0 - pole**2)), period_s)
+
+
+class CalibratedNoise(Entry):
+    """Noise of the reading: ``sigma^2 = still_deg^2 + (lag_s * speed)^2``, coloured."""
 
     still_deg: _Positive
     lag_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -60,6 +87,21 @@ def lower_triangle(covariance: FloatArray) -> tuple[tuple[float, ...], ...]:
     ((4.0,), (1.0, 9.0))
     """
     return tuple(tuple(float(f"{x:.5g}") for x in row[: i + 1]) for i, row in enumerate(covariance.tolist()))
+
+
+def symmetric(rows: tuple[tuple[float, ...], ...]) -> FloatArray:
+    """The matrix of such rows, shape (n, n).
+
+    Examples
+    --------
+    >>> symmetric(((4.0,), (1.0, 9.0)))
+    array([[4., 1.],
+           [1., 9.]])
+    """
+    out = np.zeros((len(rows), len(rows)))
+    for i, row in enumerate(rows):
+        out[i, : i + 1] = out[: i + 1, i] = row
+    return out
 
 
 class CalibratedServo(BaseModel):
@@ -133,10 +175,7 @@ class CalibratedServo(BaseModel):
     @property
     def covariance(self) -> FloatArray:
         """Between good flights, shape (parameters, parameters)."""
-        out = np.zeros((len(NAMES), len(NAMES)))
-        for i, row in enumerate(self.between):
-            out[i, : i + 1] = out[: i + 1, i] = row
-        return out
+        return symmetric(self.between)
 
     def without_airspeed(self) -> Self:
         """The same servo in a flight that logged no airspeed: how hard the air pushes is a guess."""

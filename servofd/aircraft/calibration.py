@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -17,10 +17,14 @@ Cubic = tuple[Finite, Finite, Finite, Finite]
 _LARGEST_ANGLE_RAD = 2.0 * np.pi
 
 
-class _Channel(BaseModel, ABC):
-    """One channel of a log, and the sign that makes positive mean trailing edge down (rudder: left)."""
+class Entry(BaseModel):
+    """Part of an aircraft file, which has no keys but its own."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class _Channel(Entry, ABC):
+    """One channel of a log, and the sign that makes positive mean trailing edge down (rudder: left)."""
 
     channel: str = ""
     """Empty only for a surface that names its output instead."""
@@ -96,23 +100,35 @@ class RadianCalibration(_Channel):
 
 
 class _Scaled(_Channel):
-    """A straight line through the trim, or a cubic where the linkage needs one."""
+    """A straight line through the trim; or a cubic (`cubic_deg`, if it has that field) where the linkage needs one."""
 
-    def _scale(self, values: FloatArray, trim: float, slope: float | None, cubic: Cubic | None) -> FloatArray:
-        if cubic is not None:
-            bent: FloatArray = self.sign * np.polyval(np.array(cubic[::-1]), values)
+    trim_key: ClassVar[str]
+    slope_key: ClassVar[str]
+
+    @property
+    def _cubic(self) -> Cubic | None:
+        return getattr(self, "cubic_deg", None)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        slope = getattr(self, self.slope_key)
+        if hasattr(self, "cubic_deg") and ((slope is None) == (self._cubic is None) or slope == 0.0):
+            raise ValueError(f"give either {self.slope_key} (not zero) or cubic_deg = [c0, c1, c2, c3]")
+        return self
+
+    def _convert(self, values: FloatArray) -> FloatArray:
+        if self._cubic is not None:
+            bent: FloatArray = self.sign * np.polyval(np.array(self._cubic[::-1]), values)
             return bent
-        return self.sign * (slope or 0.0) * (values - trim)
+        line: FloatArray = self.sign * getattr(self, self.slope_key) * (values - getattr(self, self.trim_key))
+        return line
 
-    def _unscale(self, deflection_deg: FloatArray, trim: float, slope: float | None) -> FloatArray:
+    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
+        slope = getattr(self, self.slope_key)
         if slope is None:
             raise ConfigError(f"channel {self.channel!r}: a cubic calibration cannot be written back to a log")
-        return self.sign * deflection_deg / slope + trim
-
-
-def _one_of(slope: float | None, cubic: Cubic | None, slope_key: str) -> None:
-    if (slope is None) == (cubic is None) or slope == 0.0:
-        raise ValueError(f"give either {slope_key} (not zero) or cubic_deg = [c0, c1, c2, c3]")
+        logged: FloatArray = self.sign * deflection_deg / slope + getattr(self, self.trim_key)
+        return logged
 
 
 class PulseCalibration(_Scaled):
@@ -125,43 +141,25 @@ class PulseCalibration(_Scaled):
     array([10.])
     """
 
+    trim_key, slope_key = "trim_us", "slope_deg_per_us"
     unit: Literal["us"]
     trim_us: Finite = 1500.0
     slope_deg_per_us: Finite | None = None
     cubic_deg: Cubic | None = None
 
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        _one_of(self.slope_deg_per_us, self.cubic_deg, "slope_deg_per_us")
-        return self
-
     def _convert(self, values: FloatArray) -> FloatArray:
         # A pulse that was not sent is logged as 0.
-        pulses = np.where(values > 0.0, values, np.nan)
-        return self._scale(pulses, self.trim_us, self.slope_deg_per_us, self.cubic_deg)
-
-    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
-        return self._unscale(deflection_deg, self.trim_us, self.slope_deg_per_us)
+        return super()._convert(np.where(values > 0.0, values, np.nan))
 
 
 class CountCalibration(_Scaled):
     """Converter or timer counts: ``deflection = sign * slope_deg_per_count * (value - trim_count)``, or a cubic."""
 
+    trim_key, slope_key = "trim_count", "slope_deg_per_count"
     unit: Literal["count"]
     trim_count: Finite = 0.0
     slope_deg_per_count: Finite | None = None
     cubic_deg: Cubic | None = None
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        _one_of(self.slope_deg_per_count, self.cubic_deg, "slope_deg_per_count")
-        return self
-
-    def _convert(self, values: FloatArray) -> FloatArray:
-        return self._scale(values, self.trim_count, self.slope_deg_per_count, self.cubic_deg)
-
-    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
-        return self._unscale(deflection_deg, self.trim_count, self.slope_deg_per_count)
 
 
 class NormCalibration(_Scaled):
@@ -173,15 +171,10 @@ class NormCalibration(_Scaled):
     array([-25. ,  12.5])
     """
 
+    trim_key, slope_key = "trim", "slope_deg"
     unit: Literal["norm"]
     trim: Finite = 0.0
     slope_deg: Finite
-
-    def _convert(self, values: FloatArray) -> FloatArray:
-        return self._scale(values, self.trim, self.slope_deg, None)
-
-    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
-        return self._unscale(deflection_deg, self.trim, self.slope_deg)
 
 
 class RadianOrCountCalibration(_Scaled):
@@ -190,6 +183,7 @@ class RadianOrCountCalibration(_Scaled):
     Values that mostly lie beyond any angle in radians are counts; everything else is taken as radians.
     """
 
+    trim_key, slope_key = "trim_count", "slope_deg_per_count"
     unit: Literal["rad_or_count"]
     trim_count: Finite
     slope_deg_per_count: Finite
@@ -197,14 +191,13 @@ class RadianOrCountCalibration(_Scaled):
     def _convert(self, values: FloatArray) -> FloatArray:
         finite = values[np.isfinite(values)]
         if finite.size and np.median(np.abs(finite)) > _LARGEST_ANGLE_RAD:
-            return self._scale(values, self.trim_count, self.slope_deg_per_count, None)
+            return super()._convert(values)
         deflection: FloatArray = self.sign * np.degrees(values)
         return deflection
 
     def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         # A converter gives whole numbers.
-        counts: FloatArray = np.round(self._unscale(deflection_deg, self.trim_count, self.slope_deg_per_count))
-        return counts
+        return np.round(super()._restore(deflection_deg))
 
 
 Calibration = Annotated[

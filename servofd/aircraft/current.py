@@ -7,6 +7,8 @@ from typing import Annotated, Final, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from servofd.aircraft.calibrated import symmetric
+from servofd.aircraft.calibration import Entry
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
 
@@ -33,16 +35,12 @@ NAMES: Final = tuple(REGRESSORS)
 FEATURES: Final = ("more_up", "more_down", "spread_up", "spread_down", "rough_up", "rough_down")
 """What wear changes: by how much more is left of the current in motion than at rest [A], and the logarithms of its
 spread and of its steps from reading to reading."""
-
-
 AMPERES: Final = {"A": 1.0, "mA": 1e-3, "cA": 1e-2}
 """Amperes for each unit of a current; MAVLink counts those of batteries in hundredths."""
 
 
-class CurrentSource(BaseModel):
+class CurrentSource(Entry):
     """A channel that holds a current, and the one that holds the supply beside it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     channel: Annotated[str, Field(min_length=1)]
     unit: Literal["A", "mA", "cA"]
@@ -55,10 +53,8 @@ class CurrentSource(BaseModel):
         return AMPERES[self.unit]
 
 
-class CurrentNoise(BaseModel):
+class CurrentNoise(Entry):
     """What a healthy current does beside its model: ``sigma^2 = still_a^2 + (share * current of motion)^2``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     still_a: _Positive
     share: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -67,10 +63,8 @@ class CurrentNoise(BaseModel):
     period_s: _Positive
 
 
-class Wear(BaseModel):
+class Wear(Entry):
     """`FEATURES` of good flights or cycles, and what they differ by."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     mean: tuple[_Finite, ...]
     between: tuple[tuple[_Finite, ...], ...]
@@ -89,7 +83,7 @@ class Wear(BaseModel):
     @property
     def covariance(self) -> FloatArray:
         """Shape (6, 6)."""
-        return _symmetric(self.between)
+        return symmetric(self.between)
 
 
 class CalibratedCurrent(BaseModel):
@@ -160,14 +154,7 @@ class CalibratedCurrent(BaseModel):
     @property
     def covariance(self) -> FloatArray:
         """Between good flights, shape (terms, terms)."""
-        return _symmetric(self.between)
-
-
-def _symmetric(rows: tuple[tuple[float, ...], ...]) -> FloatArray:
-    out = np.zeros((len(rows), len(rows)))
-    for i, row in enumerate(rows):
-        out[i, : i + 1] = out[: i + 1, i] = row
-    return out
+        return symmetric(self.between)
 
 
 def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:

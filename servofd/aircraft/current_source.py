@@ -9,7 +9,7 @@ import numpy as np
 
 from servofd.aircraft.current import AMPERES, CurrentSource
 from servofd.aircraft.marks import refresh_of
-from servofd.aircraft.outputs import output_of
+from servofd.aircraft.outputs import counts_from_1, output_of
 from servofd.aircraft.series import SURROUNDINGS, signal_of
 from servofd.core.errors import NoMeasurement
 
@@ -55,11 +55,7 @@ def hub_outputs(log: FlightLog) -> dict[int, str]:
     """
     numbered = [(match, name) for name in log.channels if (match := _HUB.fullmatch(name)) and _has_numbers(log, name)]
     found = {int(match[1]): name for match, name in numbered}
-    mask = 0
-    for name, value in log.parameters.items():
-        if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and np.isfinite(value):
-            mask |= int(value)
-    base = 0 if mask and 0 not in found and all(mask >> (number - 1) & 1 for number in found) else 1
+    base = 0 if counts_from_1(log.parameters, found) else 1
     sent = ((match, name) for name in log.channels if (match := _SENT.fullmatch(name)) and _has_numbers(log, name))
     return {int(match[1]): name for match, name in sent} | {number + base: name for number, name in found.items()}
 

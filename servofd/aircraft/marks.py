@@ -98,8 +98,6 @@ _DEAD_S: Final = 0.5
 """A servo whose position, voltage and current all repeat for so long while it is asked to move has no telemetry."""
 TINY_DEG: Final = 1e-6
 """Smaller differences are rounding of text and of single precision."""
-
-
 _MEMORY: Final = 18
 """Numbers that `standing` remembers of a servo; their places follow, the last of the bus, with the first servo."""
 _NEWEST, _CHANGED, _REPEATS, _THEN, _BEFORE, _LAG, _ASKED, _STEP, _STIRRED = range(9)
@@ -537,8 +535,6 @@ def _is_unasked(rows: Rows) -> BoolArray:
 
 _SHARPEST_DEG_S2: Final = 1e5
 """No servo speeds up, and then stops, so sharply: the fastest of the hobby (0.04 s for 60 deg) in 15 ms."""
-
-
 _LEAST_COMMAND_SPIKE_DEG: Final = 2.0
 """Smaller ones move no servo by more than the smallest fault that is reported."""
 _COMMAND_SPIKE_S: Final = 0.0625

@@ -15,7 +15,7 @@ from servofd.aircraft.current import CurrentSource
 from servofd.aircraft.schema import plain_channels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from logparsers.records import Channel, FlightLog
     from servofd.aircraft.calibration import Calibration
@@ -99,8 +99,9 @@ _OF_PX4 = (
 PX4_TYPES = dict(enumerate(_OF_PX4.split(), start=1))
 """PX4's CA_SV_CSk_TYPE of surfaces."""
 
-_FULL_TRAVEL_DEG = 45.0
-"""ArduPilot scales angle outputs to +-4500 centidegrees at full travel."""
+FULL_TRAVEL_DEG: Final = 45.0
+"""ArduPilot scales angle outputs to +-4500 centidegrees at SERVOn_MIN and _MAX; what that turns, neither it nor a log
+knows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +137,7 @@ class LoggedOutput:
         0.1125
         """
         span_us = max(self.max_us - self.min_us, 1.0)
-        return 2.0 * _FULL_TRAVEL_DEG / span_us
+        return 2.0 * FULL_TRAVEL_DEG / span_us
 
     @property
     def sign(self) -> int:
@@ -255,9 +256,11 @@ def find_positions(log: FlightLog) -> tuple[Position, ...]:
     """All channels of a log that carry the measured position of a servo, in the order of the log."""
     found = []
     for name in log.channels:
+        if "DEBUG_FLOAT_ARRAY" in name and not _ARRAY_ORIGIN.fullmatch(log[name].origin):
+            continue
         for pattern, command_field, alive_fields in _POSITION_PATTERNS:
             match = pattern.fullmatch(name)
-            if match and _is_told(log, name):
+            if match:
                 stem = name.rsplit(".", 1)[0]
                 command = f"{stem}.{command_field}"
                 alive = tuple(f"{stem}.{field}" for field in alive_fields if f"{stem}.{field}" in log.channels)
@@ -265,11 +268,6 @@ def find_positions(log: FlightLog) -> tuple[Position, ...]:
                 place = "xyz".index(match[2]) if match.lastindex == 2 else 0
                 found.append(Position(name, int(match[1] or 0) + place, known, alive))
     return tuple(found)
-
-
-def _is_told(log: FlightLog, name: str) -> bool:
-    """Whether an array of telemetry is that of positions."""
-    return "DEBUG_FLOAT_ARRAY" not in name or _ARRAY_ORIGIN.fullmatch(log[name].origin) is not None
 
 
 def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
@@ -320,13 +318,24 @@ def _first_output(log: FlightLog, members: list[Position]) -> int:
     volz = int(np.nan_to_num(log.parameters.get("SERVO_VOLZ_MASK", 0.0)))
     if members[0].group == "CSRV" and volz and all(volz >> i & 1 for i in ids):
         return 1
-    dronecan = 0
-    for name, value in log.parameters.items():
-        if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name):
-            dronecan |= int(value)
-    if dronecan and all(dronecan >> (i - 1) & 1 for i in ids):
+    if counts_from_1(log.parameters, ids):
         return 0
     return max((0, 1), key=lambda base: (_agreement(log, members, base), -base))
+
+
+def counts_from_1(parameters: Mapping[str, float], ids: Collection[int]) -> bool:
+    """Whether a DroneCAN bus numbers these servos from 1, by the bit masks of its drivers.
+
+    Examples
+    --------
+    >>> counts_from_1({"CAN_D1_UC_SRV_BM": 6.0}, [2, 3]), counts_from_1({"CAN_D1_UC_SRV_BM": 6.0}, [1, 2])
+    (True, False)
+    """
+    mask = 0
+    for name, value in parameters.items():
+        if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and math.isfinite(value):
+            mask |= int(value)
+    return bool(mask) and 0 not in ids and all(mask >> (number - 1) & 1 for number in ids)
 
 
 def _agreement(log: FlightLog, members: list[Position], base: int) -> float:

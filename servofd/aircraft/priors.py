@@ -32,8 +32,6 @@ class Prior(NamedTuple):
 
 ADDED: Final = tuple(each for each in everything() if any(p.calibrated for p in each.parameters))
 """Effects whose parameters are fitted beside those of every servo."""
-
-
 _STEP: Final = 0.2
 """Step for differences over the deviation between servos, about as of the other parameters."""
 _UNITS: Final = ("deg_s", "deg", "s")

@@ -38,10 +38,12 @@ _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
 """Type of a share of an aircraft file."""
 
 
-class Limits(BaseModel):
-    """Limits of what `servofd trend` follows; what is left out follows from the surface's tolerances."""
-
+class _Entry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Limits(_Entry):
+    """Limits of what `servofd trend` follows; what is left out follows from the surface's tolerances."""
 
     dead_band_deg: _Positive = 2.0
     """Full width of dead band or backlash. The thesis' threshold of 1.5 deg alarms at 3 deg (4.2.1); at 2 deg two
@@ -80,10 +82,6 @@ DEFAULT_SIGMAS = 6.0
 
 Sigmas = Annotated[float, Field(ge=1.0, le=100.0, strict=True)]
 """How many standard deviations of noise a threshold leaves free."""
-
-
-class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Table(_Entry):

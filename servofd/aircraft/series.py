@@ -68,8 +68,6 @@ A load is what pushes the shaft from outside, in any unit; what a servo says of 
 """
 _MOSTLY_FRESH = 0.7
 """A telemetry that writes each answer twice or more leaves less of its rows; single late answers leave more."""
-
-
 _WORDS: Final = {
     Why.HELD: "held values",
     Why.ECHO: "the command itself",
@@ -442,7 +440,7 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
     if np.count_nonzero((why <= LAST_WITH_VALUE) & np.isfinite(measured_deg)) < 2:
         frozen = bool(np.any(why == Why.FROZEN))
         raise NoMeasurement(_STANDS_STILL if frozen else "no position counts: " + _reasons(why))
-    sent_s = _sent_period_s(log, command.name, command_s)
+    sent_s = link_period_s(command_s[: WARM_UP_STEPS + 1]) if is_streamed(log.format, command.name) else None
     return Series(
         name,
         command_s[~never_sent],
@@ -558,10 +556,6 @@ def _of_another_boot(log: FlightLog, time_s: FloatArray) -> BoolArray:
         return np.zeros(time_s.size, dtype=bool)
     other: BoolArray = boot != np.bincount(boot).argmax()
     return other
-
-
-def _sent_period_s(log: FlightLog, channel: str, command_s: FloatArray) -> float | None:
-    return link_period_s(command_s[: WARM_UP_STEPS + 1]) if is_streamed(log.format, channel) else None
 
 
 def is_streamed(log_format: str, channel: str) -> bool:

@@ -37,8 +37,7 @@ from servofd.servo.loops import compiled, inner
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft.calibrated import CalibratedServo
-    from servofd.aircraft.noise import Noise
+    from servofd.aircraft.calibrated import CalibratedServo, Noise
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.outages import Outage
     from servofd.estimate.record import Record

@@ -9,24 +9,18 @@ import numpy as np
 
 from servofd.aircraft.series import Series
 from servofd.core.series import rms
+from servofd.core.statistics import Z_95
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.known import A_TYPE, Known
 from servofd.discrepancy.locate import Block, Oscillation, blocks, oscillation, sentences
-from servofd.discrepancy.noise import at_rest, noise_floor_deg
+from servofd.discrepancy.noise import at_rest, noise_floor_deg, rest_sentence
 from servofd.discrepancy.record import joined, record_of, simulate
 from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, step_size_deg
 from servofd.discrepancy.select import Selection, select
-from servofd.discrepancy.sentences import (
-    effect_values,
-    form_of,
-    linear_sentence,
-    only_rests_sentence,
-    unjudged_sentence,
-)
 from servofd.discrepancy.separate import Separation, separations
 from servofd.discrepancy.validity import check, clear_of, driven, share_followed
 from servofd.servo.catalogue import effects_named, is_law, plain, told_apart
-from servofd.servo.loop import scaled, split
+from servofd.servo.loop import AFTER, BEFORE, scaled, split
 from servofd.servo.registry import is_built_in
 
 if TYPE_CHECKING:
@@ -112,10 +106,6 @@ class Elsewhere:
     nominal_rms_deg: float
     extended_rms_deg: float
     noise_floor_rms_deg: float
-
-    def document(self) -> dict[str, Any]:
-        """Plain dictionary."""
-        return asdict(self)
 
 
 def judged_elsewhere(path: str, segment: Series, model: ServoModel, physics: Physics) -> Elsewhere:
@@ -289,8 +279,8 @@ class Explanation:
             "steps": [
                 {
                     "effect": step.fit.names[-1],
-                    "form": form_of(step.fit.effects[-1], step.fit.place),
-                    "parameters": effect_values(selection, len(step.fit.effects) - 1),
+                    "form": _form_of(step.fit.effects[-1], step.fit.place),
+                    "parameters": _effect_values(selection, len(step.fit.effects) - 1),
                     **self.step_errors(k),
                     "rivals": [
                         {"effect": rival.names[-1], "held_out_rms_deg": self.rms_deg(rival)["held_out_rms_deg"]}
@@ -305,14 +295,14 @@ class Explanation:
                 **self.rms_deg(final),
                 "untouched_rms_deg": self.untouched_rms_deg(final),
                 "model": {
-                    effect.name: {name: each["value"] for name, each in effect_values(selection, k).items()}
+                    effect.name: {name: each["value"] for name, each in _effect_values(selection, k).items()}
                     for k, effect in enumerate(final.effects)
                 },
             },
-            "also": [each.document() for each in self.also],
+            "also": [asdict(each) for each in self.also],
             "notes": list(self.notes),
             "fault_s": self.fault_s,
-            "not_driven": [each.document() for each in self.undriven],
+            "not_driven": [asdict(each) for each in self.undriven],
             "answer": self.answer,
             "not_saved": self.not_saved or None,
             "runs": [each._asdict() for each in self.runs],
@@ -426,13 +416,13 @@ def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven]]:
     record = joined([at_rest(each) for each in records])
     if record.side is not None:
         return record, []
-    kept, stood = driven(records, Fitter(record).linear().physics)
+    kept, stood = driven(records, Fitter(record).linear()[0].physics)
     if not stood:
         return record, []
     # The servo had been fitted to what no servo does.
     clear = joined([at_rest(each) for each in clear_of(records, stood)])
     if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
-        again = driven(records, Fitter(clear).linear().physics)
+        again = driven(records, Fitter(clear).linear()[0].physics)
         kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
     part = joined([at_rest(each) for each in kept])
     return (part, stood) if int(part.counts.sum()) >= _FEWEST_SAMPLES else (record, [])
@@ -452,14 +442,14 @@ def _notes(record: Record, selection: Selection) -> list[str]:
     """What else has to be known of an explanation."""
     notes = []
     if record.side is not None:
-        notes.append(only_rests_sentence(record))
+        notes.append(_only_rests_sentence(record))
     elif record.known.starts:
-        notes.append(linear_sentence(record, selection))
+        notes.append(_linear_sentence(record, selection))
         if step_size_deg(record) is not None:
             alike = "all steps are of one size: a slow servo and one whose speed is limited look alike in them"
             notes.append(f"{alike}; {STEPS_OF_TWO_SIZES}, would tell")
     notes += [f"left over: {reason}" for reason in selection.adequacy.reasons]
-    return [*notes, unjudged_sentence(selection)] if selection.unjudged else notes
+    return [*notes, _unjudged_sentence(selection)] if selection.unjudged else notes
 
 
 def _healthy_part(
@@ -487,27 +477,90 @@ def _healthy_part(
         quiet = later & (record.time_s < start_s)
         slowly = bool(quiet.any()) and float(np.mean(error[quiet] ** 2)) > _SLOWLY_WORSE * usual_deg**2
         if not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * usual_deg**2:
-            # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault.
-            if record.known.starts and _follows(record, start_s):
-                continue
-            return before, healthy, start_s
+            # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault: it still follows.
+            there = later & (record.time_s >= start_s) & (record.time_s < start_s + _SOON_S)
+            followed = share_followed(record, simulate(record, record.plant.neutral), there)
+            if not (record.known.starts and followed > _STILL_FOLLOWS):
+                return before, healthy, start_s
     return None
-
-
-def _follows(record: Record, start_s: float) -> bool:
-    """Whether a servo still moves with its command after a time."""
-    there = record.counts & (record.time_s >= start_s) & (record.time_s < start_s + _SOON_S)
-    return share_followed(record, simulate(record, record.plant.neutral), there) > _STILL_FOLLOWS
 
 
 def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:
     """Whether a servo fitted to one part of a record is far worse on the other, or a search there is in vain."""
     fitter = Fitter(before)
-    for fit in (fitter.descended(final.effects, final.physics), fitter.linear()):
+    for fit in (fitter.descended(final.effects, final.physics), fitter.linear()[0]):
         error_deg = fitter.judged(fit.effects, fit.physics).error_deg
         if np.mean(error_deg[later] ** 2) > _MUCH_WORSE * np.mean(error_deg[before.counts] ** 2):
             return True
     return False
+
+
+_CONTEXT = {
+    "airspeed_m_s": "airspeed (column airspeed_m_s)",
+    "servo_voltage_v": "supply voltage (servo_voltage_v)",
+    "servo_current_a": "current (servo_current_a)",
+    "servo_load": "load (servo_load)",
+}
+
+
+def _effect_values(selection: Selection, index: int) -> dict[str, dict[str, float]]:
+    """Parameters of one of the final effects, with 95 % intervals; infinite where the data do not show them."""
+    final = selection.final
+    first = sum(len(effect.parameters) for effect in final.effects[:index])
+    result = {}
+    for k, parameter in enumerate(final.effects[index].parameters, start=first):
+        if parameter.aside:
+            continue
+        value, deviation = float(final.values[k]), float(np.sqrt(max(selection.covariance[k, k], 0.0)))
+        if not np.isfinite(deviation):
+            value = float("nan")
+        result[parameter.name] = {
+            "value": value,
+            "low": max(value - Z_95 * deviation, parameter.low),
+            "high": min(value + Z_95 * deviation, parameter.high),
+        }
+    return result
+
+
+def _unjudged_sentence(selection: Selection) -> str:
+    """Which effects cannot be judged, and what would have to be logged."""
+    names = ", ".join(dict.fromkeys(effect.name for effect in selection.unjudged))
+    if selection.fitter.record.side is not None:
+        return f"cannot be judged: {names}; the log comes too slowly"
+    needs = " and ".join(_CONTEXT[need] for need in dict.fromkeys(n for e in selection.unjudged for n in e.needs))
+    return f"cannot be judged: {names}; the log holds no {needs}"
+
+
+def _only_rests_sentence(record: Record) -> str:
+    """What a slow log does not tell, and what it does."""
+    rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
+    return (
+        f"position comes at {rate_hz:.3g} Hz: only rests are judged, and not how the surface moves, which takes "
+        f"20 Hz; {rest_sentence(record)}, now at one end and now at the other, which is hysteresis"
+    )
+
+
+def _linear_sentence(record: Record, selection: Selection) -> str:
+    """Which linear servo was fitted, as none was known."""
+    said = []
+    for fit in (selection.nominal, selection.final):
+        transfer = scaled(record.plant.transfer, fit.physics.scales)
+        monic = np.array(transfer.denominator) / transfer.denominator[0]
+        words = []
+        if record.plant.has_places:
+            slow, pair = split(monic)
+            monic = np.array([1.0, *pair])
+            words.append(f"a pole at {slow:.3g} rad/s")
+        natural = float(np.sqrt(monic[2]))
+        words.insert(0, f"{natural / (2.0 * np.pi):.3g} Hz, damping ratio {monic[1] / (2.0 * natural):.2g}")
+        said.append(" and ".join(words))
+    return f"no servo was known: one was fitted, by itself {said[0]}; beside the effects {said[1]}"
+
+
+def _form_of(effect: type[Effect], place: float) -> str | None:
+    """Which machine an effect is, and on which side of the servo's slow pole it acts, where that matters."""
+    where = {BEFORE: "behind the slow pole", AFTER: "ahead of the slow pole"}.get(place) if effect.places else None
+    return "; ".join(filter(None, (effect.form, where))) or None
 
 
 _UNITS = (("deg_s_per_v", " deg/s per V"), ("deg_s", " deg/s"), ("_deg", " deg"), ("_s", " s"), ("_hz", " Hz"))
@@ -537,20 +590,16 @@ def _answer(found: Explanation) -> str:
             parts.append("That alone is no sign of a fault")
     else:
         mostly = _is_mostly_left(found)
+        named = [_named(found, k, judged=not mostly) for k in range(len(steps))]
         if mostly:
             parts.append(f"Mostly unexplained: {after:.3g} of {before:.3g} deg remain on data not fitted")
-        named = [_named(found, k, judged=not mostly) for k in range(len(steps))]
-        parts += [f"A part of it looks like {' and '.join(named)}"] if mostly else [_capital(each) for each in named]
-        if not mostly:
+            parts.append(f"A part of it looks like {' and '.join(named)}")
+        else:
+            parts += [each[:1].upper() + each[1:] for each in named]
             parts.append(f"With this the error falls from {before:.3g} to {after:.3g} deg on data not fitted")
-        if reasons and not mostly:
-            parts.append(f"Not all is explained: {reasons[0]}")
+            parts += [f"Not all is explained: {reason}" for reason in reasons[:1]]
     advice = _advice(found)
     return ". ".join(parts) + (f". Next: {'; '.join(advice)}." if advice else ".")
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _is_mostly_left(found: Explanation) -> bool:
@@ -582,7 +631,7 @@ def _advice(found: Explanation) -> list[str]:
 def _named(found: Explanation, index: int, *, judged: bool) -> str:
     """One effect with its size, what it may be instead, and, if judged, whether a sound servo may have it."""
     effect = found.selection.final.effects[index]
-    values = effect_values(found.selection, index)
+    values = _effect_values(found.selection, index)
     name, value = next(iter(values.items()))
     unit = next((words for end, words in _UNITS if name.endswith(end)), "")
     law = next((each for each in found.varying if (each.effect, each.parameter) == (effect.name, name)), None)
@@ -614,7 +663,7 @@ def _beyond_sound(found: Explanation) -> list[type[Effect]]:
     """Effects that are larger than a sound servo has them."""
     larger = []
     for k, effect in enumerate(found.selection.final.effects):
-        value = next(iter(effect_values(found.selection, k).values()))["value"]
+        value = next(iter(_effect_values(found.selection, k).values()))["value"]
         if effect.sound is not None and abs(value) > effect.sound:
             larger.append(effect)
     return larger

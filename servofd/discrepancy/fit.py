@@ -168,15 +168,12 @@ class Fitter:
     _halves: dict[tuple[Hashable, ...], list[tuple[BoolArray, Fit]]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        self._look_at(thinned(self.record))
-        self.kappa = np.ones(self._count.size)
-
-    def _look_at(self, part: Record) -> None:
-        self.part = part
+        part = self.part = thinned(self.record)
         self._where = np.flatnonzero(part.counts)
         self._run = part.run[self._where]
         self._period_s = self.record.period_s
         self._count = np.maximum(np.bincount(self._run, minlength=max(len(part.runs), 1)).astype(float), 1.0)
+        self.kappa = np.ones(self._count.size)
         floor_deg = noise_floor_deg(part, part.measured_deg)
         self._least = max(0.2 * floor_deg, 0.29 * (part.step_deg or 0.0), _NOTHING_DEG) ** 2
 
@@ -201,19 +198,12 @@ class Fitter:
         misfit = float((self._count / self.kappa) @ np.log(fit.run_deg2 + self._least)) + self.prior(fit)
         return replace(fit, misfit=misfit)
 
-    def physics(self, effects: Sequence[type[Effect]], values: Sequence[float] | FloatArray) -> Physics:
-        """The servo as it is known, with these effects."""
-        return installed(self.record.plant.neutral, effects, [float(v) for v in values])
-
     def nominal(self) -> Fit:
         """The servo as it is known; of an unknown one, the best linear one."""
         return self.halved(self.root()) if self.record.known.starts else self.judged((), self.record.plant.neutral)
 
-    def linear(self) -> Fit:
-        """The linear servo with its own numbers refitted as if its errors were uncorrelated, whatever that takes."""
-        return self._linear()[0]
-
-    def _linear(self) -> list[Fit]:
+    def linear(self) -> list[Fit]:
+        """Linear servos with their own numbers refitted as if errors were uncorrelated, the best first."""
         neutral, known = self.record.plant.neutral, self.record.known
         coarse = [neutral._replace(**point) for point in known.grid]
         coarse.sort(key=lambda physics: self._noise.misfit(self._seen_deg(physics)))
@@ -223,7 +213,7 @@ class Fitter:
     def root(self) -> Fit:
         """The linear servo with its own numbers refitted; the correlation of what it leaves counts as the noise's."""
         if self._root is None:
-            fits = self._linear()
+            fits = self.linear()
             self.remember(fits[0])
             again = [self.descended((), fit.physics, LONG) for fit in fits[:_ROOTS]]
             self._root = min(again, key=lambda fit: fit.misfit)
@@ -241,20 +231,11 @@ class Fitter:
         if Quantization in effects:
             unstepped = record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0))
         square = float(error[record.counts] @ error[record.counts])
-        values = np.array([getattr(physics, p.fields[0]) for effect in effects for p in effect.parameters])
         runs = record.run[record.counts]
         squares = np.bincount(runs, weights=error[record.counts] ** 2, minlength=max(len(record.runs), 1))
         count = np.maximum(np.bincount(runs, minlength=squares.size), 1)
-        return Fit(
-            effects,
-            values,
-            physics,
-            error,
-            square,
-            square,
-            unstepped,
-            run_deg2=squares / count,
-        )
+        values = self._values(effects, physics)
+        return Fit(effects, values, physics, error, square, square, unstepped, run_deg2=squares / count)
 
     def is_own(self, effect: type[Effect]) -> bool:
         """Whether an effect is one of the servo's own numbers, beyond what servos of a type differ by."""
@@ -322,14 +303,20 @@ class Fitter:
 
     def given_way(self, physics: Physics, slopes: FloatArray) -> float:
         """Misfit of a servo after its numbers gave way as far as their slopes tell."""
-        return self._given_way(self._seen_deg(physics), slopes)
+        error, penalty = self._seen_deg(physics), 0.0
+        if slopes.shape[1]:
+            rows, prior = slopes[:-1], slopes[-1]
+            weighted = rows * self._noise.weights(error)[:, None]
+            curvature = rows.T @ weighted + np.diag(prior + 1e-9)
+            step = -np.linalg.solve(curvature, weighted.T @ error)
+            error = error + rows @ step
+            penalty = float(prior @ step**2)
+        return self._noise.misfit(error) + penalty
 
     def slopes(self, fit: Fit) -> FloatArray:
         """Slope of the errors over each number that is fitted, and its prior in the last row, shape (m + 1, q)."""
         numbers = self._numbers(fit.effects, fit.physics)
-        x = self._x(numbers, fit.physics)
-        error = self._seen_deg(fit.physics)
-        return np.vstack([self._slopes(numbers, x, fit.physics, error), [float(n.prior) for n in numbers]])
+        return np.vstack([self._curved(numbers, fit.physics)[0], [float(n.prior) for n in numbers]])
 
     def descended(
         self, effects: tuple[type[Effect], ...], start: Physics, steps: int = SHORT, enough: float = np.inf
@@ -341,11 +328,11 @@ class Fitter:
         physics = self._servo(numbers, found.x, start)
         idle = _idle(effects, found.followed[:, sum(n.prior for n in numbers) :])
         fit = Fit(effects, self._values(effects, physics), physics, np.zeros(0), 0.0, 0.0, np.zeros(0))
-        return replace(fit, misfit=found.misfit, run_deg2=self._squares(found.error), idle=idle)
+        return replace(fit, misfit=found.misfit, run_deg2=self._noise.squares(found.error), idle=idle)
 
     def _problem(self, numbers: list[_Number], start: Physics) -> Problem:
         x = self._x(numbers, start)
-        steps = np.array([_step_of(n, each) for n, each in zip(numbers, x.tolist(), strict=True)])
+        steps = _STEP * np.where([n.is_log or n.prior for n in numbers], 1.0, np.maximum(1.0, 0.2 * np.abs(x)))
         low, high = np.array([n.x(n.low) for n in numbers]), np.array([n.x(n.high) for n in numbers])
         prior = np.array([float(n.prior) for n in numbers])
 
@@ -393,11 +380,8 @@ class Fitter:
         ):
             return [self.judged(fit.effects, physics)] * len(others)
         numbers = self._numbers(fit.effects, physics)
-        x = self._x(numbers, physics)
-        error = self._seen_deg(physics)
-        slopes = self._slopes(numbers, x, physics, error)
-        prior = np.array([float(n.prior) for n in numbers])
-        curvature = (slopes * self._noise.weights(error)[:, None]).T @ slopes + np.diag(prior)
+        x, prior = self._x(numbers, physics), np.array([float(n.prior) for n in numbers])
+        slopes, curvature = self._curved(numbers, physics)
         # What a part does not tell stays as all samples tell it.
         near = 1.0 / (_FROM_ALL * np.sqrt(np.diag(inverse(curvature))))
         prior, centre = np.where(prior > 0.0, prior, near), np.where(prior > 0.0, 0.0, x)
@@ -419,11 +403,7 @@ class Fitter:
         count = len(fit.values)
         if not count:
             return np.zeros((0, 0))
-        x = self._x(numbers, fit.physics)
-        error = self._seen_deg(fit.physics)
-        slopes = self._slopes(numbers, x, fit.physics, error)
-        weight = self._noise.weights(error)
-        curvature = slopes.T @ (slopes * weight[:, None]) + np.diag([float(n.prior) for n in numbers])
+        _, curvature = self._curved(numbers, fit.physics)
         seen = np.diag(curvature) > _SAME
         spread = np.full((len(numbers), len(numbers)), 0.0)
         spread[np.ix_(seen, seen)] = np.linalg.pinv(curvature[np.ix_(seen, seen)], rcond=1e-12)
@@ -480,13 +460,10 @@ class Fitter:
     def _values(self, effects: tuple[type[Effect], ...], physics: Physics) -> FloatArray:
         return np.array([getattr(physics, p.fields[0]) for effect in effects for p in effect.parameters])
 
-    def _error_deg(self, physics: Physics) -> FloatArray:
-        self.simulations += 1
-        return self.part.measured_deg - self._simulated_deg(physics)
-
     def _seen_deg(self, physics: Physics) -> FloatArray:
         """Errors of the samples that count."""
-        return self._error_deg(physics)[self._where]
+        self.simulations += 1
+        return (self.part.measured_deg - self._simulated_deg(physics))[self._where]
 
     def _simulated_deg(self, physics: Physics) -> FloatArray:
         """Simulated positions of the fitted part [deg]; of a converter with coarse steps its mean reading."""
@@ -507,25 +484,12 @@ class Fitter:
         measured_deg = self.record.measured_deg
         return measured_deg - mean_reading_deg(measured_deg - judged.unstepped_deg, step_deg, self._below_deg)
 
-    def _squares(self, error: FloatArray) -> FloatArray:
-        """Mean square of each run."""
-        return self._noise.squares(error)
-
-    def _slopes(self, numbers: list[_Number], x: FloatArray, physics: Physics, error: FloatArray) -> FloatArray:
-        return self._problem(numbers, physics).slopes(x, error)
-
-    def _given_way(self, error: FloatArray, slopes: FloatArray) -> float:
-        """Misfit after a step of the numbers that are fitted already."""
-        if slopes.shape[1]:
-            rows, prior = slopes[:-1], slopes[-1]
-            weighted = rows * self._noise.weights(error)[:, None]
-            curvature = rows.T @ weighted + np.diag(prior + 1e-9)
-            step = -np.linalg.solve(curvature, weighted.T @ error)
-            error = error + rows @ step
-            penalty = float(prior @ step**2)
-        else:
-            penalty = 0.0
-        return self._noise.misfit(error) + penalty
+    def _curved(self, numbers: list[_Number], physics: Physics) -> tuple[FloatArray, FloatArray]:
+        """Slopes of the errors over some numbers where a servo is, (m, q), and the curvature of its misfit, (q, q)."""
+        error = self._seen_deg(physics)
+        slopes = self._problem(numbers, physics).slopes(self._x(numbers, physics), error)
+        prior = np.diag([float(n.prior) for n in numbers])
+        return slopes, (slopes * self._noise.weights(error)[:, None]).T @ slopes + prior
 
     def _sized(self, parameter: Parameter, grid: tuple[float, ...]) -> list[float]:
         return [self._scale(parameter) * value for value in grid]
@@ -548,11 +512,6 @@ def _idle(effects: tuple[type[Effect], ...], slopes: FloatArray) -> tuple[int, .
             found.append(k)
         first = last
     return tuple(found)
-
-
-def _step_of(number: _Number, x: float) -> float:
-    """Step of the differences that give the slope by a number."""
-    return _STEP * (1.0 if number.is_log or number.prior else max(1.0, 0.2 * abs(x)))
 
 
 def _beside(grid: list[float], value: float) -> list[float]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.search import common_places
+from servofd.discrepancy.search import common_places, taken_off
 
 if TYPE_CHECKING:
     from servofd.discrepancy.fit import Fit
@@ -110,15 +110,8 @@ def prefix(search: Search, best: Fit, effects: tuple[type[Effect], ...]) -> Fit:
     ]
     if known:
         return min(known, key=lambda fit: fit.misfit)
-    neutral = search.fitter.record.plant.neutral
-    gone = {
-        name: getattr(neutral, name)
-        for effect in best.effects
-        if effect not in effects
-        for p in effect.parameters
-        for name in p.fields
-    }
-    fit = search.fitter.descended(effects, best.physics._replace(**gone))
+    gone = [effect for effect in best.effects if effect not in effects]
+    fit = search.fitter.descended(effects, taken_off(best.physics, search.fitter.record.plant.neutral, gone))
     search.keep(fit)
     return fit
 

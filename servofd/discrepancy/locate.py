@@ -288,13 +288,11 @@ def _quantities(record: Record, error_deg: FloatArray) -> list[tuple[str, str, F
         ("time", "s", record.time_s[where] - record.time_s[where][0], False),
         ("direction of motion", "", np.sign(speed) * (np.abs(speed) > np.quantile(np.abs(speed), REST)), True),
     ]
-    if record.pressure_pa is not None:
-        found.append(("deflection times dynamic pressure", "deg Pa", simulated * record.pressure_pa[where], True))
-    if record.voltage_v is not None:
-        found.append(("supply voltage", "V", record.voltage_v[where], False))
-    if record.temperature_c is not None:
-        found.append(("temperature", "°C", record.temperature_c[where], False))
-    return found
+    beside = {name: values[where] for name, values in record.logged.items()}
+    if "airspeed_m_s" in beside:
+        found.append(("deflection times dynamic pressure", "deg Pa", simulated * beside["airspeed_m_s"], True))
+    kinds = ("supply voltage", "V", "servo_voltage_v"), ("temperature", "°C", "servo_temperature_c")
+    return found + [(words, unit, beside[name], False) for words, unit, name in kinds if name in beside]
 
 
 def _binned(values: FloatArray, error: FloatArray, block: IntArray) -> FloatArray:

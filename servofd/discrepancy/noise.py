@@ -154,29 +154,17 @@ _SIGMAS = 4.0
 """Noise floors by which two places differ that are not one."""
 _HELD_S = 1.0
 """After a new command a surface may move; servos of 2 Hz and more have come to rest by then."""
-
-
 _SHORTEST_REST_S = 0.25
 """Shortest rest that counts [s]."""
-
-
 _STEPS_OF_LOOP = 2.0
 """A loop closed over a converter rests within one step to either side of its command."""
-
-
 _SPLIT = 0.15
 """Of the variance that may stay if places are two. Places spread evenly leave 1/4, those of a slow swing, which
 dwells at its ends, 1 - 8/pi^2 = 0.19; two places leave next to nothing."""
-
-
 _LEAST_SHARE = 0.1
 """Share of the rests at either of two places at least."""
-
-
 _FEWEST_CHANGES = 3
 """Of the end at which it lies: a horn that slipped lies elsewhere from then on, play lets it come back."""
-
-
 _DIGITS = 3
 """Decimals to which commands are compared [deg]."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from servofd.servo.physics import Physics, Plant, loose_shares
 from servofd.servo.servo_model import plant_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray, IntArray
@@ -92,8 +92,6 @@ _TIME_CONSTANTS = 12.0
 """Time constants of the slowest pole after which a servo has forgotten where it was."""
 _BETWEEN_RUNS_S = 1.0
 """Runs are laid one after the other for pictures and words; nothing is simulated across."""
-
-
 _SOME_RUNS, _STEPS_OF_ZERO = 3, 1.5
 """Runs from which on a common zero is no chance, and how many converter steps their beginnings may be from it."""
 FEW_RUNS = 6
@@ -105,9 +103,8 @@ _ENOUGH, _FASTEST_HZ = 6000, 100.0
 """Samples that are fitted, and the rate below which none is left out."""
 _FEW_NEW = 0.25
 """Share of new commands from which on it takes no less time to leave the others out."""
-_PER_SAMPLE = ("time_s", "measured_deg", "counts")
-_LOGGED = ("pressure_pa", "voltage_v", "current_a", "temperature_c", "side")
-"""What a record has of each sample always, and what it may have."""
+_PER_SAMPLE = ("time_s", "measured_deg", "counts", "block", "fold")
+"""What a record has of each sample."""
 _FARTHEST_DEG = 1e6
 """As wrong as a servo can be: squares of more could not be summed up."""
 
@@ -130,14 +127,8 @@ class Record:
     fold: IntArray
     """Which of the three folds each sample lies in: 0 and 1, each predicted from the other, and 2, which no search
     looks at."""
-    pressure_pa: FloatArray | None = None
-    """Dynamic pressure."""
-    voltage_v: FloatArray | None = None
-    """Supply of the servo."""
-    current_a: FloatArray | None = None
-    """Drawn by the servo."""
-    temperature_c: FloatArray | None = None
-    """Of the servo."""
+    logged: Mapping[str, FloatArray] = field(default_factory=dict)
+    """What was logged beside it, by its column: the airspeed (as dynamic pressure [Pa]), supply, current, warmth."""
     pushed: Context | None = None
     """Load that was logged on the shaft."""
     step_deg: float | None = None
@@ -215,10 +206,9 @@ def record_of(
     block = ((time_s - time_s[0]) / BLOCK_S).astype(np.int64)
     fold = np.where(block % _CYCLE == _ASIDE, 2, block % 2)
     context = segment.context
-    pressure_pa = context.pressure_pa(time_s) if "airspeed_m_s" in context.logged else None
-    voltage_v = context.supply_v(time_s) if "servo_voltage_v" in context.logged else None
-    current_a = context.drawn_a(time_s) if "servo_current_a" in context.logged else None
-    temperature_c = context.warmth_c(time_s) if "servo_temperature_c" in context.logged else None
+    columns = {"airspeed_m_s": context.pressure_pa, "servo_voltage_v": context.supply_v}
+    columns |= {"servo_current_a": context.drawn_a, "servo_temperature_c": context.warmth_c}
+    logged = {name: values(time_s) for name, values in columns.items() if name in context.logged}
     pushed = Context(load_s=context.load_s, load=context.load) if np.ptp(context.pushed(time_s)) > 0.0 else None
     return Record(
         plant,
@@ -228,10 +218,7 @@ def record_of(
         counts,
         block,
         fold,
-        pressure_pa,
-        voltage_v,
-        current_a,
-        temperature_c,
+        logged,
         pushed,
         comb_step_deg(measured_deg),
         known=known,
@@ -254,19 +241,20 @@ def joined(records: Sequence[Record]) -> Record:
     """
     if len(records) == 1:
         return records[0]
-    runs, blocks, folds, later_s, count = [], [], [], 0.0, 0
+    runs, later_s, count = [], 0.0, 0
     for k, each in enumerate(records):
         shift_s = later_s - float(each.time_s[0])
         moved = replace(each.commands, effective_s=each.commands.effective_s + shift_s)
         load = each.pushed and replace(each.pushed, load_s=each.pushed.load_s + shift_s)
-        runs.append(replace(each, commands=moved, time_s=each.time_s + shift_s, pushed=load))
-        blocks.append(each.block + count)
-        count += int(each.block[-1]) + 1
         own = 2 if k % _CYCLE == _ASIDE else (k - (k + _CYCLE - _ASIDE) // _CYCLE) % 2
-        folds.append(np.full_like(each.fold, own) if len(records) >= FEW_RUNS else each.fold)
+        fold = np.full_like(each.fold, own) if len(records) >= FEW_RUNS else each.fold
+        there: dict[str, Any] = {"time_s": each.time_s + shift_s, "block": each.block + count, "fold": fold}
+        runs.append(replace(each, commands=moved, pushed=load, **there))
+        count += int(each.block[-1]) + 1
         later_s = float(runs[-1].time_s[-1]) + _BETWEEN_RUNS_S
     every: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in runs]) for name in _PER_SAMPLE}
-    every |= {name: _context([getattr(each, name) for each in runs]) for name in _LOGGED}
+    in_all = [name for name in runs[0].logged if all(name in each.logged for each in runs)]
+    sides = [each.side for each in runs if each.side is not None]
     return replace(
         records[0],
         commands=Commands(
@@ -275,8 +263,8 @@ def joined(records: Sequence[Record]) -> Record:
             np.concatenate([each.commands.slope_deg_s for each in runs]),
         ),
         **every,
-        block=np.concatenate(blocks),
-        fold=np.concatenate(folds),
+        logged={name: np.concatenate([each.logged[name] for each in runs]) for name in in_all},
+        side=np.concatenate(sides) if len(sides) == len(runs) else None,
         pushed=_joined_load([each.pushed for each in runs]),
         step_deg=comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
         runs=tuple(runs),
@@ -343,10 +331,10 @@ def only(record: Record, where: IntArray) -> Record:
     run = record.run[where]
     first = np.cumsum([0, *(each.time_s.size for each in record.runs)])
     runs = tuple(only(each, where[run == k] - first[k]) for k, each in enumerate(record.runs) if np.any(run == k))
-
-    there: dict[str, Any] = {name: getattr(record, name)[where] for name in (*_PER_SAMPLE, "block", "fold")}
-    there |= {name: values[where] for name in _LOGGED if (values := getattr(record, name)) is not None}
-    return replace(record, **there, runs=runs)
+    there: dict[str, Any] = {name: getattr(record, name)[where] for name in _PER_SAMPLE}
+    logged = {name: values[where] for name, values in record.logged.items()}
+    side = None if record.side is None else record.side[where]
+    return replace(record, **there, logged=logged, side=side, runs=runs)
 
 
 def _joined_load(loads: Sequence[Context | None]) -> Context | None:
@@ -357,12 +345,6 @@ def _joined_load(loads: Sequence[Context | None]) -> Context | None:
     return Context(
         load_s=np.concatenate([each.load_s for each in there]), load=np.concatenate([each.load for each in there])
     )
-
-
-def _context(values: list[FloatArray | None]) -> FloatArray | None:
-    """What was logged in every run; None if it was not in one of them."""
-    there = [each for each in values if each is not None]
-    return np.concatenate(there) if len(there) == len(values) else None
 
 
 def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray:
@@ -417,10 +399,10 @@ def _around(record: Record, late_s: float) -> FloatArray:
     """What was logged beside the servo, as the stepper takes it."""
     count = record.time_s.size
     columns = (
-        np.zeros(count) if record.pressure_pa is None else record.pressure_pa,
-        np.full(count, np.inf) if record.voltage_v is None else record.voltage_v,
+        record.logged.get("airspeed_m_s", np.zeros(count)),
+        record.logged.get("servo_voltage_v", np.full(count, np.inf)),
         np.ones(count),
-        np.zeros(count) if record.current_a is None else record.current_a,
+        record.logged.get("servo_current_a", np.zeros(count)),
         np.zeros(count) if record.pushed is None else record.pushed.pushed(record.time_s, late_s),
     )
     return np.column_stack(columns)
@@ -443,13 +425,9 @@ def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArra
 
 _MOVED_DEG = 1e-3
 """By which a simulated servo has left its place [deg]: more than rounding."""
-
-
 _OFF_COMB, _FEWEST_VALUES = 0.1, 3
 """Share of a step by which readings may be off the steps of a converter, and how many different ones there must
 be."""
-
-
 _NO_CHANCE = 20.0
 """How many times as far apart as by chance the two closest of many values must be."""
 

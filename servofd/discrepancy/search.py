@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from servofd.servo.loop import AFTER, BEFORE, INSIDE
 from servofd.servo.registry import catalogue, everything
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from servofd.core.types import FloatArray
     from servofd.discrepancy.record import Record
@@ -42,32 +42,16 @@ def common_places(effects: tuple[type[Effect], ...]) -> tuple[float, ...]:
     return tuple(each for each in first if each not in same and all(each in other for other in others))
 
 
-class Candidate(NamedTuple):
-    """An effect, and where the slow pole lies."""
-
-    effect: type[Effect]
-    place: float
-
-
 def judgeable(record: Record) -> tuple[list[type[Effect]], list[type[Effect]]]:
     """Effects that this record can judge, and those that need something it does not hold."""
-    held = {
-        name
-        for name, values in (
-            ("airspeed_m_s", record.pressure_pa),
-            ("servo_voltage_v", record.voltage_v),
-            ("servo_current_a", record.current_a),
-            ("servo_load", record.pushed),
-        )
-        if values is not None
-    }
+    held = {*record.logged, *(["servo_load"] if record.pushed is not None else [])}
     if record.side is not None:
         shown = sorted((e for e in catalogue() if e.at_rest), key=lambda effect: effect.at_rest)
         return shown, [effect for effect in catalogue() if not effect.at_rest]
     able = [effect for effect in catalogue() if set(effect.needs) <= held]
     unable = [effect for effect in catalogue() if effect not in able and effect is not ExternalLoad]
     fitted = set(record.known.covers)
-    if record.runs or record.pressure_pa is not None:
+    if record.runs or "airspeed_m_s" in record.logged:
         # A surface's weight is balanced about its hinge, a bench's horn hangs at zero; an arm's joint hangs anywhere.
         fitted.add(TiltedLoad)
     if record.runs:  # frames run on between separate runs: at which instants is not known
@@ -86,8 +70,8 @@ def excluded(known: tuple[type[Effect], ...]) -> set[str]:
 
 def candidates(
     record: Record, able: list[type[Effect]], known: tuple[type[Effect], ...], place: float
-) -> list[Candidate]:
-    """What may come on top of known effects; a servo has one slow pole, in one place."""
+) -> list[tuple[type[Effect], float]]:
+    """What may come on top of known effects, and where the slow pole lies: a servo has one, in one place."""
     names = excluded(known)
     found = []
     for effect in able:
@@ -96,10 +80,8 @@ def candidates(
         where: tuple[float, ...] = (place,)
         if effect.places and record.plant.has_places and record.side is None:
             where = common_places((*known, effect))
-        found += [Candidate(effect, each) for each in where]
-    if SensorLag in known:
-        return [each for each in found if each.place != AFTER]
-    return [each for each in found if each != Candidate(SensorLag, AFTER)]
+        found += [(effect, each) for each in where]
+    return [each for each in found if each[1] != AFTER or SensorLag not in (*known, each[0])]
 
 
 _SHORTEST_S, _LONGEST_S = 0.01, 0.055
@@ -175,7 +157,8 @@ def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, fl
     centre_s = _busiest_s(record, _WINDOW_S)
     total_s = float(record.time_s[-1] - record.time_s[0])
     part = _window(record, centre_s, window_s)
-    usual = sorted(_usual(0.0, np.inf), key=lambda frame: _loss(part, physics, frame))
+    usual = [(period_s, phase) for period_s in _USUAL_S for phase in _phases(period_s, _NEARLY_S)]
+    usual.sort(key=lambda frame: _loss(part, physics, frame))
     while window_s < total_s:
         window_s, kept = window_s * _ZOOM, max(kept // 3, 1)
         part = _window(record, centre_s, window_s)
@@ -190,11 +173,6 @@ def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, fl
     for finer in _FINER if found in turned else ():
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
     return found
-
-
-def _usual(low_s: float, high_s: float) -> list[tuple[float, float]]:
-    usual_s = [period_s for period_s in _USUAL_S if low_s <= period_s <= high_s]
-    return [(period_s, phase) for period_s in usual_s for phase in _phases(period_s, _NEARLY_S)]
 
 
 def _phases(period_s: float, step_s: float) -> list[float]:
@@ -346,12 +324,12 @@ class Search:
         slopes = self.part.slopes(start)
         before = self.part.given_way(start.physics, slopes[:, :0])
         screened: list[tuple[float, type[Effect], Physics]] = []
-        for candidate in candidates(self.fitter.record, self.able, start.effects, start.place):
-            if self.fitter.is_own(candidate.effect):
+        for effect, place in candidates(self.fitter.record, self.able, start.effects, start.place):
+            if self.fitter.is_own(effect):
                 continue
-            self.progress(candidate.effect.key())
-            misfit, physics = self.part.screened(start, slopes, *candidate)
-            screened.append((misfit, candidate.effect, physics))
+            self.progress(effect.key())
+            misfit, physics = self.part.screened(start, slopes, effect, place)
+            screened.append((misfit, effect, physics))
         screened.sort(key=lambda each: each[0])
         best_of: dict[str, float] = {}
         for misfit, effect, _ in screened:
@@ -417,11 +395,19 @@ def without_idle(fit: Fit, neutral: Physics) -> Fit:
     """A fit without the effects that change nothing."""
     effects = tuple(effect for k, effect in enumerate(fit.effects) if k not in fit.idle)
     values = [getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters]
-    gone = {name: getattr(neutral, name) for k in fit.idle for p in fit.effects[k].parameters for name in p.fields}
-    physics = fit.physics._replace(**gone)
-    if physics.slow_place not in common_places(effects):
-        physics = physics._replace(slow_place=INSIDE)
+    physics = placed(taken_off(fit.physics, neutral, [fit.effects[k] for k in fit.idle]), effects)
     return replace(fit, effects=effects, values=np.array(values), physics=physics, idle=())
+
+
+def taken_off(physics: Physics, neutral: Physics, effects: Iterable[type[Effect]]) -> Physics:
+    """A servo whose parameters of some effects are neutral."""
+    fields = [name for effect in effects for p in effect.parameters for name in p.fields]
+    return physics._replace(**{name: getattr(neutral, name) for name in fields})
+
+
+def placed(physics: Physics, effects: tuple[type[Effect], ...]) -> Physics:
+    """A servo whose slow pole lies inside the loop where its place does not matter to its effects."""
+    return physics if physics.slow_place in common_places(effects) else physics._replace(slow_place=INSIDE)
 
 
 def fields_of(effect: type[Effect]) -> tuple[str, ...]:
@@ -447,12 +433,8 @@ def load_slope(record: Record, fit: Fit) -> float:
 
 
 STEPS_OF_TWO_SIZES = "steps of two sizes, such as 5 and 20 deg"
-
-
 _HOLDS_S, _MOSTLY = 0.15, 0.8
 """How long a command stands between steps, and for how much of its time it does."""
-
-
 _ALIKE, _SMALLEST_SHARE = 1.3, 0.02
 """Ratio of the largest step to the smallest; what is smaller than that share of the largest is none."""
 

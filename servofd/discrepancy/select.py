@@ -25,7 +25,9 @@ from servofd.discrepancy.search import (
     fields_of,
     judgeable,
     load_slope,
+    placed,
     step_size_deg,
+    taken_off,
 )
 from servofd.servo.catalogue import by_condition, is_law, plain
 from servofd.servo.effects.linkage import Gain
@@ -33,7 +35,6 @@ from servofd.servo.effects.motor import MotorRate
 from servofd.servo.effects.own import SlowDynamics
 from servofd.servo.effects.sensor import Bias
 from servofd.servo.effects.shaft import AirLoad, GravityLoad, TiltedLoad
-from servofd.servo.loop import INSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,8 +71,6 @@ _DECLARED_AT_REST = 0.99
 _DECLARED = 0.95
 """Share of the probability that the declared names of one log hold: most logs leave no doubt, so that over all logs
 they hold 99.5 % (251 logs of even seeds, where 8.0 first names should be wrong and 10 are)."""
-
-
 Rivals = dict[str, dict[str, Fit]]
 """For each effect of a servo what may stand in its place, and the servos that have it."""
 
@@ -246,11 +245,7 @@ def _by_condition(search: Search, size: int) -> None:
 def _without(search: Search, fit: Fit, k: int) -> Fit:
     """The servo without one of its effects, started from where it is with it."""
     effects = tuple(effect for j, effect in enumerate(fit.effects) if j != k)
-    neutral = search.fitter.record.plant.neutral
-    gone = {name: getattr(neutral, name) for p in fit.effects[k].parameters for name in p.fields}
-    start = fit.physics._replace(**gone)
-    if start.slow_place not in common_places(effects):
-        start = start._replace(slow_place=INSIDE)
+    start = placed(taken_off(fit.physics, search.fitter.record.plant.neutral, [fit.effects[k]]), effects)
     key = tuple(sorted(effect.key() for effect in effects)), start.slow_place
     known = search.visited.get(key)
     found = search.fitter.descended(effects, start)
@@ -288,8 +283,8 @@ def _static_loss(record: Record, fit: Fit) -> float:
     loss = fit.physics.gain - 1.0 if Gain in fit.effects else 0.0
     if record.runs:
         return loss
-    if record.pressure_pa is not None and AirLoad in fit.effects:
-        loss += fit.physics.airload_per_pa * float(np.median(record.pressure_pa))
+    if AirLoad in fit.effects and "airspeed_m_s" in record.logged:
+        loss += fit.physics.airload_per_pa * float(np.median(record.logged["airspeed_m_s"]))
     if GravityLoad in fit.effects or TiltedLoad in fit.effects:
         loss += float(np.radians(fit.physics.droop_deg)) * load_slope(record, fit)
     return loss
@@ -342,7 +337,7 @@ def _better_linear(search: Search, best: Fit) -> Fit | None:
     is_usual = abs(root.physics.gain - 1.0) <= _USUAL_GAINS * record.known.gain_share
     if is_usual and not adequacy(record, fitter.halved(root)).reasons:
         return root
-    start = fitter.linear().physics
+    start = fitter.linear()[0].physics
     fits = [fitter.descended(effects, start, LONG) for effects in ((Bias,), (Gain,), (Bias, Gain))]
     found = [root, *(fit for fit in fits if search.is_physical(fit))]
     halves = [fitter.halved(fit) for fit in found]
@@ -460,9 +455,7 @@ def _or_slow(search: Search, best: Fit, rivals: Rivals, step_deg: float) -> None
     else:
         theirs = slow
         effects = rest if SlowDynamics in search.fitter.record.known.covers else (*rest, SlowDynamics)
-        neutral = search.fitter.record.plant.neutral
-        start = best.physics._replace(**{n: getattr(neutral, n) for p in mine.parameters for n in p.fields})
-        starts = (start, search.root.physics)
+        starts = (taken_off(best.physics, search.fitter.record.plant.neutral, [mine]), search.root.physics)
         rival = min((search.fitter.descended(effects, s, LONG) for s in starts), key=lambda fit: fit.misfit)
     if rival is None:
         return

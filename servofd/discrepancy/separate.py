@@ -43,31 +43,14 @@ class Manoeuvre(NamedTuple):
     supply_sags: bool = False
 
 
-def _step(size_deg: float) -> Callable[[FloatArray], FloatArray]:
-    return lambda t: size_deg * ((t // 2.0) % 2.0)
-
-
-def _two_steps(t: FloatArray) -> FloatArray:
-    both: FloatArray = np.array([0.0, 5.0, 0.0, 20.0])[(t // 2.0).astype(int) % 4]
-    return both
-
-
-def _doublets(size_deg: float) -> Callable[[FloatArray], FloatArray]:
-    def command(t: FloatArray) -> FloatArray:
-        since_s = t % 3.0
-        both: FloatArray = size_deg * np.select([since_s < 0.5, since_s < 1.0], [1.0, -1.0], 0.0)
-        return both
-
-    return command
+def _levels(each_s: float, *levels_deg: float) -> Callable[[FloatArray], FloatArray]:
+    """Each level for some time, over and over."""
+    return lambda t: np.array(levels_deg)[(t // each_s).astype(int) % len(levels_deg)]
 
 
 def _triangle(size_deg: float, period_s: float) -> Callable[[FloatArray], FloatArray]:
-    def command(t: FloatArray) -> FloatArray:
-        corners_s, corners_deg = period_s * np.arange(5) / 4.0, size_deg * np.array([0.0, 1.0, 0.0, -1.0, 0.0])
-        ramps: FloatArray = np.asarray(np.interp(t % period_s, corners_s, corners_deg), dtype=np.float64)
-        return ramps
-
-    return command
+    corners_s, corners_deg = period_s * np.arange(5) / 4.0, size_deg * np.array([0.0, 1.0, 0.0, -1.0, 0.0])
+    return lambda t: np.interp(t % period_s, corners_s, corners_deg)
 
 
 def _sine(size_deg: float, frequency_hz: float) -> Callable[[FloatArray], FloatArray]:
@@ -89,8 +72,8 @@ def _chirp(sizes_deg: tuple[float, ...], low_hz: float, high_hz: float) -> Calla
 
 
 MANOEUVRES: tuple[Manoeuvre, ...] = (
-    *(Manoeuvre(f"a step of {size:g} deg", _step(size)) for size in (2.0, 5.0, 10.0, 20.0)),
-    *(Manoeuvre(f"a doublet of {size:g} deg", _doublets(size)) for size in (5.0, 10.0)),
+    *(Manoeuvre(f"a step of {size:g} deg", _levels(2.0, 0.0, size)) for size in (2.0, 5.0, 10.0, 20.0)),
+    *(Manoeuvre(f"a doublet of {size:g} deg", _levels(0.5, size, -size, 0.0, 0.0, 0.0, 0.0)) for size in (5.0, 10.0)),
     *(Manoeuvre(f"a slow triangle of {size:g} deg (8 s)", _triangle(size, 8.0)) for size in (2.0, 10.0)),
     *(
         Manoeuvre(f"a sine of {size:g} deg at {rate:g} Hz", _sine(size, rate))
@@ -98,10 +81,10 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     ),
     Manoeuvre("a chirp of 1, 3 and 9 deg from 0.3 to 8 Hz", _chirp((1.0, 3.0, 9.0), 0.3, 8.0)),
     Manoeuvre("sines of 10 deg at 0.5 Hz from 12 to 30 m/s", _sine(10.0, 0.5), air_changes=True),
-    Manoeuvre("steps of 20 deg while the supply sags from 6 to 4.8 V", _step(20.0), supply_sags=True),
+    Manoeuvre("steps of 20 deg while the supply sags from 6 to 4.8 V", _levels(2.0, 0.0, 20.0), supply_sags=True),
 )
 """Simple before complicated."""
-_BY_SIZE = (Manoeuvre(STEPS_OF_TWO_SIZES, _two_steps),)
+_BY_SIZE = (Manoeuvre(STEPS_OF_TWO_SIZES, _levels(2.0, 0.0, 5.0, 0.0, 20.0)),)
 """What tells a limit of the speed from slow poles: the one takes longer for larger steps."""
 
 
@@ -194,6 +177,8 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
     time_s = np.arange(round(_DURATION_S * _RATE_HZ)) / _RATE_HZ
     share, ones = time_s / _DURATION_S, np.ones(time_s.size)
     command_deg = manoeuvre.command(time_s)
+    pressure_pa = _AIR_PA[0] + share * (_AIR_PA[1] - _AIR_PA[0]) if manoeuvre.air_changes else _CRUISE_PA * ones
+    supply_v = _SUPPLY_V - share * (_SUPPLY_V - _SAGGING_V) if manoeuvre.supply_sags else _SUPPLY_V * ones
     return replace(
         record,
         commands=Commands(time_s, command_deg, np.zeros(time_s.size)),
@@ -202,11 +187,8 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
         counts=time_s > _SETTLING_S,
         block=np.zeros(time_s.size, dtype=np.int64),
         fold=np.zeros(time_s.size, dtype=np.int64),
-        pressure_pa=_AIR_PA[0] + share * (_AIR_PA[1] - _AIR_PA[0]) if manoeuvre.air_changes else _CRUISE_PA * ones,
-        voltage_v=_SUPPLY_V - share * (_SUPPLY_V - _SAGGING_V) if manoeuvre.supply_sags else _SUPPLY_V * ones,
-        current_a=None,
+        logged={"airspeed_m_s": pressure_pa, "servo_voltage_v": supply_v},
         pushed=None,
-        temperature_c=None,
         runs=(),
         side=None,
     )

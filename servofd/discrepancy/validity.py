@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -188,10 +188,6 @@ class Undriven:
         until = "to its end" if self.to_end else f"to {self.end_s:.1f} s"
         where = f"run {self.run + 1}: " if several else ""
         return f"{where}not driven from {self.start_s:.1f} s {until} ({self.reason}): left out"
-
-    def document(self) -> dict[str, Any]:
-        """Plain dictionary."""
-        return asdict(self)
 
 
 def undriven(segment: Series, run: int) -> list[Undriven]:

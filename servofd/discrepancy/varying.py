@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.series import rms
 from servofd.discrepancy.record import simulate
-from servofd.servo.catalogue import ALIKE, is_law, law_of
+from servofd.servo.catalogue import ALIKE, is_law
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.discrepancy.record import Record
+    from servofd.core.types import FloatArray
     from servofd.discrepancy.select import Selection
     from servofd.servo.effect import Effect
 
@@ -99,9 +99,11 @@ def _law(selection: Selection, index: int, effect: type[Effect], known: Mapping[
     of, value = known[name], float(selection.final.values[index])
     slope = 2.0 * physics.run_slope / float(np.ptp(of))
     at_zero = value - physics.run_slope - slope * float(of.min())
-    held_out = _held_out(record)
+    last = np.cumsum([each.time_s.size for each in record.runs]) - 1
+    held_out = record.counts & (record.fold[last] != 0)[record.run]
     common_deg, line_deg = (
-        _rms_deg(selection, index, each, held_out) for each in (np.full(of.size, value), at_zero + slope * of)
+        rms((record.measured_deg - simulate(record, each))[held_out])
+        for each in (physics._replace(run_slope=0.0), physics)
     )
     alike = [
         other for other, its in known.items()
@@ -109,27 +111,3 @@ def _law(selection: Selection, index: int, effect: type[Effect], known: Mapping[
     ]  # fmt: skip
     lines = at_zero, slope, common_deg, line_deg
     return Varying(effect.name, parameter.name, (name, *alike), of, at_zero + slope * of, *lines)
-
-
-def _held_out(record: Record) -> BoolArray:
-    """Which of the runs were not fitted, shape (r,)."""
-    ends = np.cumsum([each.time_s.size for each in record.runs])
-    held_out: BoolArray = record.fold[ends - 1] != 0
-    return held_out
-
-
-def _error_deg(selection: Selection, run: Record, index: int, value: float) -> FloatArray:
-    """Of one run, with one of the final values in another's place, where it counts."""
-    fields, physics = selection.final.parameters[index].fields, selection.final.physics
-    if physics.run_slope and fields == law_of(physics).fields:
-        physics = physics._replace(run_slope=0.0)
-    simulated_deg = simulate(run, physics._replace(**dict.fromkeys(fields, value)))
-    error_deg: FloatArray = (run.measured_deg - simulated_deg)[run.counts]
-    return error_deg
-
-
-def _rms_deg(selection: Selection, index: int, values: FloatArray, held_out: BoolArray) -> float:
-    """Error of the held-out runs, each with a value of its own [deg rms]."""
-    runs = selection.fitter.record.runs
-    errors = [_error_deg(selection, runs[k], index, float(values[k])) for k in np.flatnonzero(held_out)]
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))

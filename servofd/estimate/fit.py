@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.noise import Noise
+from servofd.aircraft.calibrated import Noise
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.fitting import Noise as Scatter
 from servofd.core.fitting import Problem, Solution

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from servofd.core.errors import IdentificationError
 from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.records import Run
 from servofd.servo.library import second_order
-
-if TYPE_CHECKING:
-    pass
 
 _STEP_SHARE = 0.2
 """Share of the commanded range from which on a change is a step."""
@@ -89,8 +86,10 @@ def choose_linear(runs: Sequence[Run], order: int | None) -> Choice:
             runs, [ServoCandidate(replace(each, gain=sign)) for each in _grid(n) for sign in (1.0, -1.0)]
         )
         if n == 2 and 1 in fits:
-            # A far pole hardly differs from a delay: a near one is asked for, too.
-            near = fit_motion(runs, ServoCandidate(_with_second_pole(fits[1].servo.linear)))
+            # A far pole hardly differs from a delay: one that is three times as fast as the first is asked for, too.
+            one, pole = fits[1].servo.linear, float(np.exp(fits[1].servo.linear.shape[0]))
+            beside = LinearServo((np.log(3.0 * pole**2), np.log(4.0 * pole)), one.delay_s, one.gain)
+            near = fit_motion(runs, ServoCandidate(beside))
             fits[n] = min(fits[n], near, key=lambda fit: fit.rms_deg)
     best = min(fits, key=lambda n: _criterion(runs, fits[n]))
     if not np.isfinite(fits[best].rms_deg):
@@ -102,18 +101,18 @@ def choose_linear(runs: Sequence[Run], order: int | None) -> Choice:
 
 def _criterion(runs: Sequence[Run], fit: MotionFit) -> float:
     """BIC with a lower price for the poles; with a dc gain of 1 if that is better, for a free gain hides a pole."""
-    unity = with_unity_gain(runs, fit) if fit.is_white and fit.servo.linear.gain > 0.0 else None
-    count = int(np.concatenate(fit.errors_deg).size)
-    rebate = max(0.0, float(np.log(count)) - _CHANCE) * fit.servo.linear.order
-    return (unity or fit).bic - rebate
+    rebate = max(0.0, float(np.log(fit.count)) - _CHANCE) * fit.servo.linear.order
+    return (with_unity_gain(runs, fit) or fit).bic - rebate
 
 
 def with_unity_gain(runs: Sequence[Run], fit: MotionFit) -> MotionFit | None:
-    """The same servo with a dc gain of exactly 1, if the data do not object (smaller BIC); else None.
+    """The same servo with a dc gain of exactly 1, if that fits (smaller BIC) and leaves noise alone; else None.
 
     Thesis Appendix A does the same ("a0 = b0"): a chirp hardly shows the gain at zero frequency, and its error
     would spread to bandwidth and poles.
     """
+    if not fit.is_white or fit.servo.linear.gain <= 0.0:
+        return None
     linear = replace(fit.servo.linear, gain=1.0)
     fixed = fit_motion(runs, replace(fit.servo, linear=linear, fixed_gain=True))
     return fixed if fixed.bic < fit.bic else None
@@ -187,12 +186,6 @@ def _grid(order: int) -> list[LinearServo]:
         pole, pair = 2.0 * np.pi * hz, 2.5 * 2.0 * np.pi * hz
         shapes.append(LinearServo((np.log(pole), 2.0 * np.log(pair), np.log(1.4 * damping * pair)), delay_s))
     return shapes
-
-
-def _with_second_pole(one: LinearServo) -> LinearServo:
-    """A servo of one pole with another, three times as fast."""
-    pole = float(np.exp(one.shape[0]))
-    return LinearServo((np.log(3.0 * pole**2), np.log(4.0 * pole)), one.delay_s, one.gain)
 
 
 def _reordered(servo: LinearServo, order: int) -> LinearServo:

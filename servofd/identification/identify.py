@@ -47,10 +47,10 @@ _LEVELS = 10
 """So does one that has no more levels."""
 _LARGEST_ERROR = 0.3
 """Of the position's own deviation; the worst real servo so far leaves 0.06."""
-_FOLLOWS = 0.7
-"""Share of the position's deviation that a model may leave if the servo follows."""
 _SWAPPED_RAD = 0.05
 """Mean phase above which the position is ahead of the command [rad]: the columns are swapped."""
+_FOLLOWS = 0.7
+"""Share of the position's deviation that a model may leave if the servo follows."""
 
 
 def identify(
@@ -112,7 +112,7 @@ def identify(
     _check_drift(free, tests)
     fit = free = _with_effects(tests, free, order)
     progress("rate limits and dead band")
-    unity = with_unity_gain(tests.fitted(fit), fit) if fit.is_white and fit.servo.linear.gain > 0.0 else None
+    unity = with_unity_gain(tests.fitted(fit), fit)
     if unity is not None:
         fit = unity
         notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
@@ -135,7 +135,6 @@ def identify(
         offset_deg=float(offsets.mean()),
         response=tests.nominal,
         responses=tests.responses,
-        spread=average(tests.responses)[1] if tests.responses else None,
         band_rad_s=tests.band_rad_s,
         segments=tuple(itertools.chain(*sets)),
     )
@@ -174,7 +173,7 @@ class _Tests:
         _check_all(runs, uniform, labels)
         sweeps = [(run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u))]
         responses = tuple(
-            average([response for run, _, response in sweeps if run.servo == servo])[0]
+            average([response for run, _, response in sweeps if run.servo == servo])
             for servo in sorted({run.servo for run, _, _ in sweeps})
         )
         notes = []
@@ -186,7 +185,7 @@ class _Tests:
         if not responses:
             notes.append("no sweep long enough for a frequency response: fitted to the motion alone")
             return cls(tuple(names), tuple(runs), (), (), None, None, tuple(notes))
-        nominal = average(responses)[0]
+        nominal = average(responses)
         band = nominal.band_rad_s()
         _check_phase(nominal, band, labels[0])
         small = tuple(run for run, _, _ in sweeps)
@@ -246,16 +245,15 @@ def _sweep(run: Run, uniform: Uniform) -> FrequencyResponse | None:
 
 
 def _check_phase(response: FrequencyResponse, band: tuple[float, float] | None, label: str) -> None:
-    """A position that leads its command on average is a command."""
+    """Refuse a position that leads its command, by less than a sample tells of a fast servo in a slow log."""
     if band is None:
         raise IdentificationError(f"{label}: the tests have no frequencies in common in which position follows command")
-    inside = (response.frequency_rad_s >= band[0]) & (response.frequency_rad_s <= band[1])
-    phase = response.phase_rad[inside]
-    phase = phase - np.pi * np.round(phase[0] / np.pi)
-    if float(np.mean(phase)) > _SWAPPED_RAD:
+    phase = response.phase_rad[(response.frequency_rad_s >= band[0]) & (response.frequency_rad_s <= band[1])]
+    lead_rad = float(np.mean(phase - np.pi * np.round(phase[0] / np.pi)))
+    if lead_rad > _SWAPPED_RAD:
         raise IdentificationError(
-            f"{label}: the position leads the command by {np.degrees(np.mean(phase)):.0f} deg of phase on average: "
-            "are the two columns swapped?"
+            f"{label}: the position leads the command by {np.degrees(lead_rad):.0f} deg of phase on average: are the "
+            "two columns swapped?"
         )
 
 

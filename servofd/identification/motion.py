@@ -119,12 +119,6 @@ class LinearServo:
         return poles
 
 
-def shape_bounds(order: int, sample_time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Smallest and largest `LinearServo.shape` whose poles a test can show."""
-    powers = np.array({1: [1.0], 2: [2.0, 1.0], 3: [1.0, 2.0, 1.0]}[order])
-    return powers * np.log(_SLOWEST_RAD_S), powers * np.log(_NYQUIST_FREQUENCIES * np.pi / sample_time_s)
-
-
 _OUT_OF_REACH_DEG = 1e4
 """Error of a servo that cannot be simulated [deg]."""
 _DEVIATION_LAGS = 20
@@ -226,16 +220,21 @@ class MotionFit:
         return float(np.sqrt(np.mean(np.concatenate(self.errors_deg) ** 2)))
 
     @property
+    def count(self) -> int:
+        """Number of errors."""
+        return sum(error.size for error in self.errors_deg)
+
+    @property
     def bic(self) -> float:
         """Bayesian information criterion: a further parameter must pay for itself."""
-        count = int(np.concatenate(self.errors_deg).size)
         parameters = int(self.found.x.size + self.offsets_deg.size)
-        return 2.0 * count * float(np.log(max(self.rms_deg, 1e-12))) + parameters * float(np.log(count))
+        return 2.0 * self.count * float(np.log(max(self.rms_deg, 1e-12))) + parameters * float(np.log(self.count))
 
     @property
     def whiteness(self) -> float:
         """Von Neumann's ratio: 2 for uncorrelated errors, near 0 where the servo does what the model does not."""
-        return _von_neumann(self.errors_deg)
+        long = [error for error in self.errors_deg if error.size > 2]
+        return float(sum(np.sum(np.diff(e) ** 2) for e in long) / max(sum(np.sum(e**2) for e in long), LEAST_DIVISOR))
 
     @property
     def is_white(self) -> bool:
@@ -279,7 +278,9 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, steps: int = 60) -
 def _bounds(runs: Sequence[Run], start: ServoCandidate) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest `ServoCandidate.vector` that a servo in these tests can have."""
     sample_time_s = min(float(np.median(np.diff(run.measured_s))) for run in runs)
-    slowest, fastest = shape_bounds(start.linear.order, sample_time_s)
+    powers = np.array({1: [1.0], 2: [2.0, 1.0], 3: [1.0, 2.0, 1.0]}[start.linear.order])
+    ends_rad_s = _SLOWEST_RAD_S, _NYQUIST_FREQUENCIES * np.pi / sample_time_s
+    slowest, fastest = (powers * np.log(each) for each in ends_rad_s)
     lower, upper = [*slowest, 0.0], [*fastest, 1e3 * LONGEST_DELAY_S]
     if not start.fixed_gain:
         lower, upper = [*lower, -LARGEST_LOG_GAIN], [*upper, LARGEST_LOG_GAIN]
@@ -304,11 +305,6 @@ def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatAr
         ]
     )
     return tuple(e - offsets[run.servo] for e, run in zip(errors, runs, strict=True)), offsets
-
-
-def _von_neumann(errors: Sequence[FloatArray]) -> float:
-    long = [error for error in errors if error.size > 2]
-    return float(sum(np.sum(np.diff(e) ** 2) for e in long) / max(sum(np.sum(e**2) for e in long), LEAST_DIVISOR))
 
 
 _AT_LIMIT, _SATURATED_TIME, _DENSE_S = 0.97, 0.8, 2e-3

@@ -79,23 +79,13 @@ class FrequencyResponse:
         return (float(self.frequency_rad_s[first]), float(self.frequency_rad_s[last])) if last > first else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Spread:
-    """How far servos of one kind differ: standard deviations at each frequency, shape (m,)."""
-
-    log_magnitude: FloatArray
-    phase_rad: FloatArray
-
-
-def estimate(
-    command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float, lags: int | None = None
-) -> FrequencyResponse:
+def estimate(command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: float) -> FrequencyResponse:
     """Estimate the response from uniform samples.
 
-    Biased covariances up to `lags`, a Hann window over them, and their Fourier transforms: the ratio of the cross
+    Biased covariances up to `LAGS_S`, a Hann window over them, and their Fourier transforms: the ratio of the cross
     to the command's spectrum is the response, what remains of the position's spectrum sets the coherence.
     """
-    reach = min(round(LAGS_S / sample_time_s), command_deg.size // 4) if lags is None else lags
+    reach = min(round(LAGS_S / sample_time_s), command_deg.size // 4)
     window = 0.5 * (1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / reach))
     u, y = command_deg - command_deg.mean(), measured_deg - measured_deg.mean()
     size = 2 * max(_FREQUENCIES, 1 << int(np.ceil(np.log2(2 * reach + 1))))
@@ -124,7 +114,7 @@ def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexAr
     return ratio
 
 
-def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, Spread]:
+def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     """Average servos of one kind: logarithm of magnitude and unwrapped phase, weighted by coherence (thesis 3.3)."""
     grid = responses[0].frequency_rad_s
     rows = [
@@ -135,15 +125,10 @@ def average(responses: Sequence[FrequencyResponse]) -> tuple[FrequencyResponse, 
     weights = coherences + 1e-12
     weights /= weights.sum(axis=0)
     magnitude, phase = (weights * magnitudes).sum(axis=0), (weights * phases).sum(axis=0)
-    spread = Spread(
-        np.sqrt((weights * (magnitudes - magnitude) ** 2).sum(axis=0)),
-        np.sqrt((weights * (phases - phase) ** 2).sum(axis=0)),
-    )
     power = np.mean([np.interp(grid, r.frequency_rad_s, r.command_power) for r in responses], axis=0)
-    nominal = FrequencyResponse(
+    return FrequencyResponse(
         grid, np.exp(magnitude + 1j * phase), (weights * coherences).sum(axis=0), power, responses[0].sample_time_s
     )
-    return nominal, spread
 
 
 def _covariance(a: FloatArray, b: FloatArray, reach: int) -> FloatArray:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from servofd.core.types import ComplexArray, FloatArray
     from servofd.identification.motion import ServoCandidate
     from servofd.identification.records import Run
-    from servofd.identification.response import FrequencyResponse, Spread
+    from servofd.identification.response import FrequencyResponse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,6 @@ class Identification:
     """Nominal smoothed response, mean of the servos."""
     responses: tuple[FrequencyResponse, ...] = ()
     """Smoothed response of each servo."""
-    spread: Spread | None = None
     band_rad_s: tuple[float, float] | None = None
     """Where the position follows the command with a coherence above 0.8 [rad/s]."""
     segments: tuple[Series, ...] = ()

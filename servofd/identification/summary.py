@@ -82,6 +82,10 @@ def _pole_part(servo: ServoCandidate, index: int, part: Literal["real", "imag"])
     return float(getattr(servo.linear.poles_rad_s[index], part))
 
 
+def _log_of_pole(servo: ServoCandidate, index: int) -> float:
+    return float(np.log(abs(servo.linear.poles_rad_s[index].real)))
+
+
 def _bounded(interval: Estimate, value: float, *, positive: bool) -> Estimate:
     """The same interval about the value that is reported; what cannot be negative ends at zero."""
     low, high = min(interval.low, value), max(interval.high, value)
@@ -102,7 +106,7 @@ def notes_on_servo(
     vague = [
         f"{abs(pole.real):.4g}"
         for k, pole in enumerate(poles)
-        if pole.imag == 0.0 and _log_deviation(choice.fit, k) > _UNIDENTIFIABLE
+        if pole.imag == 0.0 and choice.fit.interval(partial(_log_of_pole, index=k)).deviation > _UNIDENTIFIABLE
     ]
     lag = intervals.get("lag_s")
     known = lag is not None and lag.high - lag.low <= max(_KNOWN_SHARE * linear.lag_s, _KNOWN_LAG_S)
@@ -165,8 +169,3 @@ def notes_on_spread(sweeps: Sequence[Run], order: int | None, names: Sequence[st
         f"{len(linear)} servos: bandwidth {bandwidths[slow]:.4g} to {bandwidths[fast]:.4g} rad/s, delay "
         f"{delays_ms.min():.2f} to {delays_ms.max():.2f} ms, dc gain {gains.min():.4f} to {gains.max():.4f}",
     )
-
-
-def _log_deviation(fit: MotionFit, index: int) -> float:
-    """Standard deviation of the logarithm of a real pole."""
-    return fit.interval(lambda servo: float(np.log(abs(servo.linear.poles_rad_s[index].real)))).deviation

@@ -3,7 +3,8 @@
 Its structure is another than that of the axis models: coupled motion in six states of the air (Etkin and Reid, Dynamics
 of Flight, 3rd ed., ch. 4), surfaces that lose effect at large angles, servos with a rate limit and a lag, turbulence as
 first-order Gauss-Markov gusts on both angles and on the roll rate (the Dryden spectra at low order, MIL-F-8785C).
-Derivatives are those of a foam plane of 2 kg and 1.6 m at 18 m/s, by the order of magnitude.
+Derivatives are those of a foam plane of 2 kg and 1.6 m at 18 m/s, by the order of magnitude. Its autopilot writes
+ArduPlane's DataFlash log (``.bin``).
 """
 
 from __future__ import annotations
@@ -15,7 +16,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from logparsers.compiled import compiled
+from logparsers.dataflash.encode import encode
+from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.servo.context import AIR_KG_M3
+from servofd.simulation.dataflash_writer import pulses, rows, words
+from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, banner, functions_of
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
@@ -161,20 +167,20 @@ def fly_airframe(
         engine_cut_s,
     )
     every = max(1, round(1.0 / rate_hz / _STEP_S))
-    rows = states[::every]
-    n, s = rows.shape[0], len(wing.names)
+    states = states[::every]
+    n, s = states.shape[0], len(wing.names)
     noise = rng.standard_normal
     return AirframeFlight(
         wing,
         np.arange(n) * every * _STEP_S,
-        np.round(1500.0 + rows[:, 9 : 9 + s]),
-        rows[:, 8],
-        np.degrees(rows[:, 0:3].T) + 0.3 * noise((3, n)),
-        rows[:, 9 + 2 * s :].T + 0.15 * noise((3, n)),
-        np.degrees(rows[:, 3]),
-        np.degrees(rows[:, 4]),
-        rows[:, 5] + 0.3 * noise(n),
-        rows[:, 9 + s : 9 + 2 * s],
+        np.round(1500.0 + states[:, 9 : 9 + s]),
+        states[:, 8],
+        np.degrees(states[:, 0:3].T) + 0.3 * noise((3, n)),
+        states[:, 9 + 2 * s :].T + 0.15 * noise((3, n)),
+        np.degrees(states[:, 3]),
+        np.degrees(states[:, 4]),
+        states[:, 5] + 0.3 * noise(n),
+        states[:, 9 + s : 9 + 2 * s],
     )
 
 
@@ -279,3 +285,47 @@ def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it hap
         out[k, 10 + 2 * s] = side
         out[k, 11 + 2 * s] = -lift
     return out
+
+
+_VERSION: Final = "4.6.0"
+
+
+def airframe_parameters(flight: AirframeFlight) -> dict[str, float]:
+    """What the autopilot knows of its outputs."""
+    functions = functions_of(flight.mixer.names)
+    turned: dict[int, int] = {number: functions[name] for number, (name, _) in flight.mixer.outputs.items()}
+    found: dict[str, float] = {}
+    for number, function in sorted((turned | {THROTTLE: THROTTLE_FUNCTION}).items()):
+        low, high = (1000.0, 2000.0) if number == THROTTLE else (1050.0, 1950.0)
+        found |= {
+            f"SERVO{number}_FUNCTION": float(function),
+            f"SERVO{number}_TRIM": 1500.0,
+            f"SERVO{number}_REVERSED": 0.0,
+        }
+        found |= {f"SERVO{number}_MIN": low, f"SERVO{number}_MAX": high}
+    return found
+
+
+def airframe_log(flight: AirframeFlight) -> bytes:
+    """Content of a ``.bin`` file: commands, gyros, accelerometers, attitude and airspeed.
+
+    Examples
+    --------
+    >>> airframe_log(fly_airframe(1, duration_s=10.0))[:2].hex()
+    'a395'
+    """
+    stamps = np.round(US_PER_S * (flight.time_s + 5.0)).astype(np.int64)
+    sent = dict(zip(flight.mixer.outputs, flight.pulses_us.T, strict=True))
+    p, q, r = np.radians(flight.rates_deg_s)
+    ax, ay, az = flight.accelerations_m_s2
+    pressure_pa = 0.5 * AIR_KG_M3 * flight.airspeed_m_s**2
+    pitot = {"Airspeed": flight.airspeed_m_s, "DiffPress": pressure_pa, "RawPress": pressure_pa}
+    return encode(
+        [
+            *words(stamps[:1], airframe_parameters(flight), banner(_VERSION)),
+            pulses(stamps, sent | {THROTTLE: np.round(1000.0 + 1000.0 * flight.throttle)}),
+            rows("IMU", stamps, GyrX=p, GyrY=q, GyrZ=r, AccX=ax, AccY=ay, AccZ=az, T=30.0, GH=1, AH=1),
+            rows("ATT", stamps, Roll=flight.roll_deg, Pitch=flight.pitch_deg, AEKF=3),
+            rows("ARSP", stamps, **pitot, Temp=18.5, U=1, H=1, Hp=1),
+        ]
+    )

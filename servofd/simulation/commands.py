@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from logparsers.compiled import compiled
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -121,16 +123,25 @@ def _pattern(time_s: FloatArray, rng: np.random.Generator, style: _Style) -> Flo
 
 def _activity(time_s: FloatArray, rng: np.random.Generator, rms_deg: float, corner_hz: float) -> FloatArray:
     """Smooth autopilot activity: white noise through two equal lags."""
-    from scipy.signal import lfilter
-
     lag = np.exp(-2.0 * np.pi * corner_hz * float(np.median(np.diff(time_s))))
     settle = int(np.ceil(10.0 / (1.0 - lag)))
     noise = rng.standard_normal(time_s.size + settle)
-    smooth = lfilter([1.0], np.convolve([1.0, -lag], [1.0, -lag]), noise)[settle:]
+    smooth = _lagged_twice(noise, lag)[settle:]
     # The exact standard deviation of two equal lags under white noise, so that no draw is rescaled.
     deviation = np.sqrt((1.0 + lag**2) / (1.0 - lag**2) ** 3)
     activity: FloatArray = rms_deg * smooth / deviation
     return activity
+
+
+@compiled
+def _lagged_twice(noise: FloatArray, lag: float) -> FloatArray:
+    """Noise through two equal lags (scipy.signal, which has a function for it, takes a second to load)."""
+    smooth = np.zeros(noise.size)
+    first = second = 0.0
+    for k in range(noise.size):
+        smooth[k] = noise[k] + first
+        first, second = second + 2.0 * lag * smooth[k], -lag * lag * smooth[k]
+    return smooth
 
 
 def _add_pulse(

@@ -9,8 +9,7 @@ import numpy as np
 
 from logparsers.dataflash.encode import Message, encode
 from servofd.servo.context import AIR_KG_M3
-from servofd.simulation.ardupilot import banner, outputs_needed, parameters
-from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
+from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US, banner, outputs_needed, parameters
 from servofd.simulation.surroundings import EPOCH_US, microseconds, servo_state, sparse, surroundings
 
 if TYPE_CHECKING:
@@ -96,7 +95,7 @@ def dataflash_messages(
 
     `flight`: with outputs; flight time 0 is when the autopilot was booted. `aircraft`: a surface without a measured
     channel has a servo that reports nothing. `generation`: one of `GENERATIONS`. `settings`: the vehicle's parameters;
-    those of `servofd.simulation.ardupilot.parameters` if left out. Result: RCOU and one CSRV row per reporting servo
+    those of `servofd.simulation.pulses.parameters` if left out. Result: RCOU and one CSRV row per reporting servo
     at the rate of the flight; ARSP, ATT, POWR and GPS more seldom.
     """
     outputs_needed(flight)

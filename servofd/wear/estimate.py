@@ -129,6 +129,8 @@ class ServoEstimate(NamedTuple):
     """Of `QUANTITIES`."""
     missing: dict[str, str]
     """Why others are not among them."""
+    alarm: str = ""
+    """What was found at fault; empty if nothing."""
 
 
 def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> ServoEstimate:

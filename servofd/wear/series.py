@@ -103,6 +103,11 @@ class Piece:
         """The line through them; needs three flights."""
         return fit_line(self.number, self.value, self.deviation)
 
+    def between(self, from_: float, to: float) -> Piece | None:
+        """Its flights from one number on and before another; None if there are none."""
+        inside = (self.number >= from_) & (self.number < to)
+        return Piece(self.number[inside], self.value[inside], self.deviation[inside]) if inside.any() else None
+
     @property
     def first(self) -> int:
         """Number of the first flight."""
@@ -275,11 +280,10 @@ def _jump(before: Piece, after: Piece, telling: float) -> Jump | None:
 
 def _end(piece: Piece, number: float) -> tuple[float, float]:
     """Value and deviation of a piece's line where it ends; of its median, if it is too short for a slope."""
-    line = piece.line
     if piece.number.size <= 4:
         return float(np.median(piece.value)), float(np.max(piece.deviation) + np.std(piece.value))
-    away = np.array([1.0, number - line.centre])
-    return line.level + line.slope * float(away[1]), float(np.sqrt(away @ line.covariance @ away))
+    there = piece.line.at(number)
+    return there.value, (there.high - there.value) / piece.line.student
 
 
 def _event(group: Sequence[tuple[int, str, Jump]]) -> Event:
@@ -445,8 +449,8 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
     bounds = [number for number, _ in known]
     events: list[Event] = []
     for from_, to in _spans(bounds):
-        parts = {name: _within(one, from_, to) for name, one in series.items()}
-        events += find_events({name: part for name, part in parts.items() if part is not None}, wear.telling)
+        parts = {name: part for name, one in series.items() if (part := one.between(from_, to))}
+        events += find_events(parts, wear.telling)
     bounds = sorted({*bounds, *(event.first for event in events if event.kind == "swap")})
     quantities = {name: _quantity(name, one, bounds, wear.limits.get(name)) for name, one in series.items()}
     last = flights[-1][1]
@@ -492,21 +496,12 @@ def _spans(bounds: Sequence[int]) -> list[tuple[float, float]]:
 
 def _series(name: str, flights: Sequence[tuple[int, FlightEstimate]]) -> Piece | None:
     known = [(number, flight.values[name]) for number, flight in flights if name in flight.values]
-    known = [(number, estimate) for number, estimate in known if np.all(np.isfinite(estimate))]
-    if not known:
-        return None
-    numbers, estimates = zip(*known, strict=True)
-    values, deviations = [e.value for e in estimates], [e.deviation for e in estimates]
-    return Piece(np.array(numbers, dtype=float), np.array(values), np.array(deviations))
-
-
-def _within(whole: Piece, from_: float, to: float) -> Piece | None:
-    inside = (whole.number >= from_) & (whole.number < to)
-    return Piece(whole.number[inside], whole.value[inside], whole.deviation[inside]) if inside.any() else None
+    rows = [(number, each.value, each.deviation) for number, each in known if np.all(np.isfinite(each))]
+    return Piece(*np.array(rows, dtype=float).T) if rows else None
 
 
 def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | None) -> QuantityTrend:
-    parts = [part for from_, to in _spans(bounds) if (part := _within(whole, from_, to))]
+    parts = [part for from_, to in _spans(bounds) if (part := whole.between(from_, to))]
     cut = tuple(piece for part in parts for piece in pieces(part.number, part.value, part.deviation))
     last = cut[-1]
     has_line = last.number.size >= FEWEST_FLIGHTS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,7 +28,7 @@ from servofd.current.wear import followed_limits, quantities_of
 from servofd.detection.audit import audit_segment
 from servofd.detection.kinds import STANDS_STILL
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of
-from servofd.wear.estimate import QUANTITIES, FlightEstimate, estimate_flight
+from servofd.wear.estimate import QUANTITIES, FlightEstimate, ServoEstimate, estimate_flight
 from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
 
 if TYPE_CHECKING:
@@ -108,32 +108,24 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
     return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
 
 
-class _Shown(NamedTuple):
-    """What one witness tells of a surface in a flight, as `FlightEstimate` has it."""
-
-    values: dict[str, Estimate]
-    missing: dict[str, str]
-    alarm: str
-
-
-def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks]) -> _Shown | None:
+def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks]) -> ServoEstimate | None:
     if aircraft.surfaces[name].measured is None:
         return None
     segment = cut(log, name, aircraft, bus)
     verdict = audit_segment(segment, aircraft, duration_s=log.duration_s)
     stood = any(fault.kind in STANDS_STILL for fault in verdict.faults)
     estimated = estimate_flight(segment, aircraft, unfit="stood still for a part of the flight" if stood else "")
-    return _Shown(*estimated, verdict.reason if verdict.status == "fault" else "")
+    return estimated._replace(alarm=verdict.reason if verdict.status == "fault" else "")
 
 
-def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> _Shown | None:
+def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> ServoEstimate | None:
     sources = current_sources(log, aircraft)
     known, source = aircraft.surfaces[name].healthy_current, sources.get(name)
     if known is None or source is None or [one.channel for one in sources.values()].count(source.channel) > 1:
         return None  # a wire that several servos share wears for none of them
     seen = see(current_series(log, name, aircraft, source), known)
     verdict = verdict_of(seen, faults_of(seen))
-    return _Shown(quantities_of(seen), {}, verdict.reason if verdict.faults else "")
+    return ServoEstimate(quantities_of(seen), {}, verdict.reason if verdict.faults else "")
 
 
 def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
@@ -378,7 +370,7 @@ def _surface(surface: SurfaceTrend) -> dict[str, Any]:
                 "kind": event.kind,
                 "flight": event.first,
                 "reason": event.reason,
-                "changes": {name: {"before": j.before, "after": j.after} for name, j in event.jumps.items()},
+                "changes": {name: asdict(jump) for name, jump in event.jumps.items()},
             }
             for event in surface.events
         ],
@@ -389,7 +381,7 @@ def _surface(surface: SurfaceTrend) -> dict[str, Any]:
 
 
 def _quantity(one: QuantityTrend) -> dict[str, Any]:
-    what, forecast = QUANTITIES[one.name], one.forecast
+    what = QUANTITIES[one.name]
     return {
         "title": what.title,
         "shown": {"unit": what.unit, "scale": what.scale, "digits": what.digits},
@@ -401,13 +393,7 @@ def _quantity(one: QuantityTrend) -> dict[str, Any]:
         "now": _estimate(one.now),
         "per_flight": None if one.slope is None else _estimate(one.slope),
         "limit": one.limit,
-        "forecast": {
-            "kind": forecast.kind,
-            "reason": forecast.reason,
-            "flight": forecast.flight,
-            "low": forecast.low,
-            "high": forecast.high,
-        },
+        "forecast": asdict(one.forecast),
     }
 
 

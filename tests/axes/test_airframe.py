@@ -15,8 +15,7 @@ from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
 from servofd.axes.motion import Motion, motion_of_autopilot
 from servofd.cli import main
-from servofd.simulation.airframe import MIXERS, AirframeFault, fly_airframe
-from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.airframe import MIXERS, AirframeFault, airframe_log, fly_airframe
 
 
 @pytest.mark.slow

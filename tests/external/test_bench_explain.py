@@ -140,7 +140,7 @@ def test_healthy_joints(name: str) -> None:
         assert found.fault_s is None
         assert not found.undriven
         fitter = found.selection.fitter
-        linear = fitter.halved(fitter.descended((Bias, Gain), fitter.linear().physics, 30))
+        linear = fitter.halved(fitter.descended((Bias, Gain), fitter.linear()[0].physics, 30))
         if not linear.ran_away:
             assert final_deg(found) <= 1.03 * found.rms_deg(linear)["held_out_rms_deg"]
         assert final_deg(found) <= 1.03 * nominal_deg(found)

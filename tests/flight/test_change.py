@@ -13,8 +13,7 @@ from servofd.axes.motion import Motion
 from servofd.axes.read import motion_of
 from servofd.core.windows import Sizes
 from servofd.flight.change import AxisChange, airborne, counted, judge_motion_alone
-from servofd.simulation.airframe import AirframeFault, AirframeFlight, fly_airframe
-from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.airframe import AirframeFault, AirframeFlight, airframe_log, fly_airframe
 from tests.axes.flights import flown
 
 

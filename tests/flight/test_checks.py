@@ -15,8 +15,7 @@ from servofd.axes.motion import Series
 from servofd.cli import main
 from servofd.flight import checks
 from servofd.flight.columns import Flight, Output, flight_of
-from servofd.simulation.airframe import fly_airframe
-from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.airframe import airframe_log, fly_airframe
 from servofd.simulation.dataflash_writer import pulses, words
 from tests.axes.flights import flown
 

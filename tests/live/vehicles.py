@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from logparsers.link import Link
-    from servofd.simulation.vehicle.messages import Send
+    from servofd.simulation.vehicle.remote_log import Send
 
 PLANE = plain_aircraft(["elevator", "aileron", "rudder"], "hs225bb-eq31")
 DEADLINE_S = 20.0

@@ -16,8 +16,7 @@ from servofd.outputs.explain_report import explain_report
 from servofd.outputs.identify_report import identify_report
 from servofd.outputs.page import FLEET_PAGE as PAGE
 from servofd.outputs.page import html_page
-from servofd.simulation.airframe import fly_airframe
-from servofd.simulation.airframe_log import airframe_log
+from servofd.simulation.airframe import airframe_log, fly_airframe
 from tests.pictures.browser import BROWSER, Browser
 
 if TYPE_CHECKING:

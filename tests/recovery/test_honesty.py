@@ -69,7 +69,9 @@ def _deviations(effect: type[Effect], values: list[float], command: str) -> Floa
     away = []
     for seed in range(16):
         fitter = Fitter(flown((effect,), values, seed, command))
-        fit = fitter.descended((effect,), fitter.physics((effect,), [0.97 * values[0], *values[1:]]))
+        fit = fitter.descended(
+            (effect,), installed(fitter.record.plant.neutral, (effect,), [0.97 * values[0], *values[1:]])
+        )
         away.append((fit.values[0] - values[0]) / np.sqrt(fitter.covariance(fit)[0, 0]))
     return np.array(away)
 

@@ -175,11 +175,9 @@ def test_a_position_in_radians_is_doubted() -> None:
 
 
 @pytest.mark.slow
-def test_three_servos_give_their_mean_and_their_spread() -> None:
+def test_three_servos_give_their_mean_and_how_far_they_differ() -> None:
     result = identify([[sweep("hs225bb-eq31", duration_s=60.0, seed=seed)] for seed in range(3)])
     assert len(result.responses) == 3
-    assert result.spread is not None
-    assert 0.0 < float(np.median(result.spread.phase_rad)) < 1.0
     assert any(note.startswith("3 servos: bandwidth 28") for note in result.notes)
 
 
@@ -192,9 +190,8 @@ def test_servos_of_different_kinds_are_not_averaged() -> None:
 def test_an_average_of_equal_responses_changes_nothing() -> None:
     segment = sweep("s9254", duration_s=30.0)
     one = estimate(segment.command_deg, segment.measured_deg, 0.01)
-    both, spread = average([one, one])
+    both = average([one, one])
     np.testing.assert_allclose(both.response, one.response, rtol=1e-9)
-    np.testing.assert_allclose(spread.log_magnitude, 0.0, atol=1e-7)
 
 
 def test_the_sampled_response_is_that_of_the_simulation() -> None:

@@ -125,7 +125,7 @@ def test_files_that_define_no_effect(content: bytes | None, why: str, tmp_path: 
 def test_a_servo_that_runs_away_is_as_wrong_as_can_be() -> None:
     """A load that pushes the surface on, at a motor that has reached its limit, passes every number."""
     record = flown((), [], 2)
-    lifted = replace(record, pressure_pa=np.full(record.time_s.size, 1e6))
+    lifted = replace(record, logged={"airspeed_m_s": np.full(record.time_s.size, 1e6)})
     limited = record.plant.neutral._replace(rate_up_deg_s=20.0, rate_down_deg_s=20.0, airload_per_pa=-0.0012)
     limited = limited._replace(follow_up_deg_s=math.inf, follow_down_deg_s=math.inf)
     moved_deg = simulate(lifted, limited)

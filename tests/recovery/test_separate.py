@@ -12,7 +12,7 @@ from servofd.discrepancy.ladder import Step
 from servofd.discrepancy.record import Record, record_of
 from servofd.discrepancy.select import Selection
 from servofd.discrepancy.separate import MANOEUVRES, separations
-from servofd.servo.catalogue import effects_named
+from servofd.servo.catalogue import effects_named, installed
 from servofd.servo.effect import Effect
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -46,7 +46,7 @@ def tied(record: Record, *fits: Fit) -> Selection:
 
 def fit(record: Record, effect: type[Effect], *values: float) -> Fit:
     fitter = Fitter(record)
-    return fitter.judged((effect,), fitter.physics((effect,), values))
+    return fitter.judged((effect,), installed(record.plant.neutral, (effect,), list(values)))
 
 
 @pytest.mark.parametrize(

@@ -72,16 +72,16 @@ def test_backlash_behind_the_servo_is_told_from_a_dead_band_before_it(width_deg:
         moved_deg = PLANE.model("rudder").simulate(command.command_s, command.command_deg, time_s)
         noise_deg = 0.1 * np.random.default_rng(seed).standard_normal(command.measured_s.size)
         seen_deg = np.interp(command.measured_s, time_s, play(moved_deg, width_deg, 0.0)) + noise_deg
-        values, _ = estimate_flight(flown(seed=seed, measured_deg=seen_deg), PLANE)
+        values, *_ = estimate_flight(flown(seed=seed, measured_deg=seen_deg), PLANE)
         assert values["dead_band_deg"].value == pytest.approx(width_deg, abs=0.06)
         assert values["play_deg"].value > 0.4 * width_deg
         assert values["delay_s"].value == pytest.approx(0.004, abs=0.003)
-        before, _ = estimate_flight(flown(width_deg, seed), PLANE)
+        before, *_ = estimate_flight(flown(width_deg, seed), PLANE)
         assert "play_deg" not in before or before["play_deg"].value < 0.1 * width_deg
 
 
 def test_other_numbers_of_the_servo_are_those_it_was_simulated_with() -> None:
-    values, missing = estimate_flight(flown(0.3), PLANE)
+    values, missing, _ = estimate_flight(flown(0.3), PLANE)
     assert values["delay_s"].low < 0.004 < values["delay_s"].high
     assert values["bandwidth_hz"].low < 28.49 / (2.0 * np.pi) < values["bandwidth_hz"].high
     assert values["noise_deg"].value == pytest.approx(0.1, rel=0.05)
@@ -93,7 +93,7 @@ def test_other_numbers_of_the_servo_are_those_it_was_simulated_with() -> None:
 
 def test_a_bias_is_found() -> None:
     segment = flown(command="steps")
-    values, _ = estimate_flight(flown(command="steps", measured_deg=segment.measured_deg + 0.7), PLANE)
+    values, *_ = estimate_flight(flown(command="steps", measured_deg=segment.measured_deg + 0.7), PLANE)
     assert values["bias_deg"].value == pytest.approx(0.7, abs=0.02)
 
 
@@ -128,7 +128,7 @@ def test_a_calm_flight_tells_nothing_of_the_dynamics_and_says_so() -> None:
     still = flown(
         command_deg=0.0 * segment.command_deg, measured_deg=0.1 * rng.standard_normal(segment.measured_s.size)
     )
-    values, missing = estimate_flight(still, PLANE)
+    values, missing, _ = estimate_flight(still, PLANE)
     shown = "its motion shows no more of it than is known of any servo"
     assert missing["dead_band_deg"] == missing["delay_s"] == missing["gain"] == shown
     assert set(values) == {"residual_p95_deg", "margin", "bias_deg", "noise_deg"}
@@ -140,7 +140,7 @@ def test_slow_motion_tells_little_of_delay_and_bandwidth_and_says_so(rad_s: floa
     asked_deg = 10.0 * np.sin(rad_s * segment.command_s)
     noise_deg = np.random.default_rng(0).normal(0.0, 0.1, segment.measured_s.size)
     moved_deg = PLANE.model("rudder").simulate(segment.command_s, asked_deg, segment.measured_s) + noise_deg
-    values, missing = estimate_flight(flown(command_deg=asked_deg, measured_deg=moved_deg), PLANE)
+    values, missing, _ = estimate_flight(flown(command_deg=asked_deg, measured_deg=moved_deg), PLANE)
     assert abs(values["dead_band_deg"].value) < 0.05
     truth = {"delay_s": 0.004, "bandwidth_hz": 28.49 / (2.0 * np.pi)}
     for name, value in truth.items():

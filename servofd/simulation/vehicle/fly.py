@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from logparsers.link import Link
     from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.simulation.vehicle.messages import Send
+    from servofd.simulation.vehicle.remote_log import Send
 
 _BEAT_S: Final = 0.5
 _TICK_S: Final = 0.02

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from logparsers.protocol import RemoteLogCommand
-from servofd.simulation.vehicle.messages import Send
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from logparsers.dataflash.encode import Rows
 
@@ -33,6 +32,13 @@ Client = tuple[int, int]
 """System and component."""
 
 
+class Send(NamedTuple):
+    """A message that shall leave."""
+
+    name: str
+    fields: Mapping[str, Any]
+
+
 class RemoteLog:
     """Sends a log as it is written, with the buffer, the pace and the patience of ArduPilot's AP_Logger_MAVLink.
 
@@ -46,11 +52,24 @@ class RemoteLog:
 
     def __init__(self, rows: Rows, speed: float = 1.0, stalls_us: Sequence[tuple[int, int]] = ()) -> None:
         self._rows = rows
-        self._speed = max(speed, 1.0)
         self._stalls_us = tuple(stalls_us)
-        self._session: _Session | None = None
+        self._room = round(_BUFFER * max(speed, 1.0))
+        self._again_us = round(_AGAIN_US * max(speed, 1.0))
+        self._gone_us = round(_GONE_US * max(speed, 1.0))
+        self._prologue = int(np.isin(rows.named, _PROLOGUE).sum())
+        self._client: Client | None = None
+        self._begin(0)
         self.dropped = 0
         """Rows that found no room."""
+
+    def _begin(self, now_us: int) -> None:
+        """Begin the log anew, with nothing sent."""
+        self._begun_us = self._response_us = now_us
+        self._blocks: dict[int, bytes] = {}
+        self._sent_us: dict[int, int] = {}
+        self._next_number = self._row = 0
+        self._partial = b""
+        self._resume = max(self._prologue, int(np.searchsorted(self._rows.time_us, now_us)))
 
     def receive(self, client: Client, seqno: int, *, arrived: bool, now_us: int) -> None:
         """Take a REMOTE_LOG_BLOCK_STATUS.
@@ -59,58 +78,40 @@ class RemoteLog:
         of `RemoteLogCommand`.
         """
         if arrived and seqno == RemoteLogCommand.START:
-            if self._session is None:
-                self._session = _Session(self._rows, client, now_us, self._speed)
-        elif self._session is not None and client == self._session.client:
+            if self._client is None:
+                self._client = client
+                self._begin(now_us)
+        elif client == self._client:
             if arrived and seqno == RemoteLogCommand.STOP:
-                self._session = None
-            else:
-                self._session.answer(seqno, arrived, now_us)
+                self._client = None
+            elif seqno in self._sent_us:
+                self._response_us = now_us
+                if arrived:
+                    del self._sent_us[seqno], self._blocks[seqno]
+                else:
+                    self._sent_us[seqno] = now_us - self._again_us
 
     def due(self, now_us: int) -> list[Send]:
         """Write the rows that were made since the last time, and give the blocks to send now."""
-        if self._session is not None and self._session.is_forsaken():
-            self._session = None
-        if self._session is None:
+        if self._sent_us and max(self._sent_us.values()) - self._response_us > self._gone_us:
+            self._client = None
+        if self._client is None:
             return []
-        self.dropped += self._session.write(now_us)
+        self._write(now_us)
         if any(begin_us <= now_us < end_us for begin_us, end_us in self._stalls_us):
             return []
-        return self._session.due(now_us)
+        again = [n for n, sent_us in self._sent_us.items() if now_us - sent_us >= self._again_us]
+        new = [n for n in self._blocks if n not in self._sent_us][:_PER_TURN]
+        for number in (*again, *new):
+            self._sent_us[number] = now_us
+        to = {"target_system": self._client[0], "target_component": self._client[1]}
+        return [
+            Send("REMOTE_LOG_DATA_BLOCK", {**to, "seqno": number, "data": list(self._blocks[number])})
+            for number in (*again, *new)
+        ]
 
-
-class _Session:
-    """What one client gets."""
-
-    def __init__(self, rows: Rows, client: Client, now_us: int, speed: float) -> None:
-        self.client = client
-        self._rows, self._begun_us = rows, now_us
-        self._room = round(_BUFFER * speed)
-        self._again_us = round(_AGAIN_US * speed)
-        self._gone_us = round(_GONE_US * speed)
-        self._blocks: dict[int, bytes] = {}
-        self._sent_us: dict[int, int] = {}
-        self._response_us = now_us
-        self._next_number = 0
-        self._partial = b""
-        self._prologue = int(np.isin(rows.named, _PROLOGUE).sum())
-        self._resume = max(self._prologue, int(np.searchsorted(rows.time_us, now_us)))
-        self._row = 0
-
-    def answer(self, seqno: int, arrived: bool, now_us: int) -> None:
-        if seqno in self._sent_us:
-            self._response_us = now_us
-            if arrived:
-                del self._sent_us[seqno], self._blocks[seqno]
-            else:
-                self._sent_us[seqno] = now_us - self._again_us
-
-    def is_forsaken(self) -> bool:
-        return bool(self._sent_us) and max(self._sent_us.values()) - self._response_us > self._gone_us
-
-    def write(self, now_us: int) -> int:
-        """Rows up to now; gives how many found no room."""
-        dropped = 0
+    def _write(self, now_us: int) -> None:
+        """Rows up to now; those that find no room are dropped."""
         rows = self._rows
         while self._row < rows.ends.size and rows.time_us[self._row] <= now_us:
             begin = int(rows.ends[self._row - 1]) if self._row else 0  # the definitions go with the first row
@@ -120,18 +121,10 @@ class _Session:
             elif self._row < self._prologue:
                 break
             else:
-                dropped += 1
+                self.dropped += 1
             self._row += 1
             if self._row == self._prologue:
                 self._row = self._resume
-        return dropped
-
-    def due(self, now_us: int) -> list[Send]:
-        again = [n for n, sent_us in self._sent_us.items() if now_us - sent_us >= self._again_us]
-        new = [n for n in self._blocks if n not in self._sent_us][:_PER_TURN]
-        for number in (*again, *new):
-            self._sent_us[number] = now_us
-        return [self._message(number) for number in (*again, *new)]
 
     def _stamped(self, content: bytes) -> bytes:
         """A row at the beginning of a log is written when that begins, whenever the vehicle was booted."""
@@ -148,7 +141,3 @@ class _Session:
             self._next_number += 1
             waiting = waiting[_BLOCK:]
         self._partial = waiting
-
-    def _message(self, number: int) -> Send:
-        target = {"target_system": self.client[0], "target_component": self.client[1]}
-        return Send("REMOTE_LOG_DATA_BLOCK", {**target, "seqno": number, "data": list(self._blocks[number])})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,16 +14,17 @@ from logparsers.mavlink import message_name
 from logparsers.protocol import LONGEST_TEXT, NO_INDEX, Capability, Command, Component, ParameterType, Result, Severity
 from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, suggest
-from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
+from servofd.simulation.pulses import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.surroundings import microseconds
-from servofd.simulation.telemetry_writer import FEEDBACK, VERSION
-from servofd.simulation.vehicle.messages import Send, Telemetry
-from servofd.simulation.vehicle.remote_log import RemoteLog
+from servofd.simulation.telemetry_writer import FEEDBACK, VERSION, air_rows, beats, servo_rows
+from servofd.simulation.vehicle.remote_log import RemoteLog, Send
 from servofd.simulation.vehicle.troubles import Edit, Stall, Trouble
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
 
     from logparsers.codec import Received
     from servofd.aircraft.schema import Aircraft
@@ -256,6 +258,47 @@ def _chunks(words: str) -> list[Send]:
         Send("STATUSTEXT", {"severity": Severity.INFO, "text": piece, "id": 1, "chunk_seq": n})
         for n, piece in enumerate(pieces)
     ]
+
+
+class Telemetry:
+    """Rows of a flight, in the numbers that its ``.tlog`` would hold.
+
+    `flight`: with outputs. `aircraft`: tells which servos report their positions. `feedback`: how, as in
+    `servofd.simulation.telemetry_writer.servo_rows`.
+    """
+
+    def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> None:
+        self._series: dict[str, list[_Series]] = defaultdict(list)
+        for name, made_us, columns in (*beats(flight), *servo_rows(flight, aircraft, feedback), *air_rows(flight)):
+            self._series[name].append(_Series(made_us, {key: np.asarray(column) for key, column in columns.items()}))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Messages that there are."""
+        return tuple(self._series)
+
+    def newest(self, name: str, now_us: int, *, again: bool = False) -> list[Send]:
+        """Latest row of each source of a message.
+
+        `again`: also if it was given before. Result: None that is yet to be made.
+        """
+        return [Send(name, row) for series in self._series[name] if (row := series.row(now_us, again)) is not None]
+
+
+class _Series:
+    """One source of a message."""
+
+    def __init__(self, made_us: IntArray, columns: dict[str, NDArray[Any]]) -> None:
+        self._made_us = made_us
+        self._columns = columns
+        self._last = -1
+
+    def row(self, now_us: int, again: bool) -> dict[str, Any] | None:
+        at = int(np.searchsorted(self._made_us, now_us, side="right")) - 1
+        if at < 0 or (at == self._last and not again):
+            return None
+        self._last = at
+        return {key: column[at].tolist() for key, column in self._columns.items()}
 
 
 _PER_TURN: Final = 5
