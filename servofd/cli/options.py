@@ -149,7 +149,7 @@ def _audit(parser: Parser) -> None:
         "of many logs, tables (Parquet) and a page, to which the next call adds what is new"
     )
     parser.workers()
-    parser.set_defaults(pages=None)
+    parser.set_defaults(pages=None, looks=False)
 
 
 def _info(parser: Parser) -> None:
@@ -587,5 +587,5 @@ def look_parser() -> argparse.ArgumentParser:
     )
     _audit(parser)
     parser.flag("--no-open", "write the page, and do not open it")
-    parser.set_defaults(verb="look")
+    parser.set_defaults(verb="audit", looks=True)
     return parser

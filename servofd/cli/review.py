@@ -1,31 +1,38 @@
-"""``servofd review``: recordings read back without their logs."""
+"""``servofd review``: recordings read back without their logs; ``--view``: shown in the viewer."""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.batch.key import Job
 from servofd.cli.terminal import (
     check_targets,
     complain,
     give_json,
     print_document,
     print_lines,
+    progress,
     say,
     show,
     worst,
 )
 from servofd.core.errors import ConfigError, RecordingError
-from servofd.jobs.workflow import FailedLog
+from servofd.feedback.flown import known_aircraft
+from servofd.jobs.workflow import FailedLog, audit
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.recording.read import read_recording
+from servofd.outputs.recording import save_recording
+from servofd.outputs.recording.read import is_recording, read_recording
 from servofd.outputs.recording.review import contradictions, rejudged
 from servofd.outputs.recording.states import events
+from servofd.outputs.recording.stream import shown
 from servofd.outputs.recording.verdicts import LIVE
+from servofd.outputs.recording.viewer import check_display, open_viewer
 from servofd.outputs.sentence import STATUSES, whole_sentence
 from servofd.outputs.sentence import worst as worst_of
 
@@ -134,3 +141,25 @@ def _compare(options: Options, path: Path) -> int:
     documents = [audit_document([audit]) for audit in audits]
     show(compare_report((path.name, Path(options.compare).name), documents), json=options.json)
     return int(any(audit.has_fault for audit in audits))
+
+
+def run_view(options: Options) -> int:
+    """Open the viewer, after an audit if need be."""
+    path = Path(options.file)
+    recorded, whole = is_recording(path), str(path.resolve())
+    check_display()
+    if recorded and shown(whole) == whole:
+        open_viewer(path)
+        return 0
+    with tempfile.TemporaryDirectory(prefix="servofd-") as folder:
+        recording = Path(folder) / f"{shown(path.stem)}.rrd"
+        if recorded:
+            # The viewer draws the name of the file, and crashes at a letter that its font lacks.
+            recording.symlink_to(whole)
+        else:
+            with progress(path.name, 1) as step:  # the first run of a log
+                found = next(audit(options.file, Job(known_aircraft(options.config), options.servo), progress=step))
+            save_recording(found, recording)
+            print_document(audit_report([found]))
+        open_viewer(recording)
+    return 0

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import re
+import sys
+import webbrowser
 from dataclasses import dataclass
 from html import unescape
 from importlib.metadata import version
@@ -67,6 +70,23 @@ def source_tag(log: str) -> str:
     from markupsafe import escape
 
     return f'<meta name="servofd-log" content="{escape(log)}">'
+
+
+def is_page_of(page: Path, log: str) -> bool:
+    """Whether a page is ours, and of a log of this name: only then it is overwritten without a question."""
+    return source_tag(log) in _head(page)
+
+
+def has_display() -> bool:
+    """Whether there is a screen for windows."""
+    linux = sys.platform.startswith("linux")
+    return not linux or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def open_page(address: str) -> None:
+    """Show a page to whoever sits there: not where there is no display, or the output goes to a file."""
+    if has_display() and sys.stdout.isatty():
+        webbrowser.open(address)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import socket
-import sys
-import webbrowser
 from contextlib import suppress
 from http import HTTPStatus
 from typing import TYPE_CHECKING
@@ -15,6 +12,8 @@ from urllib.parse import urlsplit
 import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
+
+from servofd.outputs.page import open_page
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -74,8 +73,7 @@ def serve(app: ASGIApp, listening_socket: socket.socket, link: str = "") -> None
     config = uvicorn.Config(
         app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=1, lifespan="off"
     )
-    display = not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if link and display and sys.stdout.isatty():
-        webbrowser.open(link)
+    if link:
+        open_page(link)
     with suppress(KeyboardInterrupt):
         uvicorn.Server(config).run([listening_socket])

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from servofd.core.errors import RecordingError
+from servofd.outputs.page import has_display
 
 _WITH_ITS_EXIT_CODE = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """``python -m rerun_cli`` always ends with 0."""
@@ -39,7 +40,7 @@ _OTHER_WAYS = "'servofd audit LOG --rrd FILE' keeps the recording for another ma
 
 def check_display() -> None:
     """Refuse to open a window where there is none."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not has_display():
         raise RecordingError(f"no display to open the viewer on (DISPLAY is not set): {_OTHER_WAYS}")
 
 
