@@ -43,22 +43,15 @@ _COLOURS = {
 
 def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     """Draw one surface into a PNG file."""
-    figure = audit_figure(audit)
     reason = textwrap.fill(audit.reason, _TITLE_COLUMNS)
-    figure.axes[0].set_title(f"{title}   {audit.surface}: {audit.status}\n{reason}", loc="left", fontsize=10)
-    write_whole(path, saved(figure, Path(path).suffix.lstrip(".") or "png"))
+    write_whole(path, chart_png(flight_chart(audit), f"{title}   {audit.surface}: {audit.status}\n{reason}"))
 
 
-def audit_figure(audit: SurfaceAudit) -> Figure:
-    """Draw the whole flight of one surface."""
-    return chart_figure(flight_chart(audit))
-
-
-def chart_png(chart: Chart, kind: str = "png") -> bytes:
-    """A chart as PNG, or a picture of another kind, under its title."""
+def chart_png(chart: Chart, title: str = "") -> bytes:
+    """A chart as PNG, under its title or another."""
     figure = chart_figure(chart)
-    figure.axes[0].set_title(chart.title, loc="left", fontsize=10)
-    return saved(figure, kind)
+    figure.axes[0].set_title(title or chart.title, loc="left", fontsize=10)
+    return saved(figure)
 
 
 def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figure:
