@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import FlightLog
-    from servofd.axes.verdict import AxisAudit
-    from servofd.detection.verdict import CurrentAudit, Fault, LogAudit, SurfaceAudit
+    from servofd.axes.verdict import AxisAudit, AxisEvent
+    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
     from servofd.flight.judge import FlightAlone
 
 
-_OF_FAULT = ("kind", "level", "start_s", "alarm_s", "end_s", "probability", "named_s")
+_OF_FAULT = ("kind", "level", "start_s", "alarm_s", "end_s", "probability", "named_s", "witness")
 
 
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
@@ -81,7 +81,10 @@ def _about(log: FlightLog) -> dict[str, Any]:
 
 _OF_CHANGE = ("alarm_s", "explained_share", "judged_share", "judged_from_s", "judged_until_s", "since_s", "status")
 _OF_AXIS = ("status", "reason", "since_s", "false_alarms_per_hour", "judged_share")
+_OF_CURRENT = ("status", "reason", "explained_share", "ratio_to_good", "since_s", "judged_share")
 _OF_EVENT = ("start_s", "alarm_s", "end_s", "from_start")
+_OF_STATISTICS = ("mean_deg", "std_deg", "max_abs_deg")
+_OF_SURFACE = ("status", "reason", "servo", "judged_share", "false_alarms_per_hour", "feedback", "tried")
 
 
 def _named(of: object, names: Sequence[str]) -> dict[str, Any]:
@@ -116,49 +119,29 @@ def _axis(axis: AxisAudit) -> dict[str, Any]:
         "identifiable": axis.identifiable >= MOST_OF_THE_FLIGHT,
         "identifiable_share": axis.identifiable,
         "detectable": {name: size if math.isfinite(size) else None for name, size in smallest.items()},
-        "events": [
-            {
-                **_named(event, _OF_EVENT),
-                "lost_share": event.lost_share._asdict() if axis.model.own_command else None,
-                "offset_us": event.offset_us._asdict() if axis.model.own_command else None,
-                "lag_s": None if event.lag_s is None else event.lag_s._asdict(),
-                "cause": event.cause or None,
-            }
-            for event in axis.events
-        ],
+        "events": [_event(event, own_command=axis.model.own_command) for event in axis.events],
     }
+
+
+def _event(event: AxisEvent, *, own_command: bool) -> dict[str, Any]:
+    sizes = {"lost_share": event.lost_share, "offset_us": event.offset_us} if own_command else {}
+    found = {name: size and size._asdict() for name, size in (sizes | {"lag_s": event.lag_s}).items()}
+    return {**_named(event, _OF_EVENT), "lost_share": None, "offset_us": None, **found, "cause": event.cause or None}
 
 
 def _surface(surface: SurfaceAudit) -> dict[str, Any]:
     statistics = surface.statistics
     return {
-        "status": surface.status,
-        "reason": surface.reason,
-        "servo": surface.servo,
+        **_named(surface, _OF_SURFACE),
         "model": surface.model.model_dump(),
         "detectable": surface.detectable.document(),
-        "judged_share": surface.judged_share,
         "threshold": {"kind": surface.threshold_kind, "deg": surface.threshold_deg},
-        "residual": None
-        if statistics is None
-        else {
-            "mean_deg": statistics.mean_deg,
-            "std_deg": statistics.std_deg,
-            "max_abs_deg": statistics.max_abs_deg,
-            "outline": list(surface.outline),
-        },
-        "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
-        "false_alarms_per_hour": surface.false_alarms_per_hour,
-        "feedback": surface.feedback,
-        "tried": surface.tried,
-        **({} if surface.current is None else {"current": _current(surface.current)}),
+        "residual": statistics and _named(statistics, _OF_STATISTICS) | {"outline": list(surface.outline)},
+        "simulation_error_rms_deg": statistics and statistics.simulation_error_rms_deg,
+        **({} if surface.current is None else {"current": _named(surface.current, _OF_CURRENT)}),
         "faults": _faults(surface.surface, surface.faults),
         "suspicions": _faults(f"{surface.surface}-suspected", surface.suspicions),
     }
-
-
-def _current(current: CurrentAudit) -> dict[str, Any]:
-    return _named(current, ("status", "reason", "explained_share", "ratio_to_good", "since_s", "judged_share"))
 
 
 def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
@@ -169,8 +152,7 @@ def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
 def _fault(identity: str, fault: Fault) -> dict[str, Any]:
     return _named(fault, _OF_FAULT) | {
         "id": identity,
-        "witness": fault.witness,
-        "confirmed_by": None if fault.confirmed_by is None else _fault(f"{identity}-confirmed", fault.confirmed_by),
+        "confirmed_by": fault.confirmed_by and _fault(f"{identity}-confirmed", fault.confirmed_by),
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
         "alternatives": list(fault.alternatives),

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from servofd.core.files import beginning
 from servofd.outputs.palette import BANNER_COLOURS, STATUS_COLOURS
 from servofd.outputs.plain import plain
+from servofd.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,7 +56,7 @@ def html_page(document: Document, template: str = "document.html", **values: Any
     environment.filters["kind"] = lambda part: type(part).__name__
     environment.filters["typed"] = lambda text: Markup(_TYPED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704
     text = environment.get_template(template).render(
-        versions=_versions(),
+        versions={"servofd": __version__, "Python": platform.python_version(), **{n: version(n) for n in _PACKAGES}},
         status_colours=STATUS_COLOURS,
         banner_colours=BANNER_COLOURS,
         source_tag=lambda log: Markup(source_tag(log)),  # noqa: S704 - escaped there
@@ -119,9 +120,3 @@ def _head(path: Path) -> str:
         return beginning(path, _HEAD_BYTES).decode(errors="replace")
     except OSError:
         return ""
-
-
-def _versions() -> dict[str, str]:
-    from servofd.version import __version__
-
-    return {"servofd": __version__, "Python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
