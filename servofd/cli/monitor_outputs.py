@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -142,6 +143,8 @@ class Outputs:
             complain(self._failed[what])
 
     def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
+        # What Rerun would print of a full disk, in lines of its own, `LiveRecording.errors` tells; it reads this first.
+        os.environ.setdefault("RUST_LOG", "off")
         from servofd.outputs.live_recording import LiveRecording, Samples
         from servofd.outputs.recording.verdicts import live_verdicts
 

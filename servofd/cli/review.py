@@ -29,8 +29,8 @@ from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.read import is_recording, read_recording
 from servofd.outputs.recording.review import contradictions, rejudged
-from servofd.outputs.recording.states import events
 from servofd.outputs.recording.stream import shown
+from servofd.outputs.recording.surface import events
 from servofd.outputs.recording.verdicts import LIVE
 from servofd.outputs.recording.viewer import check_display, open_viewer
 from servofd.outputs.sentence import STATUSES, whole_sentence

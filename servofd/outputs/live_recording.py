@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import threading
 from collections import deque
 from dataclasses import dataclass, field
@@ -16,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import rerun as rr
 
 from servofd.core.errors import ConfigError
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
-from servofd.outputs.recording.states import breaks_s, ratio
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
-from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, send_styles
+from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, breaks_s, ratio, send_styles
 from servofd.outputs.recording.verdicts import MANY_VEHICLES
 
 if TYPE_CHECKING:
@@ -223,10 +222,6 @@ class _Sink:
 
 def _opened(application: str, surfaces: list[str], target: Path | int) -> Recorder:
     """A file, or a port of the loopback interface for viewers, with layout and styles."""
-    # What it would print of a full disk, in lines of its own, `errors` tells.
-    os.environ.setdefault("RUST_LOG", "off")
-    import rerun as rr
-
     stream = rr.RecordingStream(application, send_properties=False)
     rr.set_log_time_enabled(False, recording=stream)
     if isinstance(target, Path):

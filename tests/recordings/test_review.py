@@ -162,7 +162,6 @@ def test_a_recording_of_a_killed_process_is_read(tmp_path: Path) -> None:
     path = tmp_path / "killed.rrd"
     code = f"""
 import os, signal, servofd
-from servofd.outputs.recording.stream import Clock
 from servofd.outputs.recording.stream import Recorder
 from servofd.outputs.recording.write import fill, recording_of
 import rerun as rr
