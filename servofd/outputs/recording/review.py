@@ -14,7 +14,6 @@ from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.verdicts import LIVE
 
 if TYPE_CHECKING:
-    from servofd.detection.verdict import SurfaceAudit
     from servofd.outputs.recording.content import Trace
 
 
@@ -34,18 +33,13 @@ def contradictions(recording: Recording) -> list[str]:
     Statistics are computed from the curves in the same way as by the audit, so that they agree to the last bit, or
     the recording is incomplete, or was altered.
     """
-    found = []
+    found, other = [], "the verdict was made from other curves than are recorded here"
     for surface in recording.audit.surfaces:
-        if surface.statistics is None:
-            continue
         trace = recording.traces.get(surface.surface)
         now = None if trace is None else statistics_of(trace)
-        if now != surface.statistics:
+        if surface.statistics is not None and now != surface.statistics:
             until = f"end at {trace.time_s[-1]:.2f} s" if trace is not None and trace.time_s.size else "are missing"
-            found.append(
-                f"{surface.surface}: the verdict was made from other curves than are recorded here (they {until}): "
-                "incomplete or altered"
-            )
+            found.append(f"{surface.surface}: {other} (they {until}): incomplete or altered")
     return found
 
 
@@ -56,27 +50,16 @@ def rejudged(recording: Recording) -> Recording:
     """
     audit = recording.audit
     audit = replace(audit, log=replace(audit.log, span_s=(recording.start_s, recording.end_s)))
-    recording = replace(recording, audit=audit)
-    judged = tuple(_judged(recording, surface) for surface in audit.surfaces)
-    again = Recording.of(replace(audit, surfaces=judged))
+    surfaces = []
+    for surface in audit.surfaces:
+        trace, known = recording.traces.get(surface.surface), audit.aircraft.surfaces[surface.surface]
+        if trace is not None and trace.time_s.size > 1:
+            streamed = is_streamed(audit.log.format, known.command.channel)
+            segment = trace.segment(surface.surface, known.command_period_s, is_streamed=streamed)
+            expected, duration_s = surface.expected, audit.log.duration_s
+            surfaces.append(audit_segment(segment, audit.aircraft, duration_s=duration_s, expected=expected))
+        else:
+            surfaces.append(surface)
+    again = Recording.of(replace(audit, surfaces=tuple(surfaces)))
     notes = (*(n for n in recording.notes if n != LIVE), "judged again, by the recorded threshold")
-    return replace(
-        recording, audit=replace(again.audit, log=audit.log), traces={**recording.traces, **again.traces}, notes=notes
-    )
-
-
-def _judged(recording: Recording, surface: SurfaceAudit) -> SurfaceAudit:
-    trace = recording.traces.get(surface.surface)
-    known = recording.audit.aircraft.surfaces[surface.surface]
-    if trace is None or trace.time_s.size < 2:
-        return surface
-    return audit_segment(
-        trace.segment(
-            surface.surface,
-            known.command_period_s,
-            is_streamed=is_streamed(recording.audit.log.format, known.command.channel),
-        ),
-        recording.audit.aircraft,
-        duration_s=recording.audit.log.duration_s,
-        expected=surface.expected,
-    )
+    return Recording(replace(again.audit, log=audit.log), {**recording.traces, **again.traces}, notes)
