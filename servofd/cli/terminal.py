@@ -34,11 +34,12 @@ def say(text: str = "", *, end: str = "\n") -> None:
     print(plain(text), end=end, flush=True)
 
 
-def tell(sentence: str) -> None:
-    """Print a sentence to stdout, folded between its words where that is a terminal."""
+def tell(*sentences: str) -> None:
+    """Print sentences to stdout, each folded between its words where that is a terminal."""
     from rich.text import Text
 
-    _console().print(Text(one_line(sentence)))
+    for sentence in sentences:
+        _console().print(Text(one_line(sentence)))
 
 
 def say_aside(text: str) -> None:

@@ -46,7 +46,7 @@ def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
 
 def to_json(document: Mapping[str, Any]) -> str:
     """Text of a document; values that JSON cannot hold (NaN, infinity) become null."""
-    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+    return json.dumps(finite(document), indent=2, allow_nan=False) + "\n"
 
 
 def _log(result: LogAudit | FailedLog) -> dict[str, Any]:
@@ -159,11 +159,18 @@ def _fault(identity: str, fault: Fault) -> dict[str, Any]:
     }
 
 
-def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
+def finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
+    """A value with null where JSON cannot hold a number.
+
+    Examples
+    --------
+    >>> finite({"a": [float("nan"), 1.0]})
+    {'a': [None, 1.0]}
+    """
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return value
