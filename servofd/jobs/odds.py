@@ -137,6 +137,5 @@ def _pooled(name: str, met: list[tuple[LogAudit, SurfaceAudit]]) -> SurfaceOdds 
     if not noise.sigma_deg > 0.0:
         return "the residual never changes: there is no noise to judge by"
     alarms = crossings(residual_deg, threshold_deg)
-    return SurfaceOdds(
-        name, servo, design, noise, threshold_deg, judged_s / S_PER_HOUR, alarms=alarms, notes=tuple(notes)
-    )
+    hours = judged_s / S_PER_HOUR
+    return SurfaceOdds(name, servo, design, noise, threshold_deg, hours, alarms=alarms, notes=tuple(notes))
