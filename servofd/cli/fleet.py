@@ -70,8 +70,7 @@ def run_fleet(options: Options, job: Job) -> int:
         complain(f"passed over {what}: {some}{more}")
     with FleetStore(Path(options.output), job.key) if options.output else nullcontext() as store:
         judged = _judged(found, job, store, options)
-    kept = [run.row | {"content": one.content} for one in judged for run in one.runs]
-    logs = read_logs(Path(options.output)) if options.output else by_path(kept)
+    logs = read_logs(Path(options.output)) if options.output else by_path([row for one in judged for row in one.rows])
     seen = overview(logs)
     pages = [str(Path(folder, FLEET_PAGE))] if folder else []
     pages += [options.html] if options.html else []

@@ -24,7 +24,6 @@ from servofd.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
 
     import pyarrow as pa
 
@@ -79,11 +78,8 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
     for run in judged.runs:
         document = run.document
         start, duration_s = document.get("start_utc"), document["duration_s"]
-        log = {key: document.get(key) for key in ("path", "run")} | {
-            "content": judged.content,
-            "duration_s": duration_s,
-        }
-        log["start_utc"] = datetime.fromisoformat(start) if start else None
+        log = {"path": document["path"], "run": document.get("run"), "content": judged.content}
+        log |= {"duration_s": duration_s, "start_utc": datetime.fromisoformat(start) if start else None}
         own = {"size_bytes": judged.source.size_bytes, "not_judged": run.not_judged or None}
         own |= {"damage": len(document["damage"]), "document": json.dumps(document)}
         tables["logs"].append(_row("logs", document | log | own))
@@ -148,26 +144,23 @@ class FleetStore:
     def __init__(self, folder: Path, key: str) -> None:
         self.folder = folder
         self._lock = _only_writer(folder)
+        self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
+        self._sizes: dict[int, set[str]] = {}
+        self._written_s = time.monotonic()
         try:
             self.set_aside = _prepared(folder, key)
             """How many logs were judged otherwise, and are in ``earlier`` now."""
-            self._read_what_is_done()
+            for row in read_table(folder, "logs", ["content", "size_bytes"]):
+                if row["content"]:
+                    self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
         except BaseException:
             self._lock.close()
             raise
 
-    def _read_what_is_done(self) -> None:
-        self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
-        self._sizes: dict[int, set[str]] = {}
-        self._written_s = time.monotonic()
-        for row in read_table(self.folder, "logs", ["content", "size_bytes", "not_judged"]):
-            if row["content"]:
-                self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
-
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -222,8 +215,8 @@ class FleetStore:
         import pyarrow.parquet as pq
 
         for path in sorted((self.folder / "logs").glob("*.parquet")):
-            table = _read_part(path)
-            kept = table.filter(pa.array([bool(content) for content in table["content"].to_pylist()], pa.bool_()))
+            table, rows = _read_part(path)
+            kept = table.filter(pa.array([bool(row["content"]) for row in rows], pa.bool_()))
             if len(kept) < len(table):
                 with whole_file(path) as temporary:
                     pq.write_table(kept, temporary, write_page_checksum=True)
@@ -231,31 +224,20 @@ class FleetStore:
 
 def read_table(folder: Path, name: str, columns: list[str] | None = None) -> list[dict[str, Any]]:
     """Rows of one table of a folder of results."""
-    return [row for path in sorted((folder / name).glob("*.parquet")) for row in _rows(path, columns)]
+    return [row for path in sorted((folder / name).glob("*.parquet")) for row in _read_part(path, columns)[1]]
 
 
-def _rows(path: Path, columns: list[str] | None) -> list[dict[str, Any]]:
-    try:
-        rows: list[dict[str, Any]] = _read_part(path, columns).to_pylist()
-    except UnicodeDecodeError as error:
-        raise _damaged(path, error) from None
-    return rows
-
-
-def _read_part(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """One file of a table; damage is found by the check-sums of its pages."""
+def _read_part(path: Path, columns: list[str] | None = None) -> tuple[pa.Table, list[dict[str, Any]]]:
+    """One file of a table, and its rows; damage is found by the check-sums of its pages."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        return pq.read_table(path, columns=columns, page_checksum_verification=True)
+        table = pq.read_table(path, columns=columns, page_checksum_verification=True)
+        return table, table.to_pylist()
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise _damaged(path, error) from None
-
-
-def _damaged(path: Path, error: Exception) -> ConfigError:
-    reason = str(error).splitlines()[0]
-    return ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again")
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again") from None
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:
@@ -264,15 +246,9 @@ def read_logs(folder: Path) -> list[dict[str, Any]]:
     if not meta.is_file():
         raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")
     _read_meta(meta)
-    logs = [
-        {
-            "document": json.loads(row["document"]),
-            "not_judged": row["not_judged"] or "",
-            "content": row["content"] or "",
-        }
-        for row in read_table(folder, "logs", ["document", "not_judged", "content"])
-    ]
-    return by_path(logs)
+    kept = read_table(folder, "logs", ["document", "not_judged", "content"])
+    texts = [{name: row[name] or "" for name in ("not_judged", "content")} for row in kept]
+    return by_path([one | {"document": json.loads(row["document"])} for one, row in zip(texts, kept, strict=True)])
 
 
 def by_path(logs: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -308,7 +284,11 @@ def _prepared(folder: Path, key: str) -> int:
             _move(earlier, folder)
         for name in TABLES:
             (folder / name).mkdir(exist_ok=True)
-        _remove_orphans(folder)
+        # Parts that a killed run wrote without the logs they belong to; those logs are judged again.
+        whole = {path.name for path in (folder / "logs").glob("*.parquet")}
+        for path in (path for name in TABLES for path in (folder / name).glob("*.parquet")):
+            if path.name not in whole:
+                path.unlink()
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written to: {error.strerror}") from None
     write_whole(meta, (json.dumps({"schema": _SCHEMA, "servofd": __version__, "job": key}, indent=2) + "\n").encode())
@@ -336,15 +316,6 @@ def _move(source: Path, target: Path) -> None:
             (source / name).rename(target / name)
 
 
-def _remove_orphans(folder: Path) -> None:
-    """Parts that a killed run wrote without the logs they belong to; those logs are judged again."""
-    whole = {path.name for path in (folder / "logs").glob("*.parquet")}
-    for name in TABLES:
-        for path in (folder / name).glob("*.parquet"):
-            if path.name not in whole:
-                path.unlink()
-
-
 _NAME = ".lock"
 _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
@@ -356,23 +327,18 @@ def locked(folder: Path) -> BinaryIO:
     """
     file = (folder / _NAME).open("ab")
     try:
-        _lock(file)
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in _TAKEN:
             file.close()
-            raise ConfigError(
-                f"{folder}: another audit writes its results here; wait for it, or choose another folder"
-            ) from None
+            other = "another audit writes its results here; wait for it, or choose another folder"
+            raise ConfigError(f"{folder}: {other}") from None
         # A file system that knows no locks: other processes cannot be kept out.
     return file
-
-
-def _lock(file: BinaryIO) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from rich.console import Console
 
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
@@ -212,12 +211,9 @@ class Audit(LogAudit, Shown):
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
         if name is not None:
             return self._drawn(self[name], ax)
-        surfaces = [
-            one.surface
-            for one in self.surfaces
-            if (one.residuals is not None and one.threshold is not None) or one.feedback == "current"
-        ]
-        drawn = [self[one] for one in surfaces or [axis.axis for axis in self.axes]]
+        judged = ((s, s.residuals is not None and s.threshold is not None) for s in self.surfaces)
+        drawn = [self[s.surface] for s, has_curves in judged if has_curves or s.feedback == "current"]
+        drawn = drawn or [self[axis.axis] for axis in self.axes]
         if not drawn:
             raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
         return self._drawn(min(drawn, key=lambda one: LEAST_CLEARED.index(one.status)), ax)
@@ -382,19 +378,10 @@ def _fleet_of(inputs: list[str], job: Job) -> Fleet:
 
     logs = find_logs(inputs, layout_of(job.aircraft)).logs
     bar = Console(stderr=True)
-    judged = track(
-        audit_fleet(logs, job),
-        f"{len(logs)} logs",
-        len(logs),
-        console=bar,
-        transient=True,
-        disable=not _is_watched(bar),
-    )
-    return Fleet._of(overview(by_path([run.row | {"content": one.content} for one in judged for run in one.runs])))
-
-
-def _is_watched(console: Console) -> bool:
-    return console.is_terminal or console.is_jupyter
+    unseen = not (bar.is_terminal or bar.is_jupyter)
+    judging = audit_fleet(logs, job)
+    judged = track(judging, f"{len(logs)} logs", len(logs), console=bar, transient=True, disable=unseen)
+    return Fleet._of(overview(by_path([row for one in judged for row in one.rows])))
 
 
 @in_words_of_python

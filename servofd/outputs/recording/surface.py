@@ -197,15 +197,7 @@ _PERIODS = 5.0
 
 
 def _silences(trace: Trace) -> list[tuple[float, float]]:
-    """From when to when nothing was judged for half a second and more [s].
-
-    Examples
-    --------
-    >>> from servofd.outputs.recording.content import Trace
-    >>> t = np.array([0.0, 0.1, 0.2, 5.0, 5.1])
-    >>> silences(Trace(t, t, t, t, t, t, t, t))
-    [(0.2, 5.0)]
-    """
+    """From when to when nothing was judged for half a second and more [s]."""
     judged_s = trace.time_s[np.isfinite(trace.residual_deg)]
     edges_s = np.concatenate([trace.time_s[:1], judged_s, trace.time_s[-1:]])
     long = np.flatnonzero(np.diff(edges_s) >= _SHORTEST_SILENCE_S)
