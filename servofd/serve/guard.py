@@ -43,9 +43,13 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        answer = _refused(headers)
-        await (answer or self._app)(scope, receive, _with_headers(send))
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_HEADERS)
+            await send(message)
+
+        await (_refused(Headers(scope=scope)) or self._app)(scope, receive, sent)
 
 
 def _refused(headers: Headers) -> PlainTextResponse | None:
@@ -57,15 +61,6 @@ def _refused(headers: Headers) -> PlainTextResponse | None:
     if asker is not None and urlsplit(asker).netloc != host:
         return PlainTextResponse("another site may not ask this", HTTPStatus.FORBIDDEN)
     return None
-
-
-def _with_headers(send: Send) -> Send:
-    async def sent(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(_HEADERS)
-        await send(message)
-
-    return sent
 
 
 def serve(app: ASGIApp, listening_socket: socket.socket, link: str = "") -> None:

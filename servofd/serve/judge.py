@@ -25,6 +25,7 @@ from servofd.serve.preview import preview, what_it_is
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from servofd.core.types import FloatArray
     from servofd.detection.verdict import LogAudit
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
@@ -48,8 +49,6 @@ class Summary:
     start_utc: str | None = None
     surface: str = ""
     outline: tuple[float | None, ...] = ()
-    alarm_s: float | None = None
-    """When the first alarm would have been raised [s]."""
     key: str = ""
     """Of the `servofd.batch.key.Job` that judged it."""
     too_long: bool = False
@@ -79,7 +78,8 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     report = audit_report(results)
     document = json.loads(to_json(report.data).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1]))
     audits = [result for result in results if not isinstance(result, FailedLog)]
-    too_long = bool(audits) and _positions(audits[0]) > _MOST_RECORDED
+    segments = [surface.segment for audit in audits[:1] for surface in audit.surfaces]
+    too_long = sum(segment.measured_s.size for segment in segments if segment is not None) > _MOST_RECORDED
     summary = replace(_summary(results, document["logs"], report.sentence, job), too_long=too_long)
     if not audits:
         summary = _unread(Path(log), results, summary)
@@ -104,9 +104,9 @@ def _curves(audit: LogAudit) -> bytes:
     """What each surface did, as arrays of a file that is read without running anything."""
     tracks = {one.surface: track for one in audit.surfaces if (track := track_of(one, _POINTS)) is not None}
     content = io.BytesIO()
-    arrays = {
-        f"{k}.{field}": array for k, track in enumerate(tracks.values()) for field, array in track._asdict().items()
-    }
+    arrays: dict[str, FloatArray] = {}
+    for k, track in enumerate(tracks.values()):
+        arrays |= {f"{k}.{field}": array for field, array in track._asdict().items()}
     np.savez_compressed(content, names=np.array(list(tracks), dtype=str), **arrays)
     return content.getvalue()
 
@@ -143,10 +143,6 @@ def so_far(folder: Path, words: str) -> Callable[[str], None]:
     return tell
 
 
-def _positions(audit: LogAudit) -> int:
-    return sum(surface.segment.measured_s.size for surface in audit.surfaces if surface.segment is not None)
-
-
 def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) -> Summary:
     """What was not judged: a table whose columns are to be chosen, no log at all, or a log that was not read."""
     known = preview(log)
@@ -162,10 +158,7 @@ def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) ->
 
 
 def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], sentence: str, job: Job) -> Summary:
-    """Of several runs the status of the worst and the sentence of the page; of one log its own.
-
-    Of a log that could not be judged it is that of its page as well.
-    """
+    """Of several runs the status of the worst and the sentence of the page; of one log, judged or not, its own."""
     judged = [
         (LEAST_CLEARED.index(worst((*result.surfaces, *result.axes))), result, document)
         for result, document in zip(results, documents, strict=True)
@@ -179,7 +172,6 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
             said = sentence
         return Summary("unknown", said, known.get("duration_s"), known.get("start_utc"), key=job.key)
     _, shown, document = min(judged, key=lambda one: one[0])
-    faults = [fault.alarm_s for surface in shown.surfaces for fault in surface.faults]
     name, outline = worst_outline(document)
     return Summary(
         worst((*shown.surfaces, *shown.axes)),
@@ -188,7 +180,6 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
         document["start_utc"],
         name,
         tuple(outline),
-        min(faults, default=None),
         job.key,
         surfaces=tuple(surface.surface for surface in shown.surfaces),
     )
