@@ -210,17 +210,15 @@ class Audit(LogAudit, Shown):
     def plot(self, name: str | None = None, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
         if name is not None:
-            return self._drawn(self[name], ax)
+            named: Drawn = self[name]
+            return named.plot(ax)
         judged = ((s, s.residuals is not None and s.threshold is not None) for s in self.surfaces)
         drawn = [self[s.surface] for s, has_curves in judged if has_curves or s.feedback == "current"]
         drawn = drawn or [self[axis.axis] for axis in self.axes]
         if not drawn:
             raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
-        return self._drawn(min(drawn, key=lambda one: LEAST_CLEARED.index(one.status)), ax)
-
-    @staticmethod
-    def _drawn(one: Drawn, ax: Axes | Sequence[Axes] | None) -> Figure:
-        return one.plot(ax)
+        worst: Drawn = min(drawn, key=lambda one: LEAST_CLEARED.index(one.status))
+        return worst.plot(ax)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [_row(one) for one in self.surfaces] + [
@@ -238,11 +236,7 @@ def _row(one: SurfaceAudit) -> dict[str, Any]:
         "surface": one.surface,
         "status": one.status,
         "reason": one.reason,
-        "kind": first.kind if first else None,
-        "start_s": first.start_s if first else None,
-        "alarm_s": first.alarm_s if first else None,
-        "end_s": first.end_s if first else None,
-        "probability": first.probability if first else None,
+        **{name: getattr(first, name, None) for name in ("kind", "start_s", "alarm_s", "end_s", "probability")},
         "servo": one.servo,
         "model": one.model.origin,
         "judged_share": one.judged_share,
@@ -339,15 +333,20 @@ def audit(
     if columns is not None:
         if known is not None:
             raise ConfigError("columns and aircraft both say what the columns are; give one of them")
-        if is_table(log):
-            log, columns = as_described(frame_of(log), columns)
-        known = aircraft_of_columns(columns)
+        log, known = _described(log, columns)
     names = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
     job = Job(known, servo, threshold_deg, threshold, names)
     if isinstance(log, str | Path) and not _is_one_log(str(log)):
         return _fleet_of([str(log)], job)
     found = [Audit._of(result) for result in workflow.audit(cast("Log", log), job)]
     return found[0] if len(found) == 1 else Audits(found)
+
+
+def _described(log: Any, columns: Mapping[str, str]) -> tuple[Any, Aircraft]:  # noqa: ANN401 - a log or a table
+    """A log, and the aircraft that its columns belong to."""
+    if is_table(log):
+        log, columns = as_described(frame_of(log), columns)
+    return log, aircraft_of_columns(columns)
 
 
 class Fleet(Overview, Shown):
@@ -424,7 +423,6 @@ class Comparison(Shown):
 
     def plot(self, surface: str | None = None, at_s: tuple[float, float] = (0.0, 0.0)) -> Figure:
         """Figure of one surface in both flights, the first if none is named; `at_s` of each lies at 0 [s]."""
-        needs("matplotlib")
         both = self._both()
         if surface is not None and surface not in both:
             raise UnknownName(suggest("surface of both flights", surface, both))
@@ -440,19 +438,12 @@ class Comparison(Shown):
     def _rows(self) -> list[dict[str, Any]]:
         rows = []
         for name, entries in self.report().data["surfaces"].items():
-            statuses = [entry["status"] if entry else None for entry in entries]
-            sizes = [(entry or {}).get("residual") for entry in entries]
-            first, second = (size["max_abs_deg"] if size else None for size in sizes)
-            rows.append(
-                {
-                    "surface": name,
-                    "status_a": statuses[0],
-                    "status_b": statuses[1],
-                    "max_abs_deg_a": first,
-                    "max_abs_deg_b": second,
-                    "max_abs_deg_difference": None if first is None or second is None else first - second,
-                }
-            )
+            row: dict[str, Any] = {"surface": name}
+            row |= {f"status_{one}": entry and entry["status"] for one, entry in zip("ab", entries, strict=True)}
+            sizes = ((entry or {}).get("residual") for entry in entries)
+            first, second = (size and size["max_abs_deg"] for size in sizes)
+            apart = None if first is None or second is None else first - second
+            rows.append(row | {"max_abs_deg_a": first, "max_abs_deg_b": second, "max_abs_deg_difference": apart})
         return rows
 
 
@@ -487,8 +478,6 @@ def load(
     'rad_or_count'
     """
     if columns is not None:
-        if is_table(log):
-            log, columns = as_described(frame_of(log), columns)
-        aircraft = aircraft_of_columns(columns)
+        log, aircraft = _described(log, columns)
     found = tuple(logs_of(log, known_aircraft(aircraft)))
     return found[0] if len(found) == 1 else found

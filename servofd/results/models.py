@@ -12,8 +12,7 @@ from logparsers.units import MS_PER_S
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
-from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
-from servofd.core.files import write_whole
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
 from servofd.jobs import bench, workflow
@@ -52,7 +51,6 @@ class Identified(Identification, Shown):
 
     def plot(self) -> Figure:
         """Figure of the frequency response, or of the motion where there is none."""
-        needs("matplotlib")
         charts = identify_charts(self)
         return chart_figure(charts.get("response", charts["motion"]))
 
@@ -93,29 +91,20 @@ class Explained(Shown):
 
     def plot(self) -> Figure:
         """Figure of the motion where the models differ most."""
-        needs("matplotlib")
         return chart_figure(explain_charts(self.explanation)["traces"])
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file with the better model, and give the path."""
-        text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
-        write_whole(path, text.encode())
-        return Path(path)
+        return self._save(path, model_file([self.explanation], self.aircraft, self.source, self.logs).text)
 
     def _rows(self) -> list[dict[str, Any]]:
         document = self.explanation.document()
-        first = {"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}
-        steps = [
-            {
-                "effect": step["effect"],
-                "form": step["form"],
-                "sizes": ", ".join(f"{name} = {each['value']:.4g}" for name, each in step["parameters"].items()),
-                "train_rms_deg": step["train_rms_deg"],
-                "held_out_rms_deg": step["held_out_rms_deg"],
-            }
-            for step in document["steps"]
-        ]
-        return [first, *steps]
+        rows = [{"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}]
+        for step in document["steps"]:
+            sizes = ", ".join(f"{name} = {each['value']:.4g}" for name, each in step["parameters"].items())
+            errors = {name: step[name] for name in ("train_rms_deg", "held_out_rms_deg")}
+            rows.append({"effect": step["effect"], "form": step["form"], "sizes": sizes, **errors})
+        return rows
 
 
 def _explained_of(explanation: Explanation, aircraft: Aircraft, source: str, logs: list[dict[str, Any]]) -> Explained:
@@ -160,8 +149,7 @@ class Calibrated(Calibration, Shown):
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file, and give the path."""
-        write_whole(path, self.to_toml().encode())
-        return Path(path)
+        return self._save(path, self.to_toml())
 
     def report(self) -> Document:
         """Tables of the surfaces, and the smallest faults."""
@@ -199,8 +187,7 @@ class CalibratedAxes(Shown):
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file, and give the path."""
-        write_whole(path, self.to_toml().encode())
-        return Path(path)
+        return self._save(path, self.to_toml())
 
     def report(self) -> Document:
         """Table of the axes."""
@@ -237,7 +224,6 @@ class Trend(AircraftTrend, Shown):
 
     def plot(self, surface: str | None = None) -> Figure:
         """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""
-        needs("matplotlib")
         known = {one.surface: one for one in self.surfaces}
         name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
         if name not in known:

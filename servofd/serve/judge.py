@@ -25,7 +25,6 @@ from servofd.serve.preview import preview, what_it_is
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servofd.core.types import FloatArray
     from servofd.detection.verdict import LogAudit
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
@@ -104,7 +103,7 @@ def _curves(audit: LogAudit) -> bytes:
     """What each surface did, as arrays of a file that is read without running anything."""
     tracks = {one.surface: track for one in audit.surfaces if (track := track_of(one, _POINTS)) is not None}
     content = io.BytesIO()
-    arrays: dict[str, FloatArray] = {}
+    arrays: dict[str, Any] = {}
     for k, track in enumerate(tracks.values()):
         arrays |= {f"{k}.{field}": array for field, array in track._asdict().items()}
     np.savez_compressed(content, names=np.array(list(tracks), dtype=str), **arrays)
