@@ -27,8 +27,7 @@ from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.recording import save_recording
-from servofd.outputs.recording.read import is_recording, read_recording
-from servofd.outputs.recording.review import contradictions, rejudged
+from servofd.outputs.recording.read import contradictions, is_recording, read_recording, rejudged
 from servofd.outputs.recording.stream import shown
 from servofd.outputs.recording.surface import events
 from servofd.outputs.recording.verdicts import LIVE

@@ -205,9 +205,7 @@ def _print_parts(parts: Sequence[Part], shown: Console) -> None:
         elif isinstance(part, Bullets):
             lines = part.lines
         elif isinstance(part, Table) and part.rows and not part.long:
-            print_table(
-                [str(name) for name in part.head], [[str(cell) for cell in row] for row in part.rows], part.caption
-            )
+            print_table(list(map(str, part.head)), [list(map(str, row)) for row in part.rows], part.caption)
         elif isinstance(part, Items) and part.items:
             rows = [[one.name, one.status, *filter(None, [one.beside]), one.words] for one in part.items]
             print_table(part.head, rows, "", shown)
@@ -244,22 +242,15 @@ def progress(what: str, total: int, done: int | None = None) -> Iterator[Callabl
     if not sys.stderr.isatty():
         yield lambda *_step: None
         return
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as bars
 
-    columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn()]
+    columns: list[bars.ProgressColumn] = [bars.TextColumn("{task.description}", markup=False), bars.BarColumn()]
     if done is not None:
-        columns += [MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left:"), TimeRemainingColumn()]
+        columns += [bars.MofNCompleteColumn(), bars.TimeElapsedColumn()]
+        columns += [bars.TextColumn("left:"), bars.TimeRemainingColumn()]
     # Lines on stdout go above the bar if both are on the same terminal, and past it if not.
     above = done is None or sys.stdout.isatty()
-    with Progress(*columns, console=console(stderr=True), transient=True, redirect_stdout=above) as shown:
+    with bars.Progress(*columns, console=console(stderr=True), transient=True, redirect_stdout=above) as shown:
         task = shown.add_task(what, total=total, completed=done or 0)
         yield lambda *step: shown.update(task, advance=1, description=": ".join((what, *step)))
 

@@ -32,7 +32,7 @@ from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, plain_log
+from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, over_time, plain_log
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from servofd.feedback.flown import Log
     from servofd.outputs.chart import Chart
     from servofd.outputs.document import Document
-    from servofd.results.simulated import Flown
+    from servofd.results.models import Flown
 
 
 class AuditedSurface(SurfaceAudit, Drawn):
@@ -55,11 +55,6 @@ class AuditedSurface(SurfaceAudit, Drawn):
 
     __slots__ = ()
     __repr__ = Drawn.__repr__
-
-    @property
-    def said(self) -> str:
-        """Name, status and reason."""
-        return f"{self.surface}: {self.status}: {self.reason}"
 
     def chart(self) -> Chart:
         """The whole flight of the surface."""
@@ -75,22 +70,14 @@ class AuditedSurface(SurfaceAudit, Drawn):
         One row for each position, with the time of the log as index [s]; `judged` is false while the filter settles and
         where nothing was measured. The command is the last that was sent before.
         """
-        needs("pandas")
-        import pandas as pd
-
         segment, residuals, threshold = self._curves()
-        time_s = residuals.time_s
-        return pd.DataFrame(
-            {
-                "command_deg": latest(segment.command_s, segment.command_deg, time_s),
-                "simulated_deg": residuals.simulated_deg,
-                "measured_deg": residuals.measured_deg,
-                "residual_deg": residuals.residual_deg,
-                "threshold_deg": threshold.level_deg,
-                "judged": residuals.settled,
-            },
-            index=pd.Index(time_s, name="time_s"),
-        )
+        columns = {
+            "command_deg": latest(segment.command_s, segment.command_deg, residuals.time_s),
+            **{name: getattr(residuals, name) for name in ("simulated_deg", "measured_deg", "residual_deg")},
+            "threshold_deg": threshold.level_deg,
+            "judged": residuals.settled,
+        }
+        return over_time(residuals.time_s, columns)
 
     def _curves(self) -> tuple[Series, Residuals, Threshold]:
         if self.segment is None or self.residuals is None or self.threshold is None:
@@ -104,11 +91,6 @@ class AuditedAxis(AxisAudit, Drawn):
     __slots__ = ()
     __repr__ = Drawn.__repr__
 
-    @property
-    def said(self) -> str:
-        """Name, status and reason."""
-        return f"{self.axis}: {self.status}: {self.reason}"
-
     def chart(self) -> Chart:
         """The whole flight of the axis."""
         return axis_chart(self)
@@ -118,11 +100,8 @@ class AuditedAxis(AxisAudit, Drawn):
 
         `share` is the distance from healthy over its threshold; `judged` is false outside the calibrated regime.
         """
-        needs("pandas")
-        import pandas as pd
-
         columns = {"expected": self.asked, "shown": self.shown, "share": np.sqrt(np.maximum(self.score, 0.0))}
-        return pd.DataFrame(columns | {"judged": self.inputs.usable}, index=pd.Index(self.time_s, name="time_s"))
+        return over_time(self.time_s, columns | {"judged": self.inputs.usable})
 
 
 class Audit(LogAudit, Shown):

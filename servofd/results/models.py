@@ -1,21 +1,21 @@
-"""Servos identified, explained, calibrated and followed over many flights."""
+"""Servos identified, explained, calibrated, followed over many flights, and simulated."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from logparsers import FlightLog
 from logparsers.units import MS_PER_S
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
-from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, suggest
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
-from servofd.jobs import bench, workflow
+from servofd.jobs import bench, simulating, workflow
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.calibrate_report import calibrate_report, motion_report
 from servofd.outputs.document import Table
@@ -24,7 +24,8 @@ from servofd.outputs.figure import chart_figure
 from servofd.outputs.identify_report import identify_charts, identify_report
 from servofd.outputs.model_file import model_file
 from servofd.outputs.trend_report import quantity_row, trend_chart, trend_report
-from servofd.results.shown import Shown, in_words_of_python, plain_log, shown
+from servofd.results.shown import Shown, fields_of, in_words_of_python, plain_log, shown
+from servofd.simulation.flight import SimulatedFlight
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
 if TYPE_CHECKING:
@@ -240,3 +241,29 @@ class Trend(AircraftTrend, Shown):
 
 
 trend = shown("trend", trend_logs, Trend)
+
+
+class Flown(SimulatedFlight):
+    """A simulated flight, which is a log for every verb."""
+
+    __slots__ = ()
+
+    @classmethod
+    def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
+        return cls(**fields_of(found))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """As a plain table: time, and command and measured position of each surface [deg]."""
+        needs("pandas")
+        import pandas as pd
+
+        columns = {"time_s": self.time_s}
+        for k, name in enumerate(self.surfaces):
+            columns |= {f"{name}_cmd_deg": self.command_deg[:, k], f"{name}_pos_deg": self.measured_deg[:, k]}
+        return pd.DataFrame(columns)
+
+    def __repr__(self) -> str:
+        return f"Flown: {', '.join(self.surfaces)}, {self.time_s[-1]:.1f} s"
+
+
+simulate = shown("simulate", simulating.simulate, Flown)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from logparsers import Channel
+    from servofd.core.types import FloatArray
     from servofd.outputs.chart import Chart
     from servofd.outputs.document import Document
 
@@ -157,13 +158,9 @@ class Drawn(ABC):
     __slots__ = ()
 
     def __repr__(self) -> str:
-        """What is said of it."""
-        return self.said
-
-    @property
-    @abstractmethod
-    def said(self) -> str:
         """Name, status and reason."""
+        known: Any = self
+        return f"{getattr(known, 'axis', None) or known.surface}: {known.status}: {known.reason}"
 
     @abstractmethod
     def chart(self) -> Chart:
@@ -177,6 +174,14 @@ class Drawn(ABC):
         """Figure of the whole flight; into one's own axes, the upper part into one, or all of it into several."""
         needs("matplotlib")
         return chart_figure(self.chart(), ax)
+
+
+def over_time(time_s: FloatArray, columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Table of columns over the time of a log [s]."""
+    needs("pandas")
+    import pandas as pd
+
+    return pd.DataFrame(columns, index=pd.Index(time_s, name="time_s"))
 
 
 def fields_of(found: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
