@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.outputs import is_numbered
@@ -34,15 +34,9 @@ def run(options: Options) -> int:
     if not aircraft.surfaces:
         raise ConfigError(f"{options.config}: no surface in it to calibrate; leave -c out to calibrate motion anew")
     with progress("calibrate", len(options.surface or aircraft.surfaces)) as step:
-        calibration = calibrate(
-            options.logs,
-            aircraft,
-            surfaces=tuple(options.surface),
-            spans=tuple(options.between),
-            runs=tuple(options.runs),
-            force=options.force,
-            progress=step,
-        )
+        parts: dict[str, Any] = {"spans": tuple(options.between), "runs": tuple(options.runs)}
+        wanted = tuple(options.surface)
+        calibration = calibrate(options.logs, aircraft, surfaces=wanted, **parts, force=options.force, progress=step)
     text = calibration_to_toml(calibration)
     write_whole(options.output, text.encode())
     print_document(calibrate_report(calibration, options.false_alarms_per_hour))

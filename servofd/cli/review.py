@@ -43,17 +43,33 @@ if TYPE_CHECKING:
 def run(options: Options) -> int:
     """Read, write what was asked for, print."""
     paths = _paths(options.recordings)
-    _check(options, paths)
-    if options.compare:
-        return _compare(options, paths[0])
+    if options.compare and len(paths) > 1:
+        raise ConfigError("--compare takes one recording at a time")
+    check_targets((options.json,), {"a recording": [str(path) for path in paths]})
+    if options.compare:  # two recordings beside each other; a fault in either of them is one
+        both = [paths[0], Path(options.compare)]
+        audits = [_read(path).audit for path in both]
+        report = compare_report([path.name for path in both], [audit_document([audit]) for audit in audits])
+        show(report, json=options.json)
+        return int(any(audit.has_fault for audit in audits))
     found, failed = [], []
     for path in paths:
         try:
             found.append((path, _read(path)))
         except RecordingError as error:
             failed.append((path, str(error)))
-    _show(options, found, failed)
-    return worst([*(_exit_code(recording) for _, recording in found), *(2 for _ in failed)])
+    for path, recording in found:
+        for sentence in contradictions(recording):
+            complain(sentence, path)
+        if recording.audit.not_judged:
+            complain(recording.audit.not_judged, path)
+    for _, reason in failed:
+        complain(reason)
+    if not give_json(options.json, _document(found, failed)) and found:
+        _print(found)
+    audited = [recording.audit for _, recording in found]
+    codes = (1 if one.has_fault else 2 if one.not_judged else 0 for one in audited)
+    return worst([*codes, *(2 for _ in failed)])
 
 
 def _paths(given: list[str]) -> list[Path]:
@@ -63,44 +79,16 @@ def _paths(given: list[str]) -> list[Path]:
         folder = Path(name)
         inside = sorted(folder.rglob("*.rrd")) if folder.is_dir() else [folder]
         if not inside:
-            raise RecordingError(
-                f"{name}: no recording (.rrd) in this folder; 'servofd audit LOG... -o DIR' writes them"
-            )
+            hint = "'servofd audit LOG... -o DIR' writes them"
+            raise RecordingError(f"{name}: no recording (.rrd) in this folder; {hint}")
         paths += inside
     return paths
-
-
-def _check(options: Options, paths: list[Path]) -> None:
-    """Refuse what cannot be done, before anything is done."""
-    if options.compare and len(paths) > 1:
-        raise ConfigError("--compare takes one recording at a time")
-    check_targets((options.json,), {"a recording": [str(path) for path in paths]})
 
 
 def _read(path: Path) -> Recording:
     """Read one recording; what a monitor recorded is judged as an audit of the log would."""
     recording = read_recording(path)
     return rejudged(recording) if LIVE in recording.notes else recording
-
-
-def _exit_code(recording: Recording) -> int:
-    if recording.audit.has_fault:
-        return 1
-    return 2 if recording.audit.not_judged else 0
-
-
-def _show(options: Options, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
-    for path, recording in found:
-        for sentence in contradictions(recording):
-            complain(sentence, path)
-        if recording.audit.not_judged:
-            complain(recording.audit.not_judged, path)
-    for _, error in failed:
-        complain(error)
-    if options.json and give_json(options.json, _document(found, failed)):
-        return
-    if found:
-        _print(found)
 
 
 def _events(recording: Recording) -> list[tuple[float, str, str]]:
@@ -132,14 +120,6 @@ def _print(found: list[tuple[Path, Recording]]) -> None:
     lines = [f"{time_s:10.2f} s  {level:5}  {text}" for time_s, level, text in _events(recording)]
     lines += [f"note: {note}" for note in recording.notes]
     print_document(replace(report, facts=f"{path}: {report.facts}", parts=[*report.parts, Bullets(lines)]))
-
-
-def _compare(options: Options, path: Path) -> int:
-    """Print two recordings beside each other; a fault in either of them is one."""
-    audits = [_read(Path(each)).audit for each in (path, options.compare)]
-    documents = [audit_document([audit]) for audit in audits]
-    show(compare_report((path.name, Path(options.compare).name), documents), json=options.json)
-    return int(any(audit.has_fault for audit in audits))
 
 
 def run_view(options: Options) -> int:

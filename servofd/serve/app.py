@@ -155,25 +155,21 @@ class _Routes:
         """The bytes of one log, as they come: no more of them is in memory than one piece."""
         name = request.query_params.get("name", "") or "flight"
         expected = request.headers.get("content-length", "0")
+        upload: Upload | None = None
         try:
             upload = await run_in_threadpool(self._flights.upload, name, int(expected) if expected.isdecimal() else 0)
+            async for some in request.stream():
+                await run_in_threadpool(upload.write, some)
+            taken, upload = await run_in_threadpool(upload.finish), None
         except TooLarge as error:
             return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except OSError as error:
             return JSONResponse({"error": f"{name}: cannot be kept: {error.strerror}"}, HTTPStatus.INSUFFICIENT_STORAGE)
-        try:
-            async for some in request.stream():
-                await run_in_threadpool(upload.write, some)
-            taken = await run_in_threadpool(upload.finish)
-        except TooLarge as error:
-            upload.abandon()
-            return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except ClientDisconnect:
-            upload.abandon()
             return JSONResponse({"error": f"{name}: did not arrive completely"}, HTTPStatus.BAD_REQUEST)
-        except BaseException:
-            upload.abandon()
-            raise
+        finally:
+            if upload is not None:
+                upload.abandon()
         row = {} if taken.flight is None else self._row(taken.flight)
         return JSONResponse(row | {"notice": taken.notice}, HTTPStatus.CREATED)
 
@@ -218,10 +214,11 @@ class _Routes:
         if verb in ("delete", "restore"):
             if not ticked:
                 raise refused("Tick the flights to delete first.")
-            act = self._flights.remove if verb == "delete" else self._flights.restore
+            title, act, deleted = "Taken back", self._flights.restore, []
+            if verb == "delete":
+                title, act, deleted = "Deleted", self._flights.remove, ticked
             said = [await run_in_threadpool(act, one) for one in ticked]
-            title = "Deleted" if verb == "delete" else "Taken back"
-            return _page(Document(title, "no_data", " ".join(said)), deleted=ticked if verb == "delete" else ())
+            return _page(Document(title, "no_data", " ".join(said)), deleted=deleted)
         flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
         if verb not in _VERBS:
             raise refused("There is nothing of that name to do.")

@@ -14,7 +14,7 @@ from servofd.outputs.sentence import spoken
 if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
+    from servofd.detection.verdict import CurrentAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
@@ -68,11 +68,15 @@ def send_surface(
     tints = [(start_s, STATES[changes[0][1]]), *((time_s, STATES[word]) for time_s, word in changes[1:])]
     recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
     _send_curves(recorder, place, trace)
-    _send_commands(recorder, place, trace)
-    _send_overview(recorder, place, surface, trace)
+    recorder.scalars(f"{place}/ratio", *ratio(trace.time_s, trace.residual_deg, trace.threshold_deg))
+    starts_s = np.array([fault.start_s for fault in surface.faults])
+    if starts_s.size:
+        heights = np.full(starts_s.size, MARKER_HEIGHT)
+        recorder.markers(f"{place}/onset", starts_s, heights, f"{surface.surface}: onset", "fault")
     for name, (low, high) in (("deflection", deflection_range(trace)), ("residual", residual_range(trace))):
         for found, level in ((surface.faults, "fault"), (surface.suspicions, "suspect")):
-            spans = [_span(fault, trace) for fault in found]
+            end_s = float(trace.time_s[-1])
+            spans = [(fault.start_s, end_s if fault.end_s is None else fault.end_s) for fault in found]
             if spans:
                 recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
 
@@ -119,29 +123,17 @@ def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
     for name, values in (("deflection", deflections), ("residual", residuals)):
         recorder.scalars(f"{place}/{name}", trace.time_s, values)
         recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
-
-
-def _send_commands(recorder: Recorder, place: str, trace: Trace) -> None:
-    """Commands on their own time stamps, unless each came with a measurement: then the curve has them all."""
-    send_seconds(recorder, f"{place}/seconds", trace.time_s)
+    # Commands on their own time stamps, unless each came with a measurement: then the curve has them all.
+    _send_seconds(recorder, f"{place}/seconds", trace.time_s)
     if not np.array_equal(trace.asked_s, trace.time_s):
         recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
-        send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
+        _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
 
 
-def send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
+def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
     """Time stamps that are no whole microseconds (a log of 32-bit floats), so that they can be read back exactly."""
     if np.any(seconds(microseconds(time_s)) != time_s):
         recorder.scalars(place, time_s, time_s)
-
-
-def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace) -> None:
-    time_s, largest = ratio(trace.time_s, trace.residual_deg, trace.threshold_deg)
-    recorder.scalars(f"{place}/ratio", time_s, largest)
-    starts_s = np.array([fault.start_s for fault in surface.faults])
-    if starts_s.size:
-        heights = np.full(starts_s.size, MARKER_HEIGHT)
-        recorder.markers(f"{place}/onset", starts_s, heights, f"{surface.surface}: onset", "fault")
 
 
 def send_context(recorder: Recorder, context: Context) -> None:
@@ -153,12 +145,7 @@ def send_context(recorder: Recorder, context: Context) -> None:
         if time_s.size:
             recorder.lines(place, [name], ["simulated"])
             recorder.scalars(place, time_s, values)
-            send_seconds(recorder, f"{place}/seconds", time_s)
-
-
-def _span(fault: Fault, trace: Trace) -> tuple[float, float]:
-    last_s = float(trace.time_s[-1])
-    return fault.start_s, last_s if fault.end_s is None else fault.end_s
+            _send_seconds(recorder, f"{place}/seconds", time_s)
 
 
 def axis_place(axis: AxisAudit) -> str:
