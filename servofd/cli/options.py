@@ -78,28 +78,18 @@ class Parser(argparse.ArgumentParser):
         self.value("--workers", "processes for many logs (default: one per core)", "N", _WORKERS)
 
 
-def _number(what: str, least: float, most: float = math.inf) -> Callable[[str], float]:
-    """Reader of an option that takes a number within bounds, which it calls so."""
+def _number(what: str, least: float, most: float = math.inf, *, whole: bool = False) -> Callable[[str], float]:
+    """Reader of an option that takes a number within bounds, which it calls so; whole ones have at most nine digits."""
 
     def read(text: str) -> float:
+        is_whole = text.isascii() and text.isdigit() and len(text) < _DIGITS
         try:
-            value = float(text)
+            value = float(text) if is_whole or not whole else math.nan
         except ValueError:
             value = math.nan
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
-        return value
-
-    return read
-
-
-def _whole(what: str, least: int, most: int) -> Callable[[str], int]:
-    """The same for a whole number of at most nine digits."""
-
-    def read(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < _DIGITS and least <= int(text) <= most):
-            raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
-        return int(text)
+        return int(value) if whole else value
 
     return read
 
@@ -119,11 +109,11 @@ _POSITIVE, _SECONDS = _number("a positive number", _SMALLEST, _LARGEST), _number
 """Readers of a positive number and of a time."""
 _LASTING, _SPEED = _number("a positive number of seconds", _SMALLEST), _number("a positive number, or 0", 0.0, _LARGEST)
 _PER_HOUR = _number("a number of false alarms per hour between 1e-12 and 1000", 1e-12, 1e3)
-_WORKERS = _whole("a number of processes from 1 to 1024", 1, 1024)
-_ADDRESS, _PORT = _whole("an id from 1 to 255", 1, 255), _whole("a port from 1 to 65535", 1, 65_535)
-"""Readers of a MAVLink id and of the port of a server."""
-_FREE_PORT, _SIZE = _whole("a port from 0 to 65535", 0, 65_535), _whole("a number from 1 to 1000000", 1, 1_000_000)
-"""Readers of a port that may be 0 for a free one, and of a count."""
+_WORKERS = _number("a number of processes from 1 to 1024", 1, 1024, whole=True)
+_ADDRESS = _number("an id from 1 to 255", 1, 255, whole=True)
+_PORT, _FREE_PORT = (_number(f"a port from {least} to 65535", least, 65_535, whole=True) for least in (1, 0))
+"""Readers of the port of a server, and of one that may be 0 for a free one."""
+_SIZE = _number("a number from 1 to 1000000", 1, 1_000_000, whole=True)
 
 
 def _audit(parser: Parser) -> None:

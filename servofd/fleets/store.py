@@ -143,7 +143,7 @@ class FleetStore:
 
     def __init__(self, folder: Path, key: str) -> None:
         self.folder = folder
-        self._lock = _only_writer(folder)
+        self._lock = locked(folder)
         self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
         self._sizes: dict[int, set[str]] = {}
         self._written_s = time.monotonic()
@@ -256,17 +256,6 @@ def by_path(logs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
 
 
-def _only_writer(folder: Path) -> BinaryIO:
-    """Make the folder, and keep others from writing to it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return locked(folder)
-    except (FileExistsError, NotADirectoryError):
-        raise ConfigError(f"{folder}: is a file; results of many logs go to a folder") from None
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
-
-
 def _prepared(folder: Path, key: str) -> int:
     """Make the folder ready for the results of one job; gives how many of another were set aside."""
     meta = folder / META_FILE
@@ -321,11 +310,15 @@ _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
 
 def locked(folder: Path) -> BinaryIO:
-    """Take the lock of a folder; closing the file gives it back, and so does the end of the process.
-
-    The file stays: to remove it would let two others have locks on two files of one name.
-    """
-    file = (folder / _NAME).open("ab")
+    """Make a folder, and take its lock; closing the file gives it back, and so does the end of the process."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # The file stays: to remove it would let two others have locks on two files of one name.
+        file = (folder / _NAME).open("ab")
+    except (FileExistsError, NotADirectoryError):
+        raise ConfigError(f"{folder}: is a file; results of many logs go to a folder") from None
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
     try:
         if sys.platform == "win32":
             import msvcrt

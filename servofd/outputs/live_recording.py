@@ -21,7 +21,7 @@ from servofd.core.errors import ConfigError
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
-from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, breaks_s, ratio, send_styles
+from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, breaks_s, ratio, send_curves, send_styles
 from servofd.outputs.recording.verdicts import MANY_VEHICLES
 from servofd.outputs.sentence import spoken
 
@@ -183,10 +183,7 @@ class _Sink:
             self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
         known_s = np.concatenate([lane.tail_s, time_s])
         broken_s, lane.tail_s = breaks_s(known_s), known_s[-10:]
-        levels = np.column_stack([residual_deg, threshold_deg, -threshold_deg])
-        for name, values in (("deflection", np.column_stack(deflections)), ("residual", levels)):
-            self.recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
-            self.recorder.scalars(f"{place}/{name}", time_s, values)
+        send_curves(self.recorder, place, broken_s, (time_s, *deflections, residual_deg, threshold_deg))
         self.recorder.scalars(f"{place}/command", command_s, came_deg)
         self.recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
         self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))

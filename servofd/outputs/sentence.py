@@ -171,13 +171,7 @@ def _also(surface: SurfaceAudit) -> str:
 
 
 def _calmly(what: str) -> str:
-    """What a fault does, without capitals.
-
-    Examples
-    --------
-    >>> _calmly("TOO SLOW since 0:05"), _calmly("JAMMED at 0:30 (+0.5 deg)")
-    ('was too slow since 0:05', 'jammed at 0:30 (+0.5 deg)')
-    """
+    """What a fault does, without capitals, such as "was too slow since 0:05" or "jammed at 0:30"."""
     words = what.split(" ")
     plain = " ".join(word.lower() if word.isupper() and word != "UTC" else word for word in words)
     return f"was {plain}" if words[0] in _STATES else plain

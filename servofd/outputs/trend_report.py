@@ -90,13 +90,7 @@ def _verdict(document: dict[str, Any], alarms: list[str], count: str) -> str:
 
 
 def _beyond(when: str, quantities: dict[str, list[str]]) -> str:
-    """What is, or will be, beyond its limit, by surface, once for all of which the same is true.
-
-    Examples
-    --------
-    >>> _beyond("is beyond its limit", {"rudder": ["gain"], "elevator": ["gain", "bias"]})
-    'rudder (gain), elevator (gain, bias): each is beyond its limit'
-    """
+    """What is, or will be, beyond its limit, by surface, once for all of which the same is true."""
     (name, titles), *others = quantities.items()
     if not others and len(titles) == 1:
         return f"{name}: {titles[0]} {when}"

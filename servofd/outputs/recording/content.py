@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from servofd.onboard.seen import Seen
 
 _ASKED = ("asked_s", "asked_deg")
-_CURVES = ("time_s", "command_deg", "simulated_deg", "measured_deg", "residual_deg", "threshold_deg")
+CURVES = ("time_s", "command_deg", "simulated_deg", "measured_deg", "residual_deg", "threshold_deg")
+"""Of a `Trace`, those with an entry per measurement."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +45,7 @@ class Trace:
     context: Context = NO_CONTEXT
 
     def __post_init__(self) -> None:
-        for name in (*_CURVES, *_ASKED):
+        for name in (*CURVES, *_ASKED):
             object.__setattr__(self, name, own(getattr(self, name)))
 
     @classmethod

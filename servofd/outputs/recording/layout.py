@@ -92,11 +92,6 @@ def lanes(name: str, places: Sequence[str], *, origin: str = "/") -> Any:  # noq
     return rrb.StateTimelineView(origin=origin, contents=list(places), name=shown(name), time_view=axis)
 
 
-def document(name: str, place: str) -> Any:  # noqa: ANN401
-    """A text."""
-    return rrb.TextDocumentView(origin=place, name=shown(name))
-
-
 def stacked(name: str, views: Sequence[Any], shares: Sequence[float]) -> Any:  # noqa: ANN401
     """Views one below the other, by shares of the height."""
     return rrb.Vertical(*views, row_shares=list(shares), name=shown(name))
@@ -107,6 +102,8 @@ ALARM_LINE = "/surfaces_alarm"
 
 REPORT = "/report"
 """Entity of the report."""
+REPORT_VIEW = rrb.TextDocumentView(origin=REPORT, name="Report")
+"""The report in a layout."""
 
 LINK = "/link"
 """Entity of messages about a live link, and of no surface."""
@@ -141,23 +138,16 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
         return blueprint(tabs)
     names = [*drawn, *alone, *(axis.axis for axis in recording.audit.axes)]
     name, first = min(alarms, key=lambda alarm: alarm[1].alarm_s)
-    marked_s = (min(first.start_s, first.alarm_s), first.alarm_s)
-    return blueprint(tabs, None, _around(recording, *marked_s), 1 + names.index(name), marked_s)
-
-
-def _around(recording: Recording, start_s: float, alarm_s: float) -> tuple[float, float] | None:
-    """Begin and end of what is shown [s]: an alarm and what led to it; None for the whole of a short flight."""
-    if recording.end_s - recording.start_s <= _AROUND_S:
-        return None
-    begin_s = max(start_s - _BEFORE_S, recording.start_s)
-    return begin_s, min(max(alarm_s + _BEFORE_S, begin_s + _AROUND_S), recording.end_s)
+    marked_s, around_s = (min(first.start_s, first.alarm_s), first.alarm_s), None
+    if recording.end_s - recording.start_s > _AROUND_S:  # an alarm and what led to it
+        begin_s = max(marked_s[0] - _BEFORE_S, recording.start_s)
+        around_s = begin_s, min(max(first.alarm_s + _BEFORE_S, begin_s + _AROUND_S), recording.end_s)
+    return blueprint(tabs, None, around_s, 1 + names.index(name), marked_s)
 
 
 def live_layout(surfaces: Sequence[str], *, following: bool = False) -> Any:  # noqa: ANN401
     """Layout of what a monitor records: the whole flight, or the last minute, following."""
-    return blueprint(
-        [_overview(surfaces, surfaces), *(_surface(name) for name in surfaces)], _LAST_S if following else None
-    )
+    return blueprint([_overview(surfaces, surfaces), *map(_surface, surfaces)], _LAST_S if following else None)
 
 
 def _surface(
@@ -189,7 +179,7 @@ def _surface(
 def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN401
     places = [LINK, *(f"{surface_place(name)}/events" for name in names)]
     events = rrb.TextLogView(origin="/", contents=places, name="Events")
-    below = rrb.Horizontal(events, document("Report", REPORT), column_shares=[1, 1])
+    below = rrb.Horizontal(events, REPORT_VIEW, column_shares=[1, 1])
     if not shown:
         return rrb.Vertical(below, name="Overview")
     ratios = [f"{surface_place(name)}/{what}" for name in shown for what in ("ratio", "onset")]

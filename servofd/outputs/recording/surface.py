@@ -8,10 +8,13 @@ import numpy as np
 
 from servofd.core.series import tenths
 from servofd.detection.verdict import WITHIN_SIGMAS, describe
+from servofd.outputs.recording.content import CURVES
 from servofd.outputs.recording.stream import STATES, microseconds, seconds, surface_place
 from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.axes.verdict import AxisAudit
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.verdict import CurrentAudit, SurfaceAudit
@@ -67,7 +70,12 @@ def send_surface(
     # Before the first sample, and from where the cursor stands at first: else the legend has colours of its own.
     tints = [(start_s, STATES[changes[0][1]]), *((time_s, STATES[word]) for time_s, word in changes[1:])]
     recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
-    _send_curves(recorder, place, trace)
+    send_curves(recorder, place, breaks_s(trace.time_s), [getattr(trace, name) for name in CURVES])
+    # Commands on their own time stamps, unless each came with a measurement: then the curve has them all.
+    _send_seconds(recorder, f"{place}/seconds", trace.time_s)
+    if not np.array_equal(trace.asked_s, trace.time_s):
+        recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
+        _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
     recorder.scalars(f"{place}/ratio", *ratio(trace.time_s, trace.residual_deg, trace.threshold_deg))
     starts_s = np.array([fault.start_s for fault in surface.faults])
     if starts_s.size:
@@ -116,18 +124,13 @@ def send_styles(recorder: Recorder, surface: str, tint: str = "simulated") -> No
     recorder.lines(f"{place}/ratio", [surface], [tint], aggregation_policy="Max")
 
 
-def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
-    deflections = np.column_stack([trace.command_deg, trace.simulated_deg, trace.measured_deg])
-    residuals = np.column_stack([trace.residual_deg, trace.threshold_deg, -trace.threshold_deg])
-    broken_s = breaks_s(trace.time_s)
-    for name, values in (("deflection", deflections), ("residual", residuals)):
-        recorder.scalars(f"{place}/{name}", trace.time_s, values)
+def send_curves(recorder: Recorder, place: str, broken_s: FloatArray, columns: Sequence[FloatArray]) -> None:
+    """Send time, command, simulated and measured deflection, residual and threshold, and break the curves."""
+    time_s, *deflections, residual_deg, threshold_deg = columns
+    levels = [residual_deg, threshold_deg, -threshold_deg]
+    for name, values in (("deflection", deflections), ("residual", levels)):
         recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
-    # Commands on their own time stamps, unless each came with a measurement: then the curve has them all.
-    _send_seconds(recorder, f"{place}/seconds", trace.time_s)
-    if not np.array_equal(trace.asked_s, trace.time_s):
-        recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
-        _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
+        recorder.scalars(f"{place}/{name}", time_s, np.column_stack(values))
 
 
 def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
