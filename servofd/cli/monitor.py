@@ -67,13 +67,8 @@ def _watch(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
     with contextlib.ExitStack() as open_:
         link = open_link(endpoint)
         open_.callback(link.close)
-        session = Session(
-            Codec(0, options.component, signature=signature),
-            aircraft,
-            aside=True,
-            remote_log=options.dataflash,
-            component=options.component,
-        )
+        component, codec = options.component, Codec(0, options.component, signature=signature)
+        session = Session(codec, aircraft, aside=True, remote_log=options.dataflash, component=component)
         speaker = Speaker(options.system or 0, options.component, signature)
         if not options.no_request:
             to_vehicle = open_.enter_context(speaker.to(link))

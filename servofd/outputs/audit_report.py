@@ -197,7 +197,7 @@ def _log(audit: LogAudit) -> Document:
     for one in log.damage_summary:
         when = " to ".join(f"{time_s:.2f}" for time_s in (one.start_s, one.end_s) if time_s is not None)
         damage.append((spoken(one.kind), one.note, str(one.count), when or "-"))
-    entries = _diary(log)
+    entries, surfaces = _diary(log), [_surface(audit.aircraft, one, len(ordered)) for one in ordered]
     is_drawn = audit.axes or any(s.residuals is not None or s.current is not None for s in audit.surfaces)
     return Document(
         title=log.source.name + (f", run {log.run}" if log.run else ""),
@@ -205,11 +205,7 @@ def _log(audit: LogAudit) -> Document:
         sentence=whole_sentence(audit),
         facts=", ".join(filter(None, facts)),
         parts=[
-            Items(
-                "Surfaces",
-                ("surface", "status", "model", "why"),
-                [_surface(audit.aircraft, one, len(ordered)) for one in ordered],
-            ),
+            Items("Surfaces", ("surface", "status", "model", "why"), surfaces),
             Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
             *[Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), entries)], folded=True)]
@@ -271,28 +267,16 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
     elif surface.segment is not None or surface.current is not None:
         parts += numbers
     sizes = seen(surface.detectable) if surface.status == "healthy" else ""
-    return Item(
-        surface.surface,
-        surface.status,
-        "; ".join(filter(None, (surface.reason, other_way_round(surface), sizes))),
-        next_step(surface),
-        surface.model.origin,
-        parts,
-    )
+    said = "; ".join(filter(None, (surface.reason, other_way_round(surface), sizes)))
+    return Item(surface.surface, surface.status, said, next_step(surface), surface.model.origin, parts)
 
 
 def _axis(axis: AxisAudit) -> Item:
-    events = [
-        (
-            f"{event.start_s:.1f}",
-            f"{event.alarm_s:.1f}",
-            "lasts" if event.end_s is None else f"{event.end_s:.1f}",
-            _estimated(event.lost_share if axis.model.own_command else None, 2),
-            _estimated(event.offset_us if axis.model.own_command else None, 0),
-            event.cause or "its own",
-        )
-        for event in axis.events
-    ]
+    events = []
+    for event in axis.events:
+        end, own = "lasts" if event.end_s is None else f"{event.end_s:.1f}", axis.model.own_command
+        sizes = (_estimated(event.lost_share if own else None, 2), _estimated(event.offset_us if own else None, 0))
+        events.append((f"{event.start_s:.1f}", f"{event.alarm_s:.1f}", end, *sizes, event.cause or "its own"))
     numbers = [
         ("lost share", _estimated(axis.lost_share, 2)),
         ("offset [us]", _estimated(axis.offset_us, 0)),

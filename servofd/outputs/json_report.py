@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from logparsers.records import FlightLog
     from servofd.axes.verdict import AxisAudit, AxisEvent
     from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
+    from servofd.flight.change import AxisChange
     from servofd.flight.judge import FlightAlone
 
 
@@ -94,17 +95,14 @@ def _named(of: object, names: Sequence[str]) -> dict[str, Any]:
 def _flight(flight: FlightAlone) -> dict[str, Any]:
     return {
         "checks": [asdict(check) for check in flight.checks],
-        "axes": {
-            name: {
-                **_named(axis, _OF_CHANGE),
-                "reason": axis.text,
-                "members": list(axis.members),
-                "lost_share": axis.lost_share and axis.lost_share._asdict(),
-                "offset_us": axis.offset_us and axis.offset_us._asdict(),
-            }
-            for name, axis in flight.axes.items()
-        },
+        "axes": {name: _change(axis) for name, axis in flight.axes.items()},
     }
+
+
+def _change(axis: AxisChange) -> dict[str, Any]:
+    sizes = {"lost_share": axis.lost_share, "offset_us": axis.offset_us}
+    found = {name: size and size._asdict() for name, size in sizes.items()}
+    return {**_named(axis, _OF_CHANGE), "reason": axis.text, "members": list(axis.members), **found}
 
 
 def _axis(axis: AxisAudit) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from servofd.outputs.sentence import LEAST_CLEARED
 from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
 from servofd.serve.forms import fields_of, files_in, refused
 from servofd.serve.guard import Guard
-from servofd.serve.judge import AUDIT, PAGE, RECORDING, Summary, curves_in, progress_in
+from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, curves_in, text_in
 from servofd.serve.preview import preview
 from servofd.serve.viewer import FILES, viewer_files
 
@@ -94,19 +94,8 @@ async def _failed(_request: Request, error: Exception) -> Response:
     return _page(Document(title, "unknown", error.detail or "Not found."), error.status_code)
 
 
-def _missing(text: str) -> HTTPException:
-    return HTTPException(HTTPStatus.NOT_FOUND, text)
-
-
 def _page(document: Document, status: int = HTTPStatus.OK, template: str = "serve.html", **values: object) -> Response:
     return HTMLResponse(html_page(document, template, **values), status)
-
-
-def _text_of(page: Path, state: str) -> str:
-    """The page of a result; empty where there is none yet."""
-    with suppress(OSError):
-        return page.read_text(encoding="utf-8") if state == "done" else ""
-    return ""
 
 
 class _Routes:
@@ -264,9 +253,9 @@ class _Routes:
             "time_units": TIME_UNITS,
             "tasks": [task for task in self._flights.tasks() if flight.id in task.flights],
         }
-        found = _text_of(folder / PAGE, flight.state)
+        found = text_in(folder / PAGE) if flight.state == "done" else ""
         if found:
-            return HTMLResponse(_within(found, Document(flight.name, "", ""), "flight_tools.html", values))
+            return _within(found, flight.name, "flight_tools.html", values)
         waits, soon = row["sentence"], ""
         if flight.state != "done":
             soon = f"{row['sentence']} This page shows the verdict as soon as there is one.".strip()
@@ -278,7 +267,7 @@ class _Routes:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
         path = self._flights.results(flight.id) / name
         if name not in _KINDS or not path.is_file():
-            raise _missing("There is no such result of this flight.")
+            raise refused("There is no such result of this flight.", HTTPStatus.NOT_FOUND)
         download = {AUDIT: f"{flight.name}.json", RECORDING: f"{flight.name}.rrd"}.get(name)
         if "download" in request.query_params and name == PAGE:
             download = f"{flight.name}.html"
@@ -288,12 +277,12 @@ class _Routes:
         """A calibration, trend or explanation, or how far it is."""
         task = self._flights.task(request.path_params["id"])
         if task is None:
-            raise _missing("There is no such calibration, trend or explanation.")
+            raise refused("There is no such calibration, trend or explanation.", HTTPStatus.NOT_FOUND)
         folder = self._flights.task_folder(task.id)
-        found = _text_of(folder / PAGE, task.state)
+        found = text_in(folder / PAGE) if task.state == "done" else ""
         if found:
-            return HTMLResponse(_within(found, Document(task.title, "", ""), "task_tools.html", {"task": task}))
-        at_work = task.state == "at work" and progress_in(folder)
+            return _within(found, task.title, "task_tools.html", {"task": task})
+        at_work = task.state == "at work" and text_in(folder / PROGRESS)
         soon = task.sentence or f"{at_work or 'It waits.'} This page shows the result as soon as there is one."
         return _page(Document(task.title, task.status or "no_data", task.title, soon), template="task.html", task=task)
 
@@ -309,7 +298,7 @@ class _Routes:
         try:
             documents = [json.loads((folder / AUDIT).read_text(encoding="utf-8")) for folder in folders]
         except OSError:
-            raise HTTPException(HTTPStatus.CONFLICT, "One of the two is not judged yet.") from None
+            raise refused("One of the two is not judged yet.", HTTPStatus.CONFLICT) from None
         names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
         first, second = map(curves_in, folders)
         both = {name: (track, second[name]) for name, track in first.items() if name in second}
@@ -322,21 +311,21 @@ class _Routes:
         name = request.path_params["file"] or "index.html"
         folder = await run_in_threadpool(viewer_files, self._flights.folder / RESULTS)
         if folder is None or name not in FILES:
-            raise _missing('The viewer is not here; pip install "servofd[view]" brings it.')
+            raise refused('The viewer is not here; pip install "servofd[view]" brings it.', HTTPStatus.NOT_FOUND)
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
 
     def _row(self, flight: Flight) -> dict[str, Any]:
         """A flight in the list; it tells no folder. What is at work says how far it is."""
         known = {name: one for name, one in asdict(flight.summary or Summary("", "")).items() if name in _OF_SUMMARY}
         if flight.state == "at work":
-            known["sentence"] = progress_in(self._flights.results(flight.id))
+            known["sentence"] = text_in(self._flights.results(flight.id) / PROGRESS)
         size = f"{flight.size_bytes / 1e6:.1f} MB"
         return {"id": flight.id, "name": flight.name, "size": size, "state": flight.state, **known}
 
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
         if flight is None:
-            raise _missing("There is no such flight; it may have been deleted.")
+            raise refused("There is no such flight; it may have been deleted.", HTTPStatus.NOT_FOUND)
         return flight
 
 
@@ -352,9 +341,10 @@ def _moments(given: Sequence[str]) -> tuple[float, float]:
 _VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "explain": "explain"}
 
 
-def _within(found: str, document: Document, template: str, values: Mapping[str, Any]) -> str:
+def _within(found: str, title: str, template: str, values: Mapping[str, Any]) -> Response:
     """The page of a result, with what can be done with it before it: one document."""
-    return found.replace("<body>\n", f"<body>\n{html_page(document, template, **values)}\n", 1)
+    tools = html_page(Document(title, "", ""), template, **values)
+    return HTMLResponse(found.replace("<body>\n", f"<body>\n{tools}\n", 1))
 
 
 def _pairs(columns: Mapping[str, str]) -> Sequence[tuple[str, str, str, str, str]]:

@@ -122,10 +122,10 @@ def curves_in(folder: Path) -> dict[str, Track]:
         return {}
 
 
-def progress_in(folder: Path) -> str:
-    """How far the work in a folder is, in words; empty if not known."""
+def text_in(path: Path) -> str:
+    """What stands in a file of results: how far the work is, or its page; empty where there is none."""
     try:
-        return (folder / PROGRESS).read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except OSError:
         return ""
 

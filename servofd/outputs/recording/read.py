@@ -191,17 +191,10 @@ def _trace(stored: _Stored, surface: str, left_out: tuple[LeftOut, ...], context
         asked_s, asked_deg = time_s, shown[:, 0]
     else:
         asked_s, asked_deg = _exact(stored, command[0], surface_place(surface, "command_seconds")), command[1][:, 0]
+    (asked, simulated, measured), (residual_deg, level_deg) = shown[:rows, :3].T, judged[:rows, :2].T
     return Trace(
-        time_s[:rows],
-        command_deg=shown[:rows, 0],
-        simulated_deg=shown[:rows, 1],
-        measured_deg=shown[:rows, 2],
-        residual_deg=judged[:rows, 0],
-        threshold_deg=judged[:rows, 1],
-        asked_s=asked_s,
-        asked_deg=asked_deg,
-        left_out=left_out,
-        context=context,
+        *(time_s[:rows], asked, simulated, measured, residual_deg, level_deg),
+        *(asked_s, asked_deg, left_out, context),
     )
 
 
