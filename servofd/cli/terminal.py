@@ -146,9 +146,7 @@ def print_lines(rows: Sequence[tuple[str, str, tuple[str, ...]]]) -> None:
     from rich.cells import cell_len
     from rich.text import Text
 
-    shown = console()
-    if not shown.is_terminal:
-        shown = console(width=_PIPED)
+    shown = console() if console().is_terminal else console(width=_PIPED)
     first = max((cell_len(status) for status, _, _ in rows), default=0)
     second = max((cell_len(name) for _, name, _ in rows), default=0)
     for status, name, forms in rows:

@@ -64,7 +64,7 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
     places = [(one.get("start_utc") or "", one["path"], one.get("run") or "") for one in about]
     ordered = [logs[k] for k in sorted(range(len(logs)), key=places.__getitem__)]
     every = [(log, name, entry) for log in ordered for name, entry in log["document"]["surfaces"].items()]
-    moved = [(name, entry) for log in ordered for name, entry in _axes(log).items()]
+    moved = [(name, entry) for log in ordered for name, entry in log["document"].get("axes", {}).items()]
     surfaces, axes = dict.fromkeys(name for _, name, _ in every), dict.fromkeys(name for name, _ in moved)
     faults, residuals = [], []
     for log, name, entry in every:
@@ -92,15 +92,11 @@ def overview(logs: Sequence[dict[str, Any]]) -> Overview:
 
 def log_status(log: dict[str, Any]) -> str:
     """Worst status of a log's surfaces and axes; ``not_judged`` where there is no verdict on it as a whole."""
-    statuses = {entry["status"] for entry in (*log["document"]["surfaces"].values(), *_axes(log).values())}
+    document = log["document"]
+    statuses = {entry["status"] for entry in (*document["surfaces"].values(), *document.get("axes", {}).values())}
     if log["not_judged"] and "suspect" not in statuses:
         return "not_judged"
     return next((status for status in STATUSES if status in statuses), "not_judged")
-
-
-def _axes(log: dict[str, Any]) -> dict[str, Any]:
-    """What motion showed, if the log was judged by it."""
-    return dict(log["document"].get("axes", {}))
 
 
 def _where(log: dict[str, Any]) -> dict[str, Any]:

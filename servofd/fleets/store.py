@@ -73,7 +73,7 @@ TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
 
 
 def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
-    """Rows of one log for each table."""
+    """Rows of one log for each table, with its columns and others."""
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
     for run in judged.runs:
         document = run.document
@@ -82,39 +82,32 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
         log |= {"duration_s": duration_s, "start_utc": datetime.fromisoformat(start) if start else None}
         own = {"size_bytes": judged.source.size_bytes, "not_judged": run.not_judged or None}
         own |= {"damage": len(document["damage"]), "document": json.dumps(document)}
-        tables["logs"].append(_row("logs", document | log | own))
+        tables["logs"].append(document | log | own)
         for name, axis in document.get("axes", {}).items():
-            tables["axes"].append(_row("axes", axis | log | {"axis": name, "members": ", ".join(axis["members"])}))
+            tables["axes"].append(axis | log | {"axis": name, "members": ", ".join(axis["members"])})
         for name, surface in document["surfaces"].items():
             sizes = {f"residual_{key}": size for key, size in (surface["residual"] or {}).items()}
             sizes |= {f"threshold_{key}": value for key, value in surface["threshold"].items()}
             counts = {level: len(surface[level]) for level in ("faults", "suspicions")}
-            tables["surfaces"].append(_row("surfaces", surface | log | sizes | counts | {"surface": name}))
+            tables["surfaces"].append(surface | log | sizes | counts | {"surface": name})
             for level in counts:
                 for fault in surface[level]:
                     parameters, others = json.dumps(fault["parameters"]), ", ".join(fault["alternatives"])
                     text = {"level": level.removesuffix("s"), "parameters": parameters, "alternatives": others}
-                    tables["faults"].append(_row("faults", fault | log | text | {"surface": name}))
+                    tables["faults"].append(fault | log | text | {"surface": name})
     return tables
 
 
-def _row(table: str, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Of all that is known, the columns of a table."""
-    return {name: known.get(name) for name in TABLES[table]}
-
-
 def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
-    """Rows as an Arrow table with the columns of `TABLES`, whatever they hold."""
+    """Rows as an Arrow table with the columns of `TABLES`; names of files that are no UTF-8 as Python writes them."""
     import pyarrow as pa
 
     kinds = {"string": pa.string(), "double": pa.float64(), "int64": pa.int64(), "time": pa.timestamp("us", tz="UTC")}
     schema = pa.schema([(column, kinds[kind]) for column, kind in TABLES[name].items()])
-    return pa.Table.from_pylist([{key: _text(value) for key, value in row.items()} for row in content], schema=schema)
-
-
-def _text(value: Any) -> Any:  # noqa: ANN401 - any cell
-    """Names of files that are no UTF-8 as Python writes them; anything else as it is."""
-    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+    known = [{column: row.get(column) for column in TABLES[name]} for row in content]
+    for row in known:
+        row |= {k: v.encode("utf-8", "backslashreplace").decode() for k, v in row.items() if isinstance(v, str)}
+    return pa.Table.from_pylist(known, schema=schema)
 
 
 _SCHEMA = "servofd.fleets/1"
@@ -292,9 +285,8 @@ def _read_meta(meta: Path) -> dict[str, str]:
         schema = str(content["schema"])
     except (ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(f"{meta}: is not what servofd writes; choose another folder") from None
-    raise ConfigError(
-        f"{meta.parent}: holds results of the form {schema}, this version knows {_SCHEMA}; choose another folder"
-    )
+    forms = f"holds results of the form {schema}, this version knows {_SCHEMA}"
+    raise ConfigError(f"{meta.parent}: {forms}; choose another folder")
 
 
 def _move(source: Path, target: Path) -> None:

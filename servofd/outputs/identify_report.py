@@ -150,13 +150,13 @@ def identify_report(found: Identification, source: str) -> Document:
             values[f"pole_{k}_imag_rad_s"] = ("pair, imaginary part ± [rad/s]", pole.imag, 1.0)
     rows = []
     for name, (label, value, scale) in values.items():
-        if value is not None and math.isfinite(value):
-            interval = found.intervals.get(name)
-            shown, between = f"{scale * value:.4g}", ""
-            if interval is not None and interval.low < interval.high < math.inf:
-                shown, low, high = known_digits(scale * value, scale * interval.low, scale * interval.high)
-                between = f"{low} to {high}"
-            rows.append((label, shown, between))
+        if value is None or not math.isfinite(value):
+            continue
+        interval, shown, between = found.intervals.get(name), f"{scale * value:.4g}", ""
+        if interval is not None and interval.low < interval.high < math.inf:
+            shown, low, high = known_digits(scale * value, scale * interval.low, scale * interval.high)
+            between = f"{low} to {high}"
+        rows.append((label, shown, between))
     rows.append(("rms error [deg]", f"{found.rms_deg:.4g}", ""))
     if found.band_rad_s is not None:
         begin, end = found.band_rad_s

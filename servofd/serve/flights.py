@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.aircraft.schema import load_aircraft
@@ -89,14 +89,13 @@ class Taken(NamedTuple):
     """What to say of it; empty of a new flight, which its row shows."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Work:
+class _Work(NamedTuple):
     """Something for a process: what to call, and who hears of its end."""
 
     begin: Callable[[], Callable[[], object] | None]
     """Gives what to call, or None if it is not wanted any more."""
-    end: Callable[[object], None]
-    fail: Callable[[str], None]
+    end: Callable[[Any], None]
+    """Takes what came of it, or why nothing did."""
 
 
 class Flights:
@@ -290,13 +289,11 @@ class Flights:
             self._set_task(replace(task, state="at work"))
             return call
 
-        self._waiting.put(
-            _Work(
-                at_work,
-                lambda done: self._set_task(done) if isinstance(done, Task) else None,
-                lambda text: self._set_task(replace(task, state="done", status="unknown", sentence=text)),
-            )
-        )
+        def end(done: Task | str) -> None:
+            failed = replace(task, state="done", status="unknown", sentence=str(done))
+            self._set_task(done if isinstance(done, Task) else failed)
+
+        self._waiting.put(_Work(at_work, end))
         return task
 
     def _set_task(self, task: Task) -> None:
@@ -322,13 +319,10 @@ class Flights:
             self._tasks = {task.id: task for task in tasks} | self._tasks
 
     def _judge(self, flight_id: str) -> None:
-        self._waiting.put(
-            _Work(
-                partial(self._begun, flight_id),
-                lambda summary: self._set(flight_id, "done", summary) if isinstance(summary, Summary) else None,
-                lambda text: self._set(flight_id, "done", Summary("unknown", text)),
-            )
-        )
+        def end(found: Summary | str) -> None:
+            self._set(flight_id, "done", Summary("unknown", found) if isinstance(found, str) else found)
+
+        self._waiting.put(_Work(partial(self._begun, flight_id), end))
 
     def _begun(self, flight_id: str) -> Callable[[], object] | None:
         flight = self.get(flight_id)
@@ -355,10 +349,10 @@ class Flights:
                             future = pool.submit(call)
                         work.end(future.result())
                     except BrokenProcessPool:
-                        work.fail(_DIED)
+                        work.end(_DIED)
                         break
                     except Exception as error:
-                        work.fail(f"Could not be judged: {str(error).replace(f'{self.folder}{os.sep}', '')}")
+                        work.end(f"Could not be judged: {str(error).replace(f'{self.folder}{os.sep}', '')}")
                 else:
                     return
 
