@@ -87,13 +87,11 @@ def odds_from_design(
     0.292
     """
     if not SLOWEST_RATE_HZ <= rate_hz <= _FASTEST_RATE_HZ:
-        raise ConfigError(
-            f"{rate_hz:g} Hz is no rate of positions: give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
-        )
+        usual = f"give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
+        raise ConfigError(f"{rate_hz:g} Hz is no rate of positions: {usual}")
     if not 0.0 < noise_deg <= _LARGEST_NOISE_DEG:
-        raise ConfigError(
-            f"{noise_deg:g} deg is no noise of positions: give more than 0 and at most {_LARGEST_NOISE_DEG:g} deg"
-        )
+        usual = f"give more than 0 and at most {_LARGEST_NOISE_DEG:g} deg"
+        raise ConfigError(f"{noise_deg:g} deg is no noise of positions: {usual}")
     note = f"designed for white noise of {noise_deg:g} deg, not measured"
     result = []
     for name in surfaces or [name for name, surface in aircraft.surfaces.items() if surface.measured is not None]:

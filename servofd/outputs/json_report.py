@@ -34,8 +34,7 @@ def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
 def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
     """The worst surface or axis of a log, of several the nearest to its threshold or furthest over it; its outline."""
     entries = document["surfaces"] | document.get("axes", {})
-    outlines = {name: (entry["residual"] or {}).get("outline") or [] for name, entry in document["surfaces"].items()}
-    outlines |= {name: entry["outline"] for name, entry in document.get("axes", {}).items()}
+    outlines = {name: (one.get("residual") or one).get("outline") or [] for name, one in entries.items()}
 
     def gravity(name: str) -> tuple[int, float]:
         most = max((share or 0.0 for share in outlines[name]), default=-1.0)

@@ -7,11 +7,10 @@ import platform
 import re
 import sys
 import webbrowser
-from dataclasses import dataclass
 from html import unescape
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from servofd.core.files import beginning
 from servofd.outputs.palette import BANNER_COLOURS, STATUS_COLOURS
@@ -90,8 +89,7 @@ def open_page(address: str) -> None:
         webbrowser.open(address)
 
 
-@dataclass(frozen=True, slots=True)
-class Beside:
+class Beside(NamedTuple):
     """Pages of servofd in a folder."""
 
     overviews: tuple[tuple[str, str], ...]

@@ -157,18 +157,14 @@ class Calibrated(Calibration, Shown):
         return calibrate_report(self)
 
     def _rows(self) -> list[dict[str, Any]]:
-        return [
-            {
-                "surface": one.surface,
-                "delay_ms": round(MS_PER_S * one.estimates["delay_s"].value, 1),
-                "bandwidth_rad_s": round(one.bandwidth_rad_s.value, 1),
-                "held_out_rms_deg": round(one.held_out_rms_deg, 3),
-                **{f"smallest_{name}": size for name, size in one.detectable.document().items()},
-                "flights": ", ".join(one.flights),
-                "notes": "; ".join(one.notes),
-            }
-            for one in self.surfaces
-        ]
+        rows = []
+        for one in self.surfaces:
+            delay_ms, bandwidth_rad_s = MS_PER_S * one.estimates["delay_s"].value, one.bandwidth_rad_s.value
+            row = {"surface": one.surface, "delay_ms": round(delay_ms, 1), "bandwidth_rad_s": round(bandwidth_rad_s, 1)}
+            row |= {"held_out_rms_deg": round(one.held_out_rms_deg, 3)}
+            row |= {f"smallest_{name}": size for name, size in one.detectable.document().items()}
+            rows.append(row | {"flights": ", ".join(one.flights), "notes": "; ".join(one.notes)})
+        return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
