@@ -160,7 +160,7 @@ def _write(options: Options, audits: list[LogAudit], report: Document) -> None:
     if options.html:
         write_page(report, options.html)
     if options.rrd and audits:
-        from servofd.outputs.recording import save_recording
+        from servofd.outputs.recording.write import save_recording
 
         save_recording(audits[0], options.rrd)
     if options.output:
@@ -192,7 +192,7 @@ def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[st
         complain(f"no figures, no recording: {error}")
         return
     from servofd.outputs.figure import save_figure
-    from servofd.outputs.recording import save_recording
+    from servofd.outputs.recording.write import save_recording
 
     stems = [one.log.source.stem + (f"-{one.log.run}" if one.log.run else "") for one in audits]
     for audit, stem in zip(audits, distinct_file_names(stems), strict=True):

@@ -51,7 +51,14 @@ def run_servos(options: Options) -> int:
     if options.json:
         say(json.dumps({name: _record(servo) for name, servo in servos.items()}, indent=2))
         return 0
-    rows = [[name, *_row(servo)] for name, servo in servos.items()]
+    rows = []
+    for name, servo in servos.items():
+        printed, delay = servo.printed, f"{MS_PER_S * servo.transport_delay_s:g}"
+        bandwidth = f"{printed.bandwidth_rad_s:.2f}  {printed.bandwidth_rad_s / (2 * math.pi):.2f}"
+        rate = f"{servo.rate_limit_deg_s:g}" if servo.rate_limit_deg_s else "-"
+        delay += "" if servo.hold == "zoh" else f" ({MS_PER_S * servo.delay_s:g})"
+        poles = _poles_text(printed.poles_rad_s)
+        rows.append([name, poles, f"{printed.dc_gain:.5f}", bandwidth, rate, delay, servo.source])
     print_table(
         [
             "servo",
@@ -74,19 +81,6 @@ def run_servos(options: Options) -> int:
             for note in servo.notes:
                 say(f"  - {note}")
     return 0
-
-
-def _row(servo: Servo) -> list[str]:
-    bandwidth_rad_s = servo.printed.bandwidth_rad_s
-    delay = f"{MS_PER_S * servo.transport_delay_s:g}"
-    return [
-        _poles_text(servo.printed.poles_rad_s),
-        f"{servo.printed.dc_gain:.5f}",
-        f"{bandwidth_rad_s:.2f}  {bandwidth_rad_s / (2 * math.pi):.2f}",
-        f"{servo.rate_limit_deg_s:g}" if servo.rate_limit_deg_s else "-",
-        delay if servo.hold == "zoh" else f"{delay} ({MS_PER_S * servo.delay_s:g})",
-        servo.source,
-    ]
 
 
 def _poles_text(poles_rad_s: ComplexArray) -> str:

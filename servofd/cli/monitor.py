@@ -162,9 +162,8 @@ def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
             raise ConfigError(f"-c {name}: vehicle {system} {what}")
         aircraft = load_aircraft(path if numbered else name)
         if not numbered and aircraft in loaded:
-            raise ConfigError(
-                f"-c {name}: given twice; two vehicles of one file are -c 1={name} -c 2={name}, by system id"
-            )
+            by_id = f"-c 1={name} -c 2={name}, by system id"
+            raise ConfigError(f"-c {name}: given twice; two vehicles of one file are {by_id}")
         loaded.append(aircraft)
         unnamed = [key for key, one in aircraft.surfaces.items() if not one.names_servo and not one.is_told_by_current]
         if unnamed:  # an audit fits them to its log; in flight there is none yet

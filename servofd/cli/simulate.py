@@ -66,9 +66,8 @@ def run(options: Options) -> int:
     flight = simulate(output, aircraft, duration_s=duration_s, rate_hz=rate_hz, pulses=streamed, **asked)
     if streamed:
         if flight.context.logged:
-            raise ConfigError(
-                "--stream: an effect depends on the air or the supply, which a stream does not hold: use -o"
-            )
+            why = "an effect depends on the air or the supply, which a stream does not hold: use -o"
+            raise ConfigError(f"--stream: {why}")
         return _stream(options, flight, aircraft)
     say(f"{output}: {duration_s:g} s at {rate_of(flight):g} Hz, {', '.join(flight.surfaces)}")
     return 0

@@ -205,8 +205,7 @@ def _print_parts(parts: Sequence[Part], shown: Console) -> None:
         elif isinstance(part, Table) and part.rows and not part.long:
             print_table(list(map(str, part.head)), [list(map(str, row)) for row in part.rows], part.caption)
         elif isinstance(part, Items) and part.items:
-            rows = [[one.name, one.status, *filter(None, [one.beside]), one.words] for one in part.items]
-            print_table(part.head, rows, "", shown)
+            print_table(part.head, part.rows, "", shown)
             lines = [f"{one.name}: {one.advice}" for one in part.items if one.advice]
         elif isinstance(part, Section) and not part.folded:
             shown.print(Text(": ".join(filter(None, (part.title, part.badge or part.status))), style="bold"))

@@ -25,8 +25,7 @@ def compile_ahead(say: Callable[[str], None]) -> None:
     say : callable
         Shows a sentence to whoever waits.
     """
-    path = None if is_compiling() else path_of(EFFECTS)
-    if path is None or is_kept(path):
+    if is_compiling() or is_prepared():
         return
     say(_ONCE)
     nothing = subprocess.DEVNULL

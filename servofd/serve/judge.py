@@ -91,7 +91,7 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     if audits:
         write_whole(target / _CURVES, _curves(audits[0]))
     if audits and not too_long and find_spec("rerun") is not None:
-        from servofd.outputs.recording import save_recording
+        from servofd.outputs.recording.write import save_recording
 
         save_recording(audits[0], target / RECORDING)
     write_whole(target / SUMMARY, json.dumps(asdict(summary)).encode())

@@ -116,9 +116,8 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
         audit = LogAudit(_log(document), aircraft, tuple(surfaces), common_causes=tuple(causes))
         return Verdicts(audit, tuple(document["notes"]), left_out)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
-        raise RecordingError(
-            f"{name}: its verdicts cannot be read ({type(error).__name__}); audit the log again"
-        ) from None
+        why = f"its verdicts cannot be read ({type(error).__name__}); audit the log again"
+        raise RecordingError(f"{name}: {why}") from None
 
 
 def _log(document: Mapping[str, Any]) -> FlightLog:
