@@ -62,10 +62,14 @@ class Job:
         servo: Any = self.servo
         if servo not in (None, UNKNOWN_SERVO):
             explained = explained_in(servo)
-            known = (find_servo(servo)[1].model_dump_json(), str(levels_in(servo))) if explained is None else ()
-            servo = known or [explained and explained.model_dump_json()]
-        aircraft = self.aircraft and self.aircraft.model_dump(mode="json")
-        described = (__version__, aircraft, servo, self.threshold_deg, self.threshold, self.surfaces)
+            levels = [find_servo(servo)[1].model_dump_json(), str(levels_in(servo))] if explained is None else []
+            servo = levels or [explained and explained.model_dump_json()]
+        described = {
+            "version": __version__,
+            "aircraft": self.aircraft and self.aircraft.model_dump(mode="json"),
+            "servo": servo,
+            **{name: getattr(self, name) for name in ("threshold_deg", "threshold", "surfaces")},
+        }
         return _digest(json.dumps(described, sort_keys=True).encode())
 
 
