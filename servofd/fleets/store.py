@@ -73,7 +73,7 @@ TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
 
 
 def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
-    """Rows of one log for each table, with its columns and others."""
+    """Rows of one log for each table."""
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
     for run in judged.runs:
         document = run.document
@@ -95,7 +95,10 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
                     parameters, others = json.dumps(fault["parameters"]), ", ".join(fault["alternatives"])
                     text = {"level": level.removesuffix("s"), "parameters": parameters, "alternatives": others}
                     tables["faults"].append(fault | log | text | {"surface": name})
-    return tables
+    return {
+        name: [{column: row.get(column) for column in TABLES[name]} for row in content]
+        for name, content in tables.items()
+    }
 
 
 def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
@@ -104,10 +107,9 @@ def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
 
     kinds = {"string": pa.string(), "double": pa.float64(), "int64": pa.int64(), "time": pa.timestamp("us", tz="UTC")}
     schema = pa.schema([(column, kinds[kind]) for column, kind in TABLES[name].items()])
-    known = [{column: row.get(column) for column in TABLES[name]} for row in content]
-    for row in known:
-        row |= {k: v.encode("utf-8", "backslashreplace").decode() for k, v in row.items() if isinstance(v, str)}
-    return pa.Table.from_pylist(known, schema=schema)
+    texts = [{k: v for k, v in row.items() if isinstance(v, str)} for row in content]
+    plain = [{k: v.encode("utf-8", "backslashreplace").decode() for k, v in row.items()} for row in texts]
+    return pa.Table.from_pylist([row | text for row, text in zip(content, plain, strict=True)], schema=schema)
 
 
 _SCHEMA = "servofd.fleets/1"
