@@ -72,7 +72,8 @@ def run_fleet(options: Options, job: Job) -> int:
         judged = _judged(found, job, store, options)
     logs = read_logs(Path(options.output)) if options.output else by_path([row for one in judged for row in one.rows])
     seen = overview(logs)
-    pages = [*[str(Path(folder, FLEET_PAGE))] * bool(folder), *[options.html] * bool(options.html)]
+    pages = [str(Path(folder, FLEET_PAGE))] if folder else []
+    pages += [options.html] if options.html else []
     for page in pages:
         _write_page(seen, page)
     if not give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}):
