@@ -46,11 +46,7 @@ def run(options: Options) -> int:
         raise ConfigError(f"{options.endpoint}: --dataflash asks a vehicle for its log, and this is a file")
     if options.no_alert and options.alert_to:
         raise ConfigError("--no-alert and --alert-to exclude each other")
-    for name in (options.tlog, options.rrd, options.json_lines if options.json_lines != "-" else None):
-        if name and not Path(name).resolve().parent.is_dir():
-            raise ConfigError(f"{name}: the folder {Path(name).resolve().parent} does not exist")
-        if name and Path(name).resolve() == Path(options.endpoint).resolve():
-            raise ConfigError(f"{name}: is the log that is replayed; choose another file")
+    _check_files(options)
     if options.speed is not None and not is_log:
         raise ConfigError(f"{options.endpoint}: --speed is for a log file, and there is none of that name")
     try:
@@ -58,6 +54,15 @@ def run(options: Options) -> int:
     except BrokenPipeError:  # who pipes a monitor into something has to learn that nobody watches any more
         raise OSError("standard output was closed; what was written to files until then is whole") from None
     return _verdict(session)
+
+
+def _check_files(options: Options) -> None:
+    """Refuse files that cannot be written, or are the log itself."""
+    for name in (options.tlog, options.rrd, options.json_lines if options.json_lines != "-" else None):
+        if name and not Path(name).resolve().parent.is_dir():
+            raise ConfigError(f"{name}: the folder {Path(name).resolve().parent} does not exist")
+        if name and Path(name).resolve() == Path(options.endpoint).resolve():
+            raise ConfigError(f"{name}: is the log that is replayed; choose another file")
 
 
 def _watch(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:

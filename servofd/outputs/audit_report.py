@@ -238,17 +238,11 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
         )
     times = ("onset [s]", "alarm [s]", "end [s]")
     head = ("kind", *times, "parameters (95% intervals)", "probability", "alternatives", "by its")
-    current = []
-    if surface.current is not None:
-        share, ratio = surface.current.explained_share, surface.current.ratio_to_good
-        current = [("what it shows", surface.current.reason)]
-        current += [("explained by the motion that was asked for", f"{share:.0%}")] if share is not None else []
-        current += [("in motion, over that of a good servo", f"{ratio:.2f}")] if ratio is not None else []
     numbers: list[Part] = [
         Table("Faults and suspicions", head, rows),
         Table("Residual and threshold", ("quantity", "value"), _statistics(surface)),
         Table("Quality of the data", ("quantity", "value"), quality_rows(surface)),
-        Table("Current", ("quantity", "value"), current),
+        Table("Current", ("quantity", "value"), _current(surface)),
     ]
     if len(found) > MOST_FAULTS:
         numbers.insert(1, Words(f"{MOST_FAULTS} of {len(found)} are shown in a close-up.", style="soft"))
@@ -269,6 +263,15 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
     sizes = seen(surface.detectable) if surface.status == "healthy" else ""
     said = "; ".join(filter(None, (surface.reason, other_way_round(surface), sizes)))
     return Item(surface.surface, surface.status, said, next_step(surface), surface.model.origin, parts)
+
+
+def _current(surface: SurfaceAudit) -> list[tuple[str, str]]:
+    if surface.current is None:
+        return []
+    share, ratio = surface.current.explained_share, surface.current.ratio_to_good
+    rows = [("what it shows", surface.current.reason)]
+    rows += [("explained by the motion that was asked for", f"{share:.0%}")] if share is not None else []
+    return rows + ([("in motion, over that of a good servo", f"{ratio:.2f}")] if ratio is not None else [])
 
 
 def _axis(axis: AxisAudit) -> Item:
