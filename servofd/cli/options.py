@@ -65,9 +65,16 @@ class Parser(argparse.ArgumentParser):
         """Declare a file that is written or read."""
         self.add_argument(name, metavar=metavar, help=about)
 
-    def value(self, name: str, about: str, metavar: str, read: Callable[[str], object] = str, **more: Any) -> None:  # noqa: ANN401 - of argparse
+    def value(
+        self,
+        name: str,
+        about: str,
+        unit: str,
+        read: Callable[[str], object] = str,
+        **more: Any,  # noqa: ANN401 - of argparse
+    ) -> None:
         """Declare an option with a value; `read` makes it of what was typed."""
-        self.add_argument(name, type=read, metavar=metavar, help=about, **more)
+        self.add_argument(name, type=read, metavar=unit, help=about, **more)
 
     def flag(self, name: str, about: str, **more: Any) -> None:  # noqa: ANN401 - of argparse
         """Declare what is on or off."""
