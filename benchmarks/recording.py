@@ -23,9 +23,9 @@ from logparsers.records import Channel, FlightLog
 from servofd.aircraft.schema import plain_aircraft
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import LogAudit
-from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.read import read_recording
+from servofd.outputs.recording.write import save_recording
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 

@@ -37,8 +37,8 @@ from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import ResidualGenerator
 from servofd.discrepancy.explanation import explain_gap
 from servofd.identification.identify import identify
-from servofd.outputs.recording import save_recording
 from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.write import save_recording
 from servofd.servo.context import Context
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel

@@ -17,7 +17,7 @@ _MENU = 26 / 788
 def main(docs: Path = ROOT / "docs") -> None:
     sys.path.insert(0, str(ROOT))
     import servofd
-    from servofd.outputs.recording import save_recording
+    from servofd.outputs.recording.write import save_recording
     from tests.pictures.viewer import viewer
 
     folder = docs / "recordings"

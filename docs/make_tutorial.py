@@ -14,7 +14,7 @@ from pathlib import Path
 from servofd.cli import main as servofd
 from servofd.outputs.explain_report import explain_charts
 from servofd.outputs.figure import chart_png
-from servofd.results import explain
+from servofd.results.models import explain
 
 HERE = Path(__file__).parent
 LOOSE = "loose.csv"

@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from servofd.discrepancy.explanation import explain_gap as explain_gap
     from servofd.identification.result import Identification as Identification
     from servofd.jobs.explaining import explain_logs as explain_logs
-    from servofd.results import Audit as Audit
-    from servofd.results import Audits as Audits
-    from servofd.results import Comparison as Comparison
-    from servofd.results import Fleet as Fleet
-    from servofd.results import audit as audit
-    from servofd.results import calibrate as calibrate
-    from servofd.results import compare as compare
-    from servofd.results import explain as explain
-    from servofd.results import fleet as fleet
-    from servofd.results import identify as identify
-    from servofd.results import load as load
-    from servofd.results import simulate as simulate
-    from servofd.results import trend as trend
+    from servofd.results.audits import Audit as Audit
+    from servofd.results.audits import Audits as Audits
+    from servofd.results.audits import Comparison as Comparison
+    from servofd.results.audits import Fleet as Fleet
+    from servofd.results.audits import audit as audit
+    from servofd.results.audits import compare as compare
+    from servofd.results.audits import fleet as fleet
+    from servofd.results.audits import load as load
+    from servofd.results.models import calibrate as calibrate
+    from servofd.results.models import explain as explain
+    from servofd.results.models import identify as identify
+    from servofd.results.models import simulate as simulate
+    from servofd.results.models import trend as trend
     from servofd.servo.effect import Effect as Effect
     from servofd.servo.effect import Parameter as Parameter
     from servofd.servo.effect import Slot as Slot
@@ -63,7 +63,8 @@ _NAMES = {
     "discrepancy.explanation": "Explanation explain_gap",
     "identification.result": "Identification",
     "jobs.explaining": "explain_logs",
-    "results": "Audit Audits Comparison Fleet audit calibrate compare explain fleet identify load simulate trend",
+    "results.audits": "Audit Audits Comparison Fleet audit compare fleet load",
+    "results.models": "calibrate explain identify simulate trend",
     "servo.effect": "Effect Parameter Slot",
     "servo.library": "Servo library servo_named",
     "servo.servo_model": "ServoModel",

@@ -9,9 +9,9 @@ import re
 import shutil
 import tempfile
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import logparsers
 from logparsers import EmptyLog, LogError
@@ -34,8 +34,7 @@ _TABLE_HEAD_BYTES = 65_536
 """Room for a header line and some rows of any table."""
 
 
-@dataclass(frozen=True, slots=True)
-class LogSource:
+class LogSource(NamedTuple):
     """One log: a file, or an address that fsspec opens."""
 
     path: str
@@ -43,16 +42,14 @@ class LogSource:
     """0 if it is not known."""
 
 
-@dataclass(frozen=True, slots=True)
-class Skipped:
+class Skipped(NamedTuple):
     """A file that is no log, and why."""
 
     path: str
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """What there is to do."""
 
     logs: tuple[LogSource, ...]
@@ -135,7 +132,8 @@ def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list
     if is_pattern(text):
         matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - Path.glob takes no absolute patterns
     files = (name for match in matches for name in (_walked(match) if is_folder(match) else [match]))
-    return _sorted_out(((name, _size_bytes(name), _heads) for name in files), layout)
+    heads_of = partial(heads, size=_TABLE_HEAD_BYTES)
+    return _sorted_out(((name, _size_bytes(name), heads_of) for name in files), layout)
 
 
 def _nothing(text: str, skipped: list[Skipped]) -> str:
@@ -166,21 +164,15 @@ def _walked(folder: str) -> Iterator[str]:
 def _sorted_out(
     files: Iterable[tuple[str, int, Any]], layout: TableLayout | None
 ) -> tuple[list[LogSource], list[Skipped]]:
+    """Logs, and what is none; a page of results that was written beside the logs last time is neither."""
     logs, skipped = [], []
     for name, size_bytes, heads_of in files:
         reason = _why_no_log(name, heads_of, layout)
-        if reason and _is_own_page(name, heads_of):
-            continue
-        if reason:
-            skipped.append(Skipped(name, reason))
-        else:
+        if not reason:
             logs.append(LogSource(name, size_bytes))
+        elif not (name.endswith(".html") and any(_OWN_PAGE in head for head in heads_of(name))):
+            skipped.append(Skipped(name, reason))
     return logs, skipped
-
-
-def _is_own_page(name: str, heads: Any) -> bool:  # noqa: ANN401 - reader of bytes
-    """Whether a file is a page of results that was written beside the logs last time."""
-    return name.endswith(".html") and any(_OWN_PAGE in head for head in heads(name))
 
 
 def _why_no_log(name: str, heads: Any, layout: TableLayout | None) -> str:  # noqa: ANN401 - reader of bytes
@@ -197,19 +189,16 @@ def _why_no_log(name: str, heads: Any, layout: TableLayout | None) -> str:  # no
 
 
 def _why_no_head(head: bytes, name: str, layout: TableLayout | None) -> str:
-    """Text is a log if its first lines are a table of flight data."""
+    """Text is a log if its first lines are a table of flight data; one with something wrong in it is for the audit."""
     if not head:
         return "empty"
     try:
         reader = detect(head[:HEAD_BYTES], name)
     except LogError as error:
         return str(error).removeprefix(f"{name}: ")
-    return _why_no_table(head, layout) if reader.__name__ == "read_table" else ""
-
-
-def _why_no_table(text: bytes, layout: TableLayout | None) -> str:
-    """Why the beginning of a text is no table of flight data; one with something wrong in it is for the audit."""
-    whole_lines = text[: text.rfind(b"\n") + 1] or text
+    if reader.__name__ != "read_table":
+        return ""
+    whole_lines = head[: head.rfind(b"\n") + 1] or head
     try:
         logparsers.read_all(io.BytesIO(whole_lines), layout)
     except LogError as error:
@@ -219,10 +208,6 @@ def _why_no_table(text: bytes, layout: TableLayout | None) -> str:
             return ""
         return str(error).removeprefix("<file>: ")
     return ""
-
-
-def _heads(name: str) -> list[bytes]:
-    return heads(name, _TABLE_HEAD_BYTES)
 
 
 def _size_bytes(name: str) -> int:

@@ -59,23 +59,18 @@ class Job:
     @property
     def key(self) -> str:
         """Digest of all of it and of the version of servofd; a servo file counts by its content."""
-        described: dict[str, Any] = {
+        servo: Any = self.servo
+        if servo not in (None, UNKNOWN_SERVO):
+            explained = explained_in(servo)
+            levels = [find_servo(servo)[1].model_dump_json(), str(levels_in(servo))] if explained is None else []
+            servo = levels or [explained and explained.model_dump_json()]
+        described = {
             "version": __version__,
-            "aircraft": self.aircraft.model_dump(mode="json") if self.aircraft else None,
-            "servo": self.servo if self.servo in (None, UNKNOWN_SERVO) else _described(self.servo),
-            "threshold_deg": self.threshold_deg,
-            "threshold": self.threshold,
-            "surfaces": self.surfaces,
+            "aircraft": self.aircraft and self.aircraft.model_dump(mode="json"),
+            "servo": servo,
+            **{name: getattr(self, name) for name in ("threshold_deg", "threshold", "surfaces")},
         }
         return _digest(json.dumps(described, sort_keys=True).encode())
-
-
-def _described(servo: str) -> list[str]:
-    """All that a servo file says, whatever its name."""
-    explained = explained_in(servo)
-    if explained is not None:
-        return [explained.model_dump_json()]
-    return [find_servo(servo)[1].model_dump_json(), str(levels_in(servo))]
 
 
 def page_name(path: str, content: str) -> str:

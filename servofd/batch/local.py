@@ -28,6 +28,7 @@ _AHEAD = 2
 """Items handed out per process: one at work, one waiting, so that none is idle and few are lost with a process."""
 
 
+_DIED = "the process that read it died: out of memory, killed or crashed"
 _SCRIPT = threading.Lock()
 """Of who hides the user's script: two at once would put the wrong one back."""
 
@@ -70,7 +71,8 @@ def run_local(
         suspects: list[_Item] = []
         yield from _until_broken(task, waiting, count, suspects)
         for item in suspects:
-            yield from _alone(task, item)
+            alone = list(_until_broken(task, deque([item]), 1, []))
+            yield alone[0] if alone else (item, WorkerDied(_DIED))
 
 
 def _until_broken(
@@ -106,40 +108,24 @@ def _outcome(result: Callable[[], _Result]) -> _Result | Exception:
         return error
 
 
-def _alone(task: Callable[[_Item], _Result], item: _Item) -> Iterator[tuple[_Item, _Result | Exception]]:
-    with processes(1) as pool:
-        with interrupts_wait():
-            future = pool.submit(task, item)
-        outcome = _outcome(future.result)
-    died = isinstance(outcome, BrokenProcessPool)
-    yield item, WorkerDied("the process that read it died: out of memory, killed or crashed") if died else outcome
-
-
 @contextmanager
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Some processes with one thread each for linear algebra; left early, they are ended at once."""
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
-    with _one_thread_each():
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - before:
-                process.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Set before the processes start: libraries read it when they are loaded."""
     known = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    os.environ.update(
+        dict.fromkeys(_THREADS, "1")
+    )  # before the processes start: libraries read it when they are loaded
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
     try:
-        yield
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - before:
+            process.terminate()
+        raise
     finally:
+        pool.shutdown(wait=True, cancel_futures=True)
         for name, value in known.items():
             if value is None:
                 del os.environ[name]
@@ -150,27 +136,18 @@ def _one_thread_each() -> Iterator[None]:
 @contextmanager
 def interrupts_wait() -> Iterator[None]:
     """Within the block Ctrl-C waits for its end; processes that start in it never receive it."""
-    with _without_script():
-        if not hasattr(signal, "pthread_sigmask"):
-            yield
-            return
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _without_script() -> Iterator[None]:
-    """Processes that start in the block need none of the user's script, and do not run it again, guarded or not."""
+    has_mask = hasattr(signal, "pthread_sigmask")
     with _SCRIPT:
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if has_mask else set()
+        # Processes that start here need none of the user's script, and do not run it again, guarded or not.
         script = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")
         try:
             yield
         finally:
             sys.modules["__main__"] = script
+            if has_mask:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:

@@ -24,27 +24,14 @@ from servofd.cli.options import COULD_NOT_TELL, VERBS, WAYS, Options, build_pars
 from servofd.cli.terminal import complain, say, say_aside
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 __all__ = ["build_parser", "interruptible", "main", "parsed"]
 
-_SIMULATING = frozenset(
-    (
-        "audit",
-        "calibrate",
-        "explain",
-        "fleet",
-        "identify",
-        "monitor",
-        "odds",
-        "onboard",
-        "serve",
-        "simulate",
-        "sweep",
-        "trend",
-    )
-)
-"""Verbs that simulate servos."""
+_WITHIN = ("design", "servos", "view")
+"""Other ways of a verb that stand in its file."""
+_NOT_SIMULATING = (*_WITHIN, "config", "help", "info", "review")
+"""Verbs that simulate no servo."""
 _INTERRUPTED = 128 + signal.SIGINT
 """Exit code after Ctrl-C, as shells have it: 128 and the number of the signal."""
 _OBJECTS_BETWEEN_SEARCHES = 100_000
@@ -82,10 +69,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     try:
         with interruptible():
-            if options.verb in _SIMULATING:
-                _prepare()
-            verb = _show_help if options.verb == "help" else import_module(f"servofd.cli.{options.verb}").run
-            code: int = verb(options)
+            if options.verb not in _NOT_SIMULATING:
+                from servofd.jobs.prepare import compile_ahead
+
+                waits = sys.stderr is not None and sys.stderr.isatty()
+                compile_ahead(lambda sentence: say_aside(sentence) if waits else None)
+            code = _function_of(options.verb)(options)
             if sys.stdout is not None:
                 sys.stdout.flush()
     except (LogError, ServofdError) as error:
@@ -111,12 +100,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _prepare() -> None:
-    """Have compiled what a fresh machine compiles once."""
-    from servofd.jobs.prepare import compile_ahead
-
-    waits = sys.stderr is not None and sys.stderr.isatty()
-    compile_ahead(lambda sentence: say_aside(sentence) if waits else None)
+def _function_of(verb: str) -> Callable[[Options], int]:
+    """What does a verb, or another way of one, which stands in a file of its own or in that of its verb."""
+    if verb == "help":
+        return _show_help
+    module = import_module(f"servofd.cli.{WAYS[verb][0] if verb in _WITHIN else verb}")
+    found: Callable[[Options], int] = getattr(module, f"run_{verb}" if verb in _WITHIN else "run")
+    return found
 
 
 def parsed(words: Sequence[str]) -> Options:

@@ -1,4 +1,4 @@
-"""``servofd audit``: the verdict on one or more logs."""
+"""``servofd audit``: the verdict on logs; ``servofd LOG``: the same in a few lines, with the page opened."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from servofd.cli.terminal import (
     one_line,
     print_document,
     progress,
+    say,
     worst,
     write_page,
 )
 from servofd.core.errors import ConfigError, needs
-from servofd.core.files import beginning, distinct_file_names, make_folder
+from servofd.core.files import distinct_file_names, make_folder
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
-from servofd.outputs.page import source_tag
+from servofd.outputs.page import FLEET_PAGE, is_page_of, open_page
+from servofd.outputs.sentence import LEAST_CLEARED, answers, whole_sentence
+from servofd.outputs.sentence import worst as worst_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from servofd.cli.options import Options
     from servofd.detection.verdict import LogAudit
@@ -37,45 +40,77 @@ if TYPE_CHECKING:
 _A_FEW = 16
 """Logs up to which each has a table of its own."""
 _PACKED = (".gz", ".zip", ".bz2", ".xz")
-_HEAD_BYTES = 2000
-"""Beginning of a page in which its source is looked for."""
 _SOME = 8
 """Runs that are named in a line."""
 
 
 def run(options: Options) -> int:
     """Audit all logs, then write all outputs, then print."""
-    check(options)
-    if is_fleet(options):
-        from servofd.cli.fleet import run_fleet
-
-        return run_fleet(options, job_of(options))
-    results = judged_logs(options)
+    _check(options)
+    if _is_fleet(options):
+        return _many(options)
+    results = _judged_logs(options)
     report = audit_report(results)
-    write(options, results, report)
-    if options.output and not options.html:
-        page_of(options, report)
     audits = [result for result in results if not isinstance(result, FailedLog)]
-    few = audits if len(audits) <= _A_FEW else []  # of cycles of a bench one table and one sentence
-    if audits and options.json != "-":
+    _write(options, audits, report)
+    page = Path(options.html) if options.html else None
+    if page is None and (options.looks or options.output):
+        page = _page_of(options, report)
+    if options.json != "-" and options.looks:
+        for line in _closing_lines(audits, report.sentence, page):
+            say(one_line(line))
+    elif options.json != "-" and audits:
+        few = audits if len(audits) <= _A_FEW else []  # of cycles of a bench one table and one sentence
         for document in [audit_report([audit]) for audit in few] or [replace(report, parts=report.parts[:1])]:
             print_document(document)
-    return exit_code(results)
+    if page and options.looks and not options.no_open:
+        open_page(page.resolve().as_uri())
+    return _exit_code(results, audits)
 
 
-def is_fleet(options: Options) -> bool:
+def _is_fleet(options: Options) -> bool:
     """Whether there may be more logs than one looks at one by one."""
     several = any(is_address(log) or is_pattern(log) or is_folder(log) for log in options.logs)
-    return several or bool(options.workers) or len(options.logs) > _A_FEW
+    return several or bool(options.workers) or len(options.logs) > (1 if options.looks else _A_FEW)
 
 
-def job_of(options: Options) -> Job:
+def _many(options: Options) -> int:
+    """Judge many logs; ``servofd LOGS`` puts their pages into a folder, with one that links to them."""
+    from servofd.cli.fleet import run_fleet
+
+    if not options.looks:
+        return run_fleet(options, _job_of(options))
+    first = Path(options.logs[0])
+    beside = first if first.is_dir() else first.parent
+    folder = Path(options.output or (beside if os.access(beside, os.W_OK) else Path()) / "servofd")
+    options.output, options.pages = None, str(folder)
+    code = run_fleet(options, _job_of(options))
+    if not options.no_open:
+        open_page((folder / FLEET_PAGE).resolve().as_uri())
+    return code
+
+
+def _closing_lines(audits: Sequence[LogAudit], sentence: str, page: Path | None) -> list[str]:
+    """What happened, what to do, what is well, and where the page is: one line a surface."""
+    where = f" → {page}" if page else ""
+    if not audits:
+        return [f"{sentence}{where}"]
+    shown = min(audits, key=lambda audit: LEAST_CLEARED.index(worst_of((*audit.surfaces, *audit.axes))))
+    run_name = f"Run {shown.log.run}: " if shown.log.run else ""
+    lines = [f"{run_name}{whole_sentence(shown)}{where}"]
+    if len(audits) > 1:
+        clear = sum(worst_of((*audit.surfaces, *audit.axes)) == "healthy" for audit in audits)
+        lines.append(f"{clear} of {len(audits)} runs are healthy; this one is the worst.")
+    return lines + answers(shown)
+
+
+def _job_of(options: Options) -> Job:
     """What the options ask to judge logs with."""
     aircraft = known_aircraft(options.config)
     return Job(aircraft, options.servo, options.threshold_deg, options.threshold, tuple(options.surface))
 
 
-def check(options: Options) -> None:
+def _check(options: Options) -> None:
     """Refuse what cannot be, before the work starts."""
     if options.threshold == "interval" and options.threshold_deg is not None:
         raise ConfigError("--threshold-deg gives a constant threshold; leave it out, or leave out --threshold interval")
@@ -89,9 +124,9 @@ def check(options: Options) -> None:
     check_targets(outputs, {"a log": options.logs, "the aircraft file": [options.config]}, folder=options.output)
 
 
-def judged_logs(options: Options) -> list[LogAudit | FailedLog]:
+def _judged_logs(options: Options) -> list[LogAudit | FailedLog]:
     """Every run of every log that was named; what cannot be read does not stop the others."""
-    job = job_of(options)
+    job = _job_of(options)
     results: list[LogAudit | FailedLog] = []
     for path in options.logs:
         with progress(Path(path).name, len(job.aircraft.surfaces) or 1 if job.aircraft else 1) as step:
@@ -99,9 +134,8 @@ def judged_logs(options: Options) -> list[LogAudit | FailedLog]:
     return results
 
 
-def exit_code(results: list[LogAudit | FailedLog]) -> int:
+def _exit_code(results: list[LogAudit | FailedLog], audits: Sequence[LogAudit]) -> int:
     """The worst of all logs; why there is no verdict goes to stderr, a line a log, or one for many runs of a file."""
-    audits = [result for result in results if not isinstance(result, FailedLog)]
     for result in results:
         if isinstance(result, FailedLog):
             complain(result.error)
@@ -118,23 +152,22 @@ def exit_code(results: list[LogAudit | FailedLog]) -> int:
     return worst([*codes, *(2 for _ in range(len(results) - len(audits)))])
 
 
-def write(options: Options, results: list[LogAudit | FailedLog], report: Document) -> None:
+def _write(options: Options, audits: list[LogAudit], report: Document) -> None:
     """Write the files that were asked for, and JSON to stdout if that was."""
-    audits = [result for result in results if not isinstance(result, FailedLog)]
     if options.rrd and len(audits) > 1:
         raise ConfigError(f"{options.rrd}: --rrd takes one log at a time; -o DIR writes a recording for each")
     give_json(options.json, report.data)
     if options.html:
         write_page(report, options.html)
     if options.rrd and audits:
-        from servofd.outputs.recording import save_recording
+        from servofd.outputs.recording.write import save_recording
 
         save_recording(audits[0], options.rrd)
     if options.output:
         _write_folder(options, audits, report.data)
 
 
-def page_of(options: Options, report: Document) -> Path | None:
+def _page_of(options: Options, report: Document) -> Path | None:
     """The page, written into ``-o``, else beside the log, else where the user is; None if there is nothing to show."""
     if not report.parts:
         return None
@@ -143,18 +176,10 @@ def page_of(options: Options, report: Document) -> Path | None:
     bare = Path(log.stem).stem if log.suffix in _PACKED else log.stem
     for stem in distinct_file_names([bare, log.name, f"{log.name}.servofd"]):
         target = folder / f"{stem}.html"
-        if not target.exists() or _is_of(target, log.name):
+        if not target.exists() or is_page_of(target, log.name):
             break
     write_page(report, target)
     return target
-
-
-def _is_of(page: Path, log: str) -> bool:
-    """Whether a page is ours, and of the same log: only then it is overwritten without a question."""
-    try:
-        return source_tag(log).encode() in beginning(page, _HEAD_BYTES)
-    except OSError:
-        return False
 
 
 def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[str, Any]) -> None:
@@ -167,7 +192,7 @@ def _write_folder(options: Options, audits: list[LogAudit], document: Mapping[st
         complain(f"no figures, no recording: {error}")
         return
     from servofd.outputs.figure import save_figure
-    from servofd.outputs.recording import save_recording
+    from servofd.outputs.recording.write import save_recording
 
     stems = [one.log.source.stem + (f"-{one.log.run}" if one.log.run else "") for one in audits]
     for audit, stem in zip(audits, distinct_file_names(stems), strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.outputs import is_numbered
@@ -12,7 +12,6 @@ from servofd.calibrating.result import calibration_to_toml
 from servofd.cli.terminal import check_targets, print_document, progress, say
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import write_whole
-from servofd.feedback.flown import logs_of, surfaces_of
 from servofd.jobs.workflow import calibrate, calibrate_axes, drafted_aircraft
 from servofd.outputs.calibrate_report import calibrate_report, motion_report
 
@@ -27,22 +26,19 @@ def run(options: Options) -> int:
     check_targets([options.output], {"a log": options.logs})
     if options.config is not None:
         aircraft = load_aircraft(options.config)
-    elif options.motion or not _has_feedback(options.logs):
+    elif options.motion:
         return _run_axes(options)
     else:
-        aircraft = drafted_aircraft(options.logs)
+        try:
+            aircraft = drafted_aircraft(options.logs)
+        except NoMeasurement:  # no log tells where a surface was
+            return _run_axes(options)
     if not aircraft.surfaces:
         raise ConfigError(f"{options.config}: no surface in it to calibrate; leave -c out to calibrate motion anew")
     with progress("calibrate", len(options.surface or aircraft.surfaces)) as step:
-        calibration = calibrate(
-            options.logs,
-            aircraft,
-            surfaces=tuple(options.surface),
-            spans=tuple(options.between),
-            runs=tuple(options.runs),
-            force=options.force,
-            progress=step,
-        )
+        parts: dict[str, Any] = {"spans": tuple(options.between), "runs": tuple(options.runs)}
+        wanted = tuple(options.surface)
+        calibration = calibrate(options.logs, aircraft, surfaces=wanted, **parts, force=options.force, progress=step)
     text = calibration_to_toml(calibration)
     write_whole(options.output, text.encode())
     print_document(calibrate_report(calibration, options.false_alarms_per_hour))
@@ -50,17 +46,6 @@ def run(options: Options) -> int:
     if options.config is None and any(is_numbered(name) for name in aircraft.surfaces):
         say("no log says what the outputs turn (SERVOn_FUNCTION); -c FILE, or a log that does, names the surfaces")
     return _run_axes(options, text) if options.motion else 0
-
-
-def _has_feedback(paths: list[str]) -> bool:
-    """Whether any of the logs tells where a surface was."""
-    for log in logs_of(paths):
-        try:
-            surfaces_of(log)
-        except NoMeasurement:
-            continue
-        return True
-    return False
 
 
 def _run_axes(options: Options, text: str = "") -> int:

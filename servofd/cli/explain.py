@@ -11,7 +11,6 @@ from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
 from servofd.discrepancy.explanation import KEEP
 from servofd.jobs.explaining import explain_logs
-from servofd.outputs.explain_recording import save_explanation
 from servofd.outputs.explain_report import explain_report
 from servofd.outputs.model_file import model_file
 
@@ -45,6 +44,8 @@ def run(options: Options) -> int:
             raise ConfigError(f"{options.rrd}: --rrd takes one surface at a time: choose it with -s")
         names = ", ".join(Path(log).name for log in options.logs)  # what leaves the machine tells nothing of it
         if options.rrd:
+            from servofd.outputs.explain_recording import save_explanation
+
             save_explanation(found.explanations[0], options.rrd, names)
         report = explain_report(found.explanations, names, found.failures)
         report = replace(report, sentence=report.sentence.replace(KEEP, f"{KEEP} with --save"))

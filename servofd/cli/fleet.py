@@ -63,11 +63,14 @@ def run_fleet(options: Options, job: Job) -> int:
     folder = options.output or options.pages
     job = replace(job, pages=folder is not None)
     found = find_logs(options.logs, layout_of(job.aircraft))
-    _say_what_was_skipped(found)
+    if found.skipped:
+        some = "; ".join(f"{one.path}: {one.reason}" for one in found.skipped[:_SHOWN])
+        more = f"; and {len(found.skipped) - _SHOWN} more" if len(found.skipped) > _SHOWN else ""
+        what = "1 file that is no log" if len(found.skipped) == 1 else f"{len(found.skipped)} files that are no logs"
+        complain(f"passed over {what}: {some}{more}")
     with FleetStore(Path(options.output), job.key) if options.output else nullcontext() as store:
         judged = _judged(found, job, store, options)
-    kept = [run.row | {"content": one.content} for one in judged for run in one.runs]
-    logs = read_logs(Path(options.output)) if options.output else by_path(kept)
+    logs = read_logs(Path(options.output)) if options.output else by_path([row for one in judged for row in one.rows])
     seen = overview(logs)
     pages = [str(Path(folder, FLEET_PAGE))] if folder else []
     pages += [options.html] if options.html else []
@@ -105,10 +108,8 @@ def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) 
     """Judge what is not done; kept in memory only if there is no folder for it."""
     kept = []
     to_do = list(found.logs) if store is None else _to_do(found.logs, store)
-    if not to_do:
-        return []
     folder = options.output or options.pages
-    if folder:
+    if to_do and folder:
         make_folder(Path(folder))
     with progress("audit", len(found.logs), len(found.logs) - len(to_do)) as step:
         for judged in audit_fleet(to_do, job, workers=options.workers):
@@ -125,24 +126,13 @@ def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) 
 
 def _to_do(logs: tuple[LogSource, ...], store: FleetStore) -> list[LogSource]:
     if store.set_aside:
-        complain(
-            f"{store.set_aside} logs were judged with another aircraft file, other options or "
-            f"another version; they are in {store.folder / 'earlier'} now, and judged again",
-            store.folder,
-        )
+        otherwise = f"{store.set_aside} logs were judged with another aircraft file, other options or another version"
+        complain(f"{otherwise}; they are in {store.folder / 'earlier'} now, and judged again", store.folder)
     store.forget_not_judged()
     to_do = [log for log in logs if not store.done(log)]
     if len(to_do) < len(logs):
         complain(f"{len(logs) - len(to_do)} of {len(logs)} logs are done already")
     return to_do
-
-
-def _say_what_was_skipped(found: Found) -> None:
-    if found.skipped:
-        some = "; ".join(f"{one.path}: {one.reason}" for one in found.skipped[:_SHOWN])
-        more = f"; and {len(found.skipped) - _SHOWN} more" if len(found.skipped) > _SHOWN else ""
-        what = "1 file that is no log" if len(found.skipped) == 1 else f"{len(found.skipped)} files that are no logs"
-        complain(f"passed over {what}: {some}{more}")
 
 
 def _write_page(seen: Overview, target: str) -> None:

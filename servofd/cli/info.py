@@ -33,29 +33,21 @@ def run(options: Options) -> int:
 
 def _report(found: dict[str, Any]) -> Document:
     label = found["path"] + (f" (run {found['run']})" if found["run"] else "")
-    about = {
-        "vehicle": found["vehicle"],
-        "firmware": found["firmware"],
-        "booted": (found["start_utc"] or "").replace("T", " "),
-    }
+    about = {name: found[name] for name in ("vehicle", "firmware")}
+    about["booted"] = (found["start_utc"] or "").replace("T", " ")
     lines = [f"{name}: {value}" for name, value in about.items() if value]
     lines += [f"damage: {damage['kind']}: {damage['note']}" for damage in found["damage"]]
     advice = [found["by_current"]] if found["by_current"] else []
     advice += [f"to audit this aircraft: {found['advice']}"] if found["advice"] else []
     if not found["on_board"] and found["format"] in ("dataflash", "tlog") and found["surfaces"]:
         advice.insert(bool(found["by_current"]), _ON_BOARD)
-    surfaces = [
-        (
-            *(s["name"], s["verdict"], _rate(s["position_hz"]), _rate(s["command_hz"])),
-            ", ".join(filter(None, (s["command"], s["position"], s["current"]))),
-        )
-        for s in found["surfaces"]
-    ]
-    channels = [
-        (c["name"], c["unit"], str(c["samples"]), _rate(c["rate_hz"]), str(c["gaps"]), f"{c['longest_gap_s']:.2f}")
-        for c in found["channel_details"]
-    ]
-    on_board = []
+    surfaces, channels, on_board = [], [], []
+    for s in found["surfaces"]:
+        names = ", ".join(filter(None, (s["command"], s["position"], s["current"])))
+        surfaces.append((s["name"], s["verdict"], _rate(s["position_hz"]), _rate(s["command_hz"]), names))
+    for c in found["channel_details"]:
+        gaps = (str(c["gaps"]), f"{c['longest_gap_s']:.2f}")
+        channels.append((c["name"], c["unit"], str(c["samples"]), _rate(c["rate_hz"]), *gaps))
     for seen in found["on_board"]:
         alarms_s, peak = seen["alarms_s"], seen["peak_share"]
         times = ", ".join(f"{time_s:.2f}" for time_s in alarms_s[:_SHOWN])

@@ -26,7 +26,6 @@ from servofd.live.threads import Receiver, Speaker, signature_of
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.cli.options import Options
 
@@ -73,13 +72,8 @@ def _watch(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
     with contextlib.ExitStack() as open_:
         link = open_link(endpoint)
         open_.callback(link.close)
-        session = Session(
-            Codec(0, options.component, signature=signature),
-            aircraft,
-            aside=True,
-            remote_log=options.dataflash,
-            component=options.component,
-        )
+        component, codec = options.component, Codec(0, options.component, signature=signature)
+        session = Session(codec, aircraft, aside=True, remote_log=options.dataflash, component=component)
         speaker = Speaker(options.system or 0, options.component, signature)
         if not options.no_request:
             to_vehicle = open_.enter_context(speaker.to(link))
@@ -112,17 +106,16 @@ def _replay(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
         if not is_stream:
             aircraft = {system: resolved(log, craft) for system, craft in aircraft.items()}
         aircraft = {system: with_current_sources(log, craft) for system, craft in aircraft.items()}
-        session = Session(
-            Codec(0, options.component, signature=recorded),
-            aircraft,
-            is_stream=is_stream,
-            remote_log=is_stream and _asks_its_log(aircraft, log),
-        )
+        # Whether it has the aircraft's channels in the autopilot's own log, which came with it.
+        wanted = {s.watched_channel for craft in aircraft.values() for s in craft.surfaces.values()} - {""}
+        remote = is_stream and any(name in log.channels for name in ChannelTable(wanted).unknown)
+        codec = Codec(0, options.component, signature=recorded)
+        session = Session(codec, aircraft, is_stream=is_stream, remote_log=remote)
         _alert_aside(options, session, Speaker(options.system or 0, options.component, signature), open_)
         outputs = open_.enter_context(Outputs.of(options, session, options.endpoint, aircraft))
         now_s = 0.0
         with contextlib.suppress(KeyboardInterrupt):
-            if log.format == "tlog":
+            if is_stream:
                 now_s = replay_telemetry(session, path, outputs, pace, options.duration)
             else:
                 now_s = replay_log(session, log, outputs, pace, options.duration)
@@ -138,29 +131,21 @@ def _alert_aside(options: Options, session: Session, speaker: Speaker, open_: co
         session.alert = open_.enter_context(speaker.to(link))
 
 
-def _asks_its_log(aircraft: Mapping[int, Aircraft], log: FlightLog) -> bool:
-    """Whether a telemetry log has the aircraft's channels in the autopilot's own log, which came with it."""
-    wanted = {s.watched_channel for craft in aircraft.values() for s in craft.surfaces.values()} - {""}
-    return any(name in log.channels for name in ChannelTable(wanted).unknown)
-
-
 def _verdict(session: Session) -> int:
     """Exit code; the reason for a 2 goes to stderr."""
     axes = [vehicle.axes for vehicle in session.vehicles.values() if vehicle.axes is not None]
     if any(monitor.has_fault for monitor in session.judges) or any(one.has_fault for one in axes):
         return 1
-    suspect = [audit for one in axes if one.has_suspect for audit in one.audits if audit.status == "suspect"]
     if any(one.has_suspect for one in axes):
-        why = suspect[0].reason if suspect else "an axis did not answer its command"
-        complain(f"not cleared: {why}")
+        reasons = (audit.reason for one in axes if one.has_suspect for audit in one.audits if audit.status == "suspect")
+        complain(f"not cleared: {next(reasons, 'an axis did not answer its command')}")
         return 2
     doubtful = [monitor for monitor in session.judges if monitor.suspicions]
     if doubtful:
         found = "; ".join(f"{monitor.name}: {describe(monitor.suspicions[0])}" for monitor in doubtful)
         complain(f"not cleared: no alarm stands, but look at it: {found}")
         return 2
-    by_motion = not session.watched and any(not one.problem for one in axes)
-    unjudged = "" if by_motion else session.unjudged()
+    unjudged = session.unjudged() if session.watched or all(one.problem for one in axes) else ""
     if not unjudged:
         return 0
     names = ", ".join(sorted(session.names)[:8])
@@ -182,9 +167,8 @@ def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
             raise ConfigError(f"-c {name}: vehicle {system} {what}")
         aircraft = load_aircraft(path if numbered else name)
         if not numbered and aircraft in loaded:
-            raise ConfigError(
-                f"-c {name}: given twice; two vehicles of one file are -c 1={name} -c 2={name}, by system id"
-            )
+            by_id = f"-c 1={name} -c 2={name}, by system id"
+            raise ConfigError(f"-c {name}: given twice; two vehicles of one file are {by_id}")
         loaded.append(aircraft)
         unnamed = [key for key, one in aircraft.surfaces.items() if not one.names_servo and not one.is_told_by_current]
         if unnamed:  # an audit fits them to its log; in flight there is none yet

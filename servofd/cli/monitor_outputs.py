@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from servofd.cli.terminal import complain, has_screen, say, screen, tell
 from servofd.core.errors import ConfigError
 from servofd.live.threads import Worker
 from servofd.live.view import View, event_line
+from servofd.outputs.json_report import finite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -71,7 +72,7 @@ class Outputs:
             if options.rrd or options.serve:
                 made._record(options, aircraft, open_)
             if made._prints:
-                open_.callback(made._sum_up)
+                open_.callback(lambda: tell(*made._view.summary()))
             if made._prints and not options.plain and has_screen():
                 made._draw = open_.enter_context(screen())
             yield made
@@ -94,7 +95,10 @@ class Outputs:
             self._note(f"   note    {note}")
         self._session.notes.clear()
         self._complain()
-        self._view.dropped = self._dropped()
+        written = sum(worker.queue.dropped for worker in (self._stored, self._lines) if worker is not None)
+        received = self.receiver.chunks.dropped if self.receiver is not None else 0
+        # What found a queue full: of what came in, and of what was to be written.
+        self._view.dropped = received + written + (self._recording.dropped if self._recording is not None else 0)
         clock_s = time.monotonic()
         if self._draw is not None and clock_s - self._drawn_s >= _DRAW_S:
             self._drawn_s = clock_s
@@ -106,12 +110,6 @@ class Outputs:
                 for line in self._view.plain(now_s):
                     say(line)
 
-    def _dropped(self) -> int:
-        """What found a queue full: of what came in, and of what was to be written."""
-        written = sum(worker.queue.dropped for worker in (self._stored, self._lines) if worker is not None)
-        received = self.receiver.chunks.dropped if self.receiver is not None else 0
-        return received + written + (self._recording.dropped if self._recording is not None else 0)
-
     def _began_s(self, surface: str, boot: int = -1) -> float:
         """When a boot began of the vehicle that has this surface, its latest if none is given [s]."""
         owners = (v.began_s[boot] for v in self._session.vehicles.values() if surface in v.monitors or not surface)
@@ -121,11 +119,6 @@ class Outputs:
         self._view.note(line)
         if self._draw is None and self._prints:
             say(line)
-
-    def _sum_up(self) -> None:
-        """Print what was found."""
-        for line in self._view.summary():
-            tell(line)
 
     def _complain(self) -> None:
         """Say once what could not be written: on the screen while there is one, and on stderr."""
@@ -142,6 +135,8 @@ class Outputs:
             complain(self._failed[what])
 
     def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
+        # What Rerun would print of a full disk, in lines of its own, `LiveRecording.errors` tells; it reads this first.
+        os.environ.setdefault("RUST_LOG", "off")
         from servofd.outputs.live_recording import LiveRecording, Samples
         from servofd.outputs.recording.verdicts import live_verdicts
 
@@ -162,16 +157,8 @@ class Outputs:
             residual_deg = np.where(r.settled, r.residual_deg, np.nan)
             began_s = self._began_s(surface)  # a recording has one time line
             columns = (r.time_s + began_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
-            recording.add(
-                Samples(
-                    surface,
-                    *columns,
-                    piece.threshold.level_deg,
-                    inputs.command_s + began_s,
-                    inputs.command_deg,
-                    inputs.context,
-                )
-            )
+            commands = (inputs.command_s + began_s, inputs.command_deg)
+            recording.add(Samples(surface, *columns, piece.threshold.level_deg, *commands, inputs.context))
 
         self._session.listener = listen
 
@@ -190,12 +177,12 @@ def event_document(event: Published) -> dict[str, Any]:
     """The event as other tools read it; what is not known is null."""
     document: dict[str, Any] = {
         "schema": "servofd.event/1",
-        "time_s": _number(event.time_s),
+        "time_s": event.time_s,
         "surface": event.surface or None,
         "event": event.event,
         "kind": event.kind or None,
-        "residual_deg": _number(event.residual_deg),
-        "threshold_deg": _number(event.threshold_deg),
+        "residual_deg": event.residual_deg,
+        "threshold_deg": event.threshold_deg,
         "vehicle": event.vehicle or None,
         "boot": event.boot,
     }
@@ -204,19 +191,9 @@ def event_document(event: Published) -> dict[str, Any]:
     if event.text:
         document["text"] = event.text
     if event.fault is not None:
-        fault = event.fault
-        document["fault"] = {
-            "kind": fault.kind,
-            "start_s": _number(fault.start_s),
-            "alarm_s": _number(fault.alarm_s),
-            "end_s": None if fault.end_s is None else _number(fault.end_s),
-            "parameters": {name: _number(estimate.value) for name, estimate in fault.parameters.items()},
-            "probability": _number(fault.probability),
-            "witness": fault.witness,
-            "alternatives": list(fault.alternatives),
+        names = ("kind", "start_s", "alarm_s", "end_s", "probability", "witness")
+        document["fault"] = {name: getattr(event.fault, name) for name in names} | {
+            "parameters": {name: estimate.value for name, estimate in event.fault.parameters.items()},
+            "alternatives": list(event.fault.alternatives),
         }
-    return document
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return dict(finite(document))

@@ -61,12 +61,8 @@ def _from_design(options: Options) -> list[SurfaceOdds]:
     aircraft.check_names(options.surface)
     if not options.surface and all(surface.measured is None for surface in aircraft.surfaces.values()):
         raise NoMeasurement(f"{options.config}: names no measured channel for any surface")
-    return odds_from_design(
-        aircraft,
-        noise_deg=options.noise_deg or 0.1,
-        rate_hz=options.rate_hz or 100.0,
-        surfaces=tuple(options.surface),
-    )
+    noise_deg, rate_hz = options.noise_deg or 0.1, options.rate_hz or 100.0
+    return odds_from_design(aircraft, noise_deg=noise_deg, rate_hz=rate_hz, surfaces=tuple(options.surface))
 
 
 def _audits(options: Options, failed: dict[str, str]) -> list[LogAudit]:
@@ -93,13 +89,8 @@ def _report(
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]] if columns else []
     notes = [f"{one.surface}: {note}" for one in odds for note in one.notes]
     notes += [f"{name}: nothing healthy to learn from: {reason}" for name, reason in missing.items()]
-    return Document(
-        "Odds",
-        "no_data",
-        "",
-        parts=[Table("", ["", *data], rows), Bullets(notes)],
-        data={"schema": "servofd.odds/1", "surfaces": data, "missing": {**failed, **missing}},
-    )
+    result = {"schema": "servofd.odds/1", "surfaces": data, "missing": {**failed, **missing}}
+    return Document("Odds", "no_data", "", parts=[Table("", ["", *data], rows), Bullets(notes)], data=result)
 
 
 def _numbers(odds: SurfaceOdds, wished_per_hour: float) -> dict[str, Any]:
@@ -121,12 +112,11 @@ def _numbers(odds: SurfaceOdds, wished_per_hour: float) -> dict[str, Any]:
 
 def _at(odds: SurfaceOdds, threshold_deg: float) -> dict[str, Any]:
     """What one threshold does."""
+    bias_deg = smallest_offset_deg(odds.design, threshold_deg, odds.noise, _WITHIN_S)
     return {
         "threshold_deg": threshold_deg,
         "false_alarms_per_hour": {"gaussian": odds.noise.false_alarms_per_hour(threshold_deg)},
-        "smallest_bias_deg": {
-            f"within_{_WITHIN_S:g}_s": smallest_offset_deg(odds.design, threshold_deg, odds.noise, _WITHIN_S)
-        },
+        "smallest_bias_deg": {f"within_{_WITHIN_S:g}_s": bias_deg},
     }
 
 

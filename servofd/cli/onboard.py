@@ -19,30 +19,23 @@ if TYPE_CHECKING:
 def run(options: Options) -> int:
     """Write the script."""
     check_targets([options.output], {"the aircraft file": [options.aircraft]})
-    text, done, parameters = _streaming(options) if options.stream_only else _watching(options)
+    aircraft = None if options.aircraft is None else load_aircraft(options.aircraft)
+    name, parameters = Path(options.output).name, "SCR_ENABLE = 1"
+    if options.stream_only:
+        outputs = range(1, 17) if aircraft is None else outputs_of(aircraft, options.surface)
+        text = stream_script(outputs, name)
+        done = f"sends {', '.join(f'SRVP{output} and SRVA{output}' for output in outputs)}"
+        if aircraft is None:
+            done = "sends SRVP1 to SRVP16 and SRVA1 to SRVA16, as far as servos answer"
+    elif aircraft is None:
+        how = "`servofd config` drafts one, `servofd calibrate` makes it good"
+        raise ConfigError(f"onboard needs an aircraft file: {how}")
+    else:
+        plan = plan_onboard(aircraft, options.surface, rate_hz=options.rate_hz, instructions=options.instructions)
+        for note in plan.notes:
+            complain(f"{note}")
+        done = f"watches {', '.join(f'{one.surface} on output {one.output}' for one in plan.surfaces)}"
+        text, parameters = watch_script(plan, name), f"{parameters} and SCR_HEAP_SIZE = {plan.heap_bytes} or more"
     write_whole(options.output, text.encode("ascii"))
     say(f"{options.output}: {done}. Copy it to APM/scripts on the SD card, set {parameters}, and reboot.")
     return 0
-
-
-def _watching(options: Options) -> tuple[str, str, str]:
-    if options.aircraft is None:
-        raise ConfigError(
-            "onboard needs an aircraft file: `servofd config` drafts one, `servofd calibrate` makes it good"
-        )
-    aircraft = load_aircraft(options.aircraft)
-    plan = plan_onboard(aircraft, options.surface, rate_hz=options.rate_hz, instructions=options.instructions)
-    for note in plan.notes:
-        complain(f"{note}")
-    watched = ", ".join(f"{one.surface} on output {one.output}" for one in plan.surfaces)
-    parameters = f"SCR_ENABLE = 1 and SCR_HEAP_SIZE = {plan.heap_bytes} or more"
-    return watch_script(plan, Path(options.output).name), f"watches {watched}", parameters
-
-
-def _streaming(options: Options) -> tuple[str, str, str]:
-    if options.aircraft is None:
-        text = stream_script(range(1, 17), Path(options.output).name)
-        return text, "sends SRVP1 to SRVP16 and SRVA1 to SRVA16, as far as servos answer", "SCR_ENABLE = 1"
-    outputs = outputs_of(load_aircraft(options.aircraft), options.surface)
-    names = ", ".join(f"SRVP{output} and SRVA{output}" for output in outputs)
-    return stream_script(outputs, Path(options.output).name), f"sends {names}", "SCR_ENABLE = 1"

@@ -65,47 +65,38 @@ class Parser(argparse.ArgumentParser):
         """Declare a file that is written or read."""
         self.add_argument(name, metavar=metavar, help=about)
 
-    def folder(self, about: str) -> None:
-        """Declare the folder for all results."""
-        self.add_argument("-o", "--output", metavar="DIR", help=about)
+    def value(
+        self,
+        name: str,
+        about: str,
+        unit: str,
+        read: Callable[[str], object] = str,
+        **more: Any,  # noqa: ANN401 - of argparse
+    ) -> None:
+        """Declare an option with a value; `read` makes it of what was typed."""
+        self.add_argument(name, type=read, metavar=unit, help=about, **more)
 
     def flag(self, name: str, about: str, **more: Any) -> None:  # noqa: ANN401 - of argparse
         """Declare what is on or off."""
         self.add_argument(name, action="store_true", help=about, **more)
 
-    def kind_of_threshold(self, level: str, kind: str) -> None:
-        """Declare when to alarm."""
-        self.add_argument("--threshold-deg", type=_DEGREES, metavar="X", help=level)
-        self.add_argument("--threshold", choices=["constant", "interval"], help=kind)
-
     def workers(self) -> None:
         """Declare who works on many logs."""
-        about = "processes for many logs (default: one per core)"
-        self.add_argument("--workers", type=_WORKERS, metavar="N", help=about)
+        self.value("--workers", "processes for many logs (default: one per core)", "N", _WORKERS)
 
 
-def _number(what: str, least: float, most: float = math.inf) -> Callable[[str], float]:
-    """Reader of an option that takes a number within bounds, which it calls so."""
+def _number(what: str, least: float, most: float = math.inf, *, whole: bool = False) -> Callable[[str], float]:
+    """Reader of an option that takes a number within bounds, which it calls so; whole ones have at most nine digits."""
 
     def read(text: str) -> float:
+        is_whole = text.isascii() and text.isdigit() and len(text) < _DIGITS
         try:
-            value = float(text)
+            value = float(text) if is_whole or not whole else math.nan
         except ValueError:
             value = math.nan
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
-        return value
-
-    return read
-
-
-def _whole(what: str, least: int, most: int) -> Callable[[str], int]:
-    """The same for a whole number of at most nine digits."""
-
-    def read(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < _DIGITS and least <= int(text) <= most):
-            raise argparse.ArgumentTypeError(f"must be {what}, not {text}")
-        return int(text)
+        return int(value) if whole else value
 
     return read
 
@@ -125,11 +116,11 @@ _POSITIVE, _SECONDS = _number("a positive number", _SMALLEST, _LARGEST), _number
 """Readers of a positive number and of a time."""
 _LASTING, _SPEED = _number("a positive number of seconds", _SMALLEST), _number("a positive number, or 0", 0.0, _LARGEST)
 _PER_HOUR = _number("a number of false alarms per hour between 1e-12 and 1000", 1e-12, 1e3)
-_WORKERS = _whole("a number of processes from 1 to 1024", 1, 1024)
-_ADDRESS, _PORT = _whole("an id from 1 to 255", 1, 255), _whole("a port from 1 to 65535", 1, 65_535)
-"""Readers of a MAVLink id and of the port of a server."""
-_FREE_PORT, _SIZE = _whole("a port from 0 to 65535", 0, 65_535), _whole("a number from 1 to 1000000", 1, 1_000_000)
-"""Readers of a port that may be 0 for a free one, and of a count."""
+_WORKERS = _number("a number of processes from 1 to 1024", 1, 1024, whole=True)
+_ADDRESS = _number("an id from 1 to 255", 1, 255, whole=True)
+_PORT, _FREE_PORT = (_number(f"a port from {least} to 65535", least, 65_535, whole=True) for least in (1, 0))
+"""Readers of the port of a server, and of one that may be 0 for a free one."""
+_SIZE = _number("a number from 1 to 1000000", 1, 1_000_000, whole=True)
 
 
 def _audit(parser: Parser) -> None:
@@ -140,16 +131,18 @@ def _audit(parser: Parser) -> None:
     parser.config()
     parser.servo()
     parser.surface("judge only this surface")
-    parser.kind_of_threshold("alarm level [deg] (default: 1.5)", "kind (default: constant)")
+    parser.value("--threshold-deg", "alarm level [deg] (default: 1.5)", "X", _DEGREES)
+    parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
     parser.json()
     parser.file("--html", "write a page that can be sent by mail")
     parser.file("--rrd", "write a Rerun recording (of one log)")
-    parser.folder(
+    folder = (
         "write figures, recordings and audit.json to a folder; "
         "of many logs, tables (Parquet) and a page, to which the next call adds what is new"
     )
+    parser.add_argument("-o", "--output", metavar="DIR", help=folder)
     parser.workers()
-    parser.set_defaults(pages=None)
+    parser.set_defaults(pages=None, looks=False)
 
 
 def _info(parser: Parser) -> None:
@@ -165,8 +158,7 @@ def _explain(parser: Parser) -> None:
     parser.config()
     parser.servo("servo: of the library, FILE.toml, or unknown (fitted)")
     parser.file("--effect", "try an effect of your own as well (docs/explain.md)", "FILE.py")
-    also = "judge the model on these flights, too, fitting nothing"
-    parser.add_argument("--also", nargs="+", default=[], metavar="FILE", help=also)
+    parser.value("--also", "judge the model on these flights, too, fitting nothing", "FILE", nargs="+", default=[])
     parser.json(instead="text")
     parser.file("--save", "write the aircraft with the better model, for audit -c", "MODEL.toml")
     parser.file("--rrd", "write a Rerun recording of both simulations (of one surface)")
@@ -201,14 +193,12 @@ def _trend(parser: Parser) -> None:
 
 
 def _serve(parser: Parser) -> None:
-    parser.add_argument("--folder", default="flights", metavar="DIR", help="folder of logs (default: flights)")
+    parser.value("--folder", "folder of logs (default: flights)", "DIR", default="flights")
     parser.config()
     parser.servo()
-    port = f"(default: {SERVE_PORT}; 0: a free one)"
-    parser.add_argument("--port", type=_FREE_PORT, default=SERVE_PORT, metavar="PORT", help=port)
-    most = f"largest log that is taken (default: {MOST_MB})"
-    parser.add_argument("--most-mb", type=_SIZE, default=MOST_MB, metavar="MB", help=most)
-    parser.add_argument("--workers", type=_SIZE, metavar="N", help="processes (default: one per core)")
+    parser.value("--port", f"(default: {SERVE_PORT}; 0: a free one)", "PORT", _FREE_PORT, default=SERVE_PORT)
+    parser.value("--most-mb", f"largest log that is taken (default: {MOST_MB})", "MB", _SIZE, default=MOST_MB)
+    parser.value("--workers", "processes (default: one per core)", "N", _SIZE)
     parser.flag("--no-open", "do not open the page")
 
 
@@ -228,12 +218,11 @@ def _calibrate(parser: Parser) -> None:
         "wanted of all axes together, where motion is calibrated (default: 1); of servos that report their "
         "position the measured rate is given"
     )
-    parser.add_argument("--false-alarms-per-hour", type=_PER_HOUR, metavar="X", help=rate)
+    parser.value("--false-alarms-per-hour", rate, "X", _PER_HOUR)
     parser.surface("calibrate only this one")
-    between = "use this part [s] only; may be repeated"
-    parser.add_argument("--between", type=_span, action="append", default=[], metavar="A:B", help=between)
-    run = "of a table of several runs, use only this"
-    parser.add_argument("--run", dest="runs", action="append", default=[], metavar="NAME", help=run)
+    many: dict[str, Any] = {"action": "append", "default": []}
+    parser.value("--between", "use this part [s] only; may be repeated", "A:B", _span, **many)
+    parser.value("--run", "of a table of several runs, use only this", "NAME", dest="runs", **many)
     parser.flag(
         "--force", "calibrate also where the loss of a third of travel and of two thirds of speed would not show"
     )
@@ -264,22 +253,19 @@ def _servos(parser: Parser) -> None:
 
 def _odds(parser: Parser) -> None:
     parser.config()
-    parser.add_argument("--log", nargs="+", action="extend", default=[], metavar="LOG", help="healthy flights")
+    parser.value("--log", "healthy flights", "LOG", nargs="+", action="extend", default=[])
     parser.servo("library servo of all surfaces; unknown: fitted to the flights")
     parser.surface("only this surface")
-    for name, default, unit, about in (
-        ("--false-alarms-per-hour", 1e-3, "X", "wanted rate (default: 1e-3)"),
-        ("--noise-deg", None, "X", "noise of the position [deg], without logs (default: 0.1)"),
-        ("--rate-hz", None, "HZ", "sample rate of the position, without logs (default: 100)"),
-    ):
-        parser.add_argument(name, type=_POSITIVE, default=default, metavar=unit, help=about)
+    parser.value("--false-alarms-per-hour", "wanted rate (default: 1e-3)", "X", _POSITIVE, default=1e-3)
+    parser.value("--noise-deg", "noise of the position [deg], without logs (default: 0.1)", "X", _POSITIVE)
+    parser.value("--rate-hz", "sample rate of the position, without logs (default: 100)", "HZ", _POSITIVE)
     parser.json()
 
 
 def _design(parser: Parser) -> None:
     parser.add_argument("servo", metavar="SERVO", help="name from 'servofd config --servos'")
-    parser.add_argument("--pole", type=float, metavar="RAD_S", help="filter pole (default: fastest, noise gain <= 0.5)")
-    parser.add_argument("--rate-hz", type=float, default=100.0, metavar="HZ", help="sample rate (default: 100)")
+    parser.value("--pole", "filter pole (default: fastest, noise gain <= 0.5)", "RAD_S", float)
+    parser.value("--rate-hz", "sample rate (default: 100)", "HZ", float, default=100.0)
     parser.flag("--printed-gain", "keep the dc gain as printed, do not scale it to 1")
 
 
@@ -288,18 +274,18 @@ def _monitor(parser: Parser) -> None:
     parser.add_argument("endpoint", metavar="ENDPOINT", help=endpoint)
     config = "aircraft file; of several vehicles one each, as ID=FILE by system id"
     parser.config("[ID=]AIRCRAFT.toml", action="append", required=True, help=config)
-    parser.add_argument("--duration", type=_LASTING, default=float("inf"), metavar="S", help="end after so long [s]")
-    parser.add_argument("--speed", type=_SPEED, metavar="X", help="of a replay; 0: as fast as it goes (default: 1)")
+    parser.value("--duration", "end after so long [s]", "S", _LASTING, default=math.inf)
+    parser.value("--speed", "of a replay; 0: as fast as it goes (default: 1)", "X", _SPEED)
     parser.file("--rrd", "write a Rerun recording")
     parser.flag("--serve", "let Rerun viewers on this machine connect")
-    parser.add_argument("--viewer-port", type=_PORT, default=9876, metavar="PORT", help="(default: 9876)")
+    parser.value("--viewer-port", "(default: 9876)", "PORT", _PORT, default=9876)
     parser.file("--tlog", "write all that is received as a telemetry log")
     parser.file("--alert-to", "send alerts there (default: back to the stream)", "ENDPOINT")
     parser.flag("--no-alert", "send no alerts")
     parser.flag("--no-request", "send nothing at all to the stream")
     parser.flag("--dataflash", "ask for the autopilot's own log (CSRV, RCOU) as well")
-    parser.add_argument("--system", type=_ADDRESS, metavar="ID", help="system id to speak as (default: the vehicle's)")
-    parser.add_argument("--component", type=_ADDRESS, default=191, metavar="ID", help="component id (default: 191)")
+    parser.value("--system", "system id to speak as (default: the vehicle's)", "ID", _ADDRESS)
+    parser.value("--component", "component id (default: 191)", "ID", _ADDRESS, default=191)
     parser.file("--signing-key", "file with the key that frames are signed with")
     parser.file("--json-lines", "write each event as a line of JSON; - prints them")
     parser.flag("--plain", "print lines instead of a changing picture")
@@ -311,10 +297,9 @@ def _onboard(parser: Parser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="FILE.lua", help="the script")
     parser.surface("watch only this surface")
     parser.flag("--stream-only", "only send measured positions, for a log or a monitor on the ground")
-    rate = "how often each servo is judged (default: 50)"
-    parser.add_argument("--rate-hz", type=float, default=50.0, metavar="HZ", help=rate)
+    parser.value("--rate-hz", "how often each servo is judged (default: 50)", "HZ", float, default=50.0)
     count = "SCR_VM_I_COUNT of the autopilot, the instructions of one call (default: 10000, as ArduPilot's)"
-    parser.add_argument("--instructions", type=int, default=10_000, metavar="N", help=count)
+    parser.value("--instructions", count, "N", int, default=10_000)
 
 
 def _simulate(parser: Parser) -> None:
@@ -327,15 +312,13 @@ def _simulate(parser: Parser) -> None:
     where.add_argument("--stream", metavar="ENDPOINT", help=stream)
     parser.config()
     parser.servo("library servo of all surfaces; default: as in the shipped simulated")
-    length = "length [s] (default: 60; of a stream 600)"
-    parser.add_argument("--duration", type=float, metavar="S", help=length)
+    parser.value("--duration", "length [s] (default: 60; of a stream 600)", "S", float)
     rate = "sample rate (default: 100; in a .tlog 40; of a stream 50, the main loop of an ArduPlane)"
-    parser.add_argument("--rate-hz", type=float, metavar="HZ", help=rate)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same flight")
+    parser.value("--rate-hz", rate, "HZ", float)
+    parser.value("--seed", "the same seed gives the same flight", "N", int, default=0)
     command = "flight, calm, gusty, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)"
     parser.add_argument("--command", default="flight", help=command)
-    noise = "noise of the position (default: 0.1)"
-    parser.add_argument("--noise-deg", type=float, default=0.1, metavar="X", help=noise)
+    parser.value("--noise-deg", "noise of the position (default: 0.1)", "X", float, default=0.1)
     fault = (
         "stuck, bias, hardover, floating, oscillation, deadband, slow, loss_of_effectiveness or intermittent, from "
         "START [s] on (until end_s=... if it passes); may be given again, on one surface for a later time"
@@ -356,33 +339,32 @@ def _simulate(parser: Parser) -> None:
         "faults stuck, loss_of_effectiveness, slow and bias, each with value=... (deg, share left, s, deg)"
     )
     parser.add_argument("--airframe", metavar="MIXER", help=airframe)
-    _stream(parser.add_argument_group("with --stream"))
-
-
-def _stream(live: argparse._ArgumentGroup) -> None:
-    """Options of a vehicle that is simulated live; none has a default, so that they can be refused for a file."""
-    live.add_argument("--speed", type=float, metavar="X", help="seconds of flight per second (default: 1)")
-    live.add_argument("--wait", action="store_true", default=None, help="take off when the first message has arrived")
-    live.add_argument("--system", type=int, metavar="N", help="number of the vehicle, 1 to 255 (default: 1)")
+    # Options of a vehicle that is simulated live; none has a default, so that they can be refused for a file.
+    live = parser.add_argument_group("with --stream")
     feedback = (
         "how it sends positions: named (NAMED_VALUE_FLOAT, default), port (SERVO_OUTPUT_RAW, port 2) or array "
         "(DEBUG_FLOAT_ARRAY); DataFlash over MAVLink, for whoever asks, is there in each case"
     )
-    live.add_argument("--feedback", metavar="NAME", help=feedback)
-    rate = "rate of SERVO_OUTPUT_RAW until another is asked for (default: 1, as ArduPlane)"
-    live.add_argument("--message-hz", type=float, metavar="HZ", help=rate)
-    grant = "grant rates up to that of the main loop; ArduPlane gives 0.8 of it"
-    live.add_argument("--any-rate", action="store_true", default=None, help=grant)
-    live.add_argument("--mavlink1", action="store_true", default=None, help="send frames of MAVLink 1")
-    key = "sign with this key (32 bytes, 64 hex digits, or a passphrase)"
-    live.add_argument("--signing-key", metavar="FILE", help=key)
     trouble = (
         "late, pause, silence, sequence, reboot, stall, freeze or parameter, from START [s] on, as seen on a real "
         "ArduPilot, e.g. late@30:by_s=4 or parameter@60:name=SERVO_VOLZ_RANGE:value=160; may be given again"
     )
+    key = "sign with this key (32 bytes, 64 hex digits, or a passphrase)"
+    rate = "rate of SERVO_OUTPUT_RAW until another is asked for (default: 1, as ArduPlane)"
+    grant = "grant rates up to that of the main loop; ArduPlane gives 0.8 of it"
+    flag: dict[str, Any] = {"action": "store_true", "default": None}
+    live.add_argument("--speed", type=float, metavar="X", help="seconds of flight per second (default: 1)")
+    live.add_argument("--wait", **flag, help="take off when the first message has arrived")
+    live.add_argument("--system", type=int, metavar="N", help="number of the vehicle, 1 to 255 (default: 1)")
+    live.add_argument("--feedback", metavar="NAME", help=feedback)
+    live.add_argument("--message-hz", type=float, metavar="HZ", help=rate)
+    live.add_argument("--any-rate", **flag, help=grant)
+    live.add_argument("--mavlink1", **flag, help="send frames of MAVLink 1")
+    live.add_argument("--signing-key", metavar="FILE", help=key)
     live.add_argument("--trouble", action="append", metavar="KIND@START[:KEY=VALUE]", help=trouble)
-    clock = "what its clock shows at the start [s]; 4290 wraps after 5 s"
-    live.add_argument("--clock-s", type=float, metavar="S", help=clock)
+    live.add_argument(
+        "--clock-s", type=float, metavar="S", help="what its clock shows at the start [s]; 4290 wraps after 5 s"
+    )
 
 
 def _help(parser: Parser) -> None:
@@ -552,16 +534,15 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=Parser)
     for group in _GROUPS.values():
-        for declare, (about, description, example) in group.items():
+        for declare, (short, description, example) in group.items():
             name = declare.__name__[1:]
-            verb = verbs.add_parser(name, help=about, description=description, epilog=f"Example: servofd {example}")
+            verb = verbs.add_parser(name, help=short, description=description, epilog=f"Example: servofd {example}")
             declare(verb)
             ways = [way for way in WAYS.values() if way[0] == name]
             other = verb.add_argument_group("instead") if ways else verb
             for _, option, _, what, _, _ in ways:
-                other.add_argument(
-                    option, action="store_true", help=f"{what} (options: servofd {name} {option} --help)"
-                )
+                about = f"{what} (options: servofd {name} {option} --help)"
+                other.add_argument(option, action="store_true", help=about)
     parser.set_defaults(whole=parser, manuals=verbs.choices)  # of which `servofd help` shows one
     return parser
 
@@ -587,5 +568,5 @@ def look_parser() -> argparse.ArgumentParser:
     )
     _audit(parser)
     parser.flag("--no-open", "write the page, and do not open it")
-    parser.set_defaults(verb="look")
+    parser.set_defaults(verb="audit", looks=True)
     return parser

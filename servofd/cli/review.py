@@ -1,31 +1,37 @@
-"""``servofd review``: recordings read back without their logs."""
+"""``servofd review``: recordings read back without their logs; ``--view``: shown in the viewer."""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servofd.batch.key import Job
 from servofd.cli.terminal import (
     check_targets,
     complain,
     give_json,
     print_document,
     print_lines,
+    progress,
     say,
     show,
     worst,
 )
 from servofd.core.errors import ConfigError, RecordingError
-from servofd.jobs.workflow import FailedLog
+from servofd.feedback.flown import known_aircraft
+from servofd.jobs.workflow import FailedLog, audit
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.recording.read import read_recording
-from servofd.outputs.recording.review import contradictions, rejudged
-from servofd.outputs.recording.states import events
+from servofd.outputs.recording.read import contradictions, is_recording, read_recording, rejudged
+from servofd.outputs.recording.stream import shown
+from servofd.outputs.recording.surface import events
 from servofd.outputs.recording.verdicts import LIVE
+from servofd.outputs.recording.viewer import check_display, open_viewer
+from servofd.outputs.recording.write import save_recording
 from servofd.outputs.sentence import STATUSES, whole_sentence
 from servofd.outputs.sentence import worst as worst_of
 
@@ -37,17 +43,33 @@ if TYPE_CHECKING:
 def run(options: Options) -> int:
     """Read, write what was asked for, print."""
     paths = _paths(options.recordings)
-    _check(options, paths)
-    if options.compare:
-        return _compare(options, paths[0])
+    if options.compare and len(paths) > 1:
+        raise ConfigError("--compare takes one recording at a time")
+    check_targets((options.json,), {"a recording": [str(path) for path in paths]})
+    if options.compare:  # two recordings beside each other; a fault in either of them is one
+        both = [paths[0], Path(options.compare)]
+        audits = [_read(path).audit for path in both]
+        report = compare_report([path.name for path in both], [audit_document([audit]) for audit in audits])
+        show(report, json=options.json)
+        return int(any(audit.has_fault for audit in audits))
     found, failed = [], []
     for path in paths:
         try:
             found.append((path, _read(path)))
         except RecordingError as error:
             failed.append((path, str(error)))
-    _show(options, found, failed)
-    return worst([*(_exit_code(recording) for _, recording in found), *(2 for _ in failed)])
+    for path, recording in found:
+        for sentence in contradictions(recording):
+            complain(sentence, path)
+        if recording.audit.not_judged:
+            complain(recording.audit.not_judged, path)
+    for _, reason in failed:
+        complain(reason)
+    if not give_json(options.json, _document(found, failed)) and found:
+        _print(found)
+    audited = [recording.audit for _, recording in found]
+    codes = (1 if one.has_fault else 2 if one.not_judged else 0 for one in audited)
+    return worst([*codes, *(2 for _ in failed)])
 
 
 def _paths(given: list[str]) -> list[Path]:
@@ -57,44 +79,16 @@ def _paths(given: list[str]) -> list[Path]:
         folder = Path(name)
         inside = sorted(folder.rglob("*.rrd")) if folder.is_dir() else [folder]
         if not inside:
-            raise RecordingError(
-                f"{name}: no recording (.rrd) in this folder; 'servofd audit LOG... -o DIR' writes them"
-            )
+            hint = "'servofd audit LOG... -o DIR' writes them"
+            raise RecordingError(f"{name}: no recording (.rrd) in this folder; {hint}")
         paths += inside
     return paths
-
-
-def _check(options: Options, paths: list[Path]) -> None:
-    """Refuse what cannot be done, before anything is done."""
-    if options.compare and len(paths) > 1:
-        raise ConfigError("--compare takes one recording at a time")
-    check_targets((options.json,), {"a recording": [str(path) for path in paths]})
 
 
 def _read(path: Path) -> Recording:
     """Read one recording; what a monitor recorded is judged as an audit of the log would."""
     recording = read_recording(path)
     return rejudged(recording) if LIVE in recording.notes else recording
-
-
-def _exit_code(recording: Recording) -> int:
-    if recording.audit.has_fault:
-        return 1
-    return 2 if recording.audit.not_judged else 0
-
-
-def _show(options: Options, found: list[tuple[Path, Recording]], failed: list[tuple[Path, str]]) -> None:
-    for path, recording in found:
-        for sentence in contradictions(recording):
-            complain(sentence, path)
-        if recording.audit.not_judged:
-            complain(recording.audit.not_judged, path)
-    for _, error in failed:
-        complain(error)
-    if options.json and give_json(options.json, _document(found, failed)):
-        return
-    if found:
-        _print(found)
 
 
 def _events(recording: Recording) -> list[tuple[float, str, str]]:
@@ -128,9 +122,23 @@ def _print(found: list[tuple[Path, Recording]]) -> None:
     print_document(replace(report, facts=f"{path}: {report.facts}", parts=[*report.parts, Bullets(lines)]))
 
 
-def _compare(options: Options, path: Path) -> int:
-    """Print two recordings beside each other; a fault in either of them is one."""
-    audits = [_read(Path(each)).audit for each in (path, options.compare)]
-    documents = [audit_document([audit]) for audit in audits]
-    show(compare_report((path.name, Path(options.compare).name), documents), json=options.json)
-    return int(any(audit.has_fault for audit in audits))
+def run_view(options: Options) -> int:
+    """Open the viewer, after an audit if need be."""
+    path = Path(options.file)
+    recorded, whole = is_recording(path), str(path.resolve())
+    check_display()
+    if recorded and shown(whole) == whole:
+        open_viewer(path)
+        return 0
+    with tempfile.TemporaryDirectory(prefix="servofd-") as folder:
+        recording = Path(folder) / f"{shown(path.stem)}.rrd"
+        if recorded:
+            # The viewer draws the name of the file, and crashes at a letter that its font lacks.
+            recording.symlink_to(whole)
+        else:
+            with progress(path.name, 1) as step:  # the first run of a log
+                found = next(audit(options.file, Job(known_aircraft(options.config), options.servo), progress=step))
+            save_recording(found, recording)
+            print_document(audit_report([found]))
+        open_viewer(recording)
+    return 0

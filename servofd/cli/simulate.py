@@ -59,24 +59,14 @@ def run(options: Options) -> int:
     duration_s = options.duration if options.duration is not None else _LIVE_S if streamed else _FILE_S
     output = None if streamed else options.output
     aircraft = aircraft_to_fly(options.config, options.servo, output)
-    flight = simulate(
-        output,
-        aircraft,
-        command=options.command,
-        duration_s=duration_s,
-        rate_hz=_LOOP_HZ if streamed and options.rate_hz is None else options.rate_hz,
-        seed=options.seed,
-        fault=options.fault,
-        effect=options.effect,
-        noise_deg=options.noise_deg,
-        generation=options.generation,
-        pulses=streamed,
-    )
+    names = ("command", "seed", "fault", "effect", "noise_deg", "generation")
+    asked: dict[str, Any] = {name: getattr(options, name) for name in names}
+    rate_hz = _LOOP_HZ if streamed and options.rate_hz is None else options.rate_hz
+    flight = simulate(output, aircraft, duration_s=duration_s, rate_hz=rate_hz, pulses=streamed, **asked)
     if streamed:
         if flight.context.logged:
-            raise ConfigError(
-                "--stream: an effect depends on the air or the supply, which a stream does not hold: use -o"
-            )
+            why = "an effect depends on the air or the supply, which a stream does not hold: use -o"
+            raise ConfigError(f"--stream: {why}")
         return _stream(options, flight, aircraft)
     say(f"{output}: {duration_s:g} s at {rate_of(flight):g} Hz, {', '.join(flight.surfaces)}")
     return 0
@@ -95,16 +85,11 @@ def _run_airframe(options: Options) -> int:
         kind, at, start = what.partition("@")
         values = numbers_of(f"--fault {text}", [f"start_s={start}", *pairs]) if at else {}
         if set(values) - {"end_s"} != {"start_s", "value"}:
-            raise ConfigError(
-                f"--fault {text}: write SURFACE:KIND@START:value=X, for example elevator:stuck@60:value=-2"
-            )
+            example = "SURFACE:KIND@START:value=X, for example elevator:stuck@60:value=-2"
+            raise ConfigError(f"--fault {text}: write {example}")
         faults.append(AirframeFault(surface, kind, values["start_s"], values["value"], values.get("end_s", math.inf)))
-    flight = fly_airframe(
-        options.seed,
-        mixer=options.airframe,
-        duration_s=_AIRFRAME_S if options.duration is None else options.duration,
-        faults=tuple(faults),
-    )
+    duration_s = _AIRFRAME_S if options.duration is None else options.duration
+    flight = fly_airframe(options.seed, mixer=options.airframe, duration_s=duration_s, faults=tuple(faults))
     write_whole(options.output, airframe_log(flight))
     say(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.mixer.names)}, no feedback")
     return 0
@@ -118,7 +103,11 @@ def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> in
     names = ("system", "feedback", "message_hz", "any_rate", "speed")
     given: dict[str, Any] = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
     settings = Settings(**given, troubles=tuple(_trouble(text) for text in options.trouble or ()))
-    flown_legs = legs(_shifted(flight, options.clock_s), aircraft, settings)
+    if options.clock_s is not None:  # the same flight of an autopilot that was booted earlier
+        if not (math.isfinite(options.clock_s) and 0.0 <= options.clock_s <= _MOST_CLOCK_S):
+            raise ConfigError(f"--clock-s {options.clock_s:g}: give seconds from 0 to {_MOST_CLOCK_S:g}")
+        flight = dataclasses.replace(flight, time_s=(flight.time_s + options.clock_s).round(6))
+    flown_legs = legs(flight, aircraft, settings)
     codec = Codec(settings.system, 1, version=1 if options.mavlink1 else 2, signature=signature_of(options.signing_key))
     link = open_link(endpoint)
     try:
@@ -149,12 +138,3 @@ def _trouble(text: str) -> Trouble:
         return TROUBLES[kind](**{key: value if key == "name" else float(value) for key, value in values.items()})
     except ValueError as error:
         raise ConfigError(f"--trouble {text}: write KIND@START:KEY=NUMBER ({error})") from None
-
-
-def _shifted(flight: SimulatedFlight, clock_s: float | None) -> SimulatedFlight:
-    """The same flight of an autopilot that was booted earlier."""
-    if clock_s is None:
-        return flight
-    if not (math.isfinite(clock_s) and 0.0 <= clock_s <= _MOST_CLOCK_S):
-        raise ConfigError(f"--clock-s {clock_s:g}: give seconds from 0 to {_MOST_CLOCK_S:g}")
-    return dataclasses.replace(flight, time_s=(flight.time_s + clock_s).round(6))

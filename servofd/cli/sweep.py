@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servofd.cli.options import Options
     from servofd.core.types import FloatArray
     from servofd.detection.residual import Residuals
-    from servofd.detection.verdict import LogAudit, SurfaceAudit
+    from servofd.detection.verdict import SurfaceAudit
 
 _LEAST_DEG = 3.0
 """Smallest travel to either side that a sweep needs [deg]."""
@@ -41,7 +41,11 @@ def run(options: Options) -> int:
         aircraft = flown_aircraft(log, known)
         aircraft.check_names(options.surface, log.label)
         audits.append(audit_log(log, aircraft, surfaces=tuple(options.surface)))
-    documents = [_document(audit) for audit in audits]
+    documents: list[dict[str, Any]] = []
+    for audit in audits:
+        about = {"path": str(audit.log.source), "duration_s": audit.log.duration_s}
+        surfaces = {one.surface: _checked(one, audit.aircraft.surfaces[one.surface]) for one in audit.surfaces}
+        documents.append({"schema": "servofd.sweep/1", **about, "surfaces": surfaces})
     *earlier, last = documents
     if not give_json(options.json, last | {"earlier_boots": earlier} if earlier else last):
         for audit, document in zip(audits, documents, strict=True):
@@ -56,13 +60,6 @@ def run(options: Options) -> int:
     for reason in dark[:1]:
         complain(reason, options.log)
     return 2 if dark else 0
-
-
-def _document(audit: LogAudit) -> dict[str, Any]:
-    """Whether each surface may fly, schema servofd.sweep/1."""
-    surfaces = {one.surface: _checked(one, audit.aircraft.surfaces[one.surface]) for one in audit.surfaces}
-    about = {"path": str(audit.log.source), "duration_s": audit.log.duration_s}
-    return {"schema": "servofd.sweep/1", **about, "surfaces": surfaces}
 
 
 def _checked(surface: SurfaceAudit, known: Surface) -> dict[str, Any]:
@@ -109,16 +106,15 @@ def _fitted(residuals: Residuals, period_s: float) -> dict[str, Estimate]:
 
 def _out_of_tolerance(fitted: dict[str, Estimate], known: Surface) -> list[str]:
     """What is certainly beyond the tolerances: the whole interval of an estimate."""
-    tolerance, found = known.tolerances, []
-    if fitted and not _is_near(fitted["gain"], 1.0, tolerance.gain):
-        found.append(f"moves by {fitted['gain'].value:.0%} of its command (tolerance ±{tolerance.gain:.1%})")
-    if fitted and not _is_near(fitted["bias_deg"], 0.0, tolerance.bias_deg):
-        found.append(f"is off by {fitted['bias_deg'].value:+.2f} deg (tolerance ±{tolerance.bias_deg:.2g} deg)")
+    found = []
+    for name, healthy, tolerance, words in (
+        ("gain", 1.0, known.tolerances.gain, "moves by {:.0%} of its command (tolerance ±{:.1%})"),
+        ("bias_deg", 0.0, known.tolerances.bias_deg, "is off by {:+.2f} deg (tolerance ±{:.2g} deg)"),
+    ):
+        one = fitted.get(name)
+        if one is not None and not (one.low <= healthy + tolerance and one.high >= healthy - tolerance):
+            found.append(words.format(one.value, tolerance))
     return found
-
-
-def _is_near(estimate: Estimate, healthy: float, tolerance: float) -> bool:
-    return estimate.low <= healthy + tolerance and estimate.high >= healthy - tolerance
 
 
 def _ends(values_deg: FloatArray) -> list[float] | None:

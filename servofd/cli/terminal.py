@@ -34,11 +34,12 @@ def say(text: str = "", *, end: str = "\n") -> None:
     print(plain(text), end=end, flush=True)
 
 
-def tell(sentence: str) -> None:
-    """Print a sentence to stdout, folded between its words where that is a terminal."""
+def tell(*sentences: str) -> None:
+    """Print sentences to stdout, each folded between its words where that is a terminal."""
     from rich.text import Text
 
-    _console().print(Text(one_line(sentence)))
+    for sentence in sentences:
+        _console().print(Text(one_line(sentence)))
 
 
 def say_aside(text: str) -> None:
@@ -145,9 +146,7 @@ def print_lines(rows: Sequence[tuple[str, str, tuple[str, ...]]]) -> None:
     from rich.cells import cell_len
     from rich.text import Text
 
-    shown = console()
-    if not shown.is_terminal:
-        shown = console(width=_PIPED)
+    shown = console() if console().is_terminal else console(width=_PIPED)
     first = max((cell_len(status) for status, _, _ in rows), default=0)
     second = max((cell_len(name) for _, name, _ in rows), default=0)
     for status, name, forms in rows:
@@ -204,12 +203,9 @@ def _print_parts(parts: Sequence[Part], shown: Console) -> None:
         elif isinstance(part, Bullets):
             lines = part.lines
         elif isinstance(part, Table) and part.rows and not part.long:
-            print_table(
-                [str(name) for name in part.head], [[str(cell) for cell in row] for row in part.rows], part.caption
-            )
+            print_table(list(map(str, part.head)), [list(map(str, row)) for row in part.rows], part.caption)
         elif isinstance(part, Items) and part.items:
-            rows = [[one.name, one.status, *filter(None, [one.beside]), one.words] for one in part.items]
-            print_table(part.head, rows, "", shown)
+            print_table(part.head, part.rows, "", shown)
             lines = [f"{one.name}: {one.advice}" for one in part.items if one.advice]
         elif isinstance(part, Section) and not part.folded:
             shown.print(Text(": ".join(filter(None, (part.title, part.badge or part.status))), style="bold"))
@@ -243,22 +239,15 @@ def progress(what: str, total: int, done: int | None = None) -> Iterator[Callabl
     if not sys.stderr.isatty():
         yield lambda *_step: None
         return
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as bars
 
-    columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn()]
+    columns: list[bars.ProgressColumn] = [bars.TextColumn("{task.description}", markup=False), bars.BarColumn()]
     if done is not None:
-        columns += [MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left:"), TimeRemainingColumn()]
+        columns += [bars.MofNCompleteColumn(), bars.TimeElapsedColumn()]
+        columns += [bars.TextColumn("left:"), bars.TimeRemainingColumn()]
     # Lines on stdout go above the bar if both are on the same terminal, and past it if not.
     above = done is None or sys.stdout.isatty()
-    with Progress(*columns, console=console(stderr=True), transient=True, redirect_stdout=above) as shown:
+    with bars.Progress(*columns, console=console(stderr=True), transient=True, redirect_stdout=above) as shown:
         task = shown.add_task(what, total=total, completed=done or 0)
         yield lambda *step: shown.update(task, advance=1, description=": ".join((what, *step)))
 

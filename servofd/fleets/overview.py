@@ -60,51 +60,43 @@ class Overview:
 
 def overview(logs: Sequence[dict[str, Any]]) -> Overview:
     """Sum up."""
-    ordered = sorted(logs, key=_place)
+    about = [log["document"] for log in logs]
+    places = [(one.get("start_utc") or "", one["path"], one.get("run") or "") for one in about]
+    ordered = [logs[k] for k in sorted(range(len(logs)), key=places.__getitem__)]
     every = [(log, name, entry) for log in ordered for name, entry in log["document"]["surfaces"].items()]
-    moved = [(name, entry) for log in ordered for name, entry in _axes(log).items()]
+    moved = [(name, entry) for log in ordered for name, entry in log["document"].get("axes", {}).items()]
+    surfaces, axes = dict.fromkeys(name for _, name, _ in every), dict.fromkeys(name for name, _ in moved)
+    faults, residuals = [], []
+    for log, name, entry in every:
+        at = _where(log) | {"surface": name}
+        faults += [at | fault for fault in entry["faults"]]
+        residuals.append(at | {"status": entry["status"], "share": _share(entry)})
+
+    def gravity(log: dict[str, Any]) -> tuple[int, int]:
+        """Place of a log among others, by what its faults may do to the aircraft; the worst is first."""
+        entries = log["document"]["surfaces"].values()
+        return _RANK.index(log_status(log)), gravity_of(fault["kind"] for one in entries for fault in one["faults"])
+
     return Overview(
         logs=len(ordered),
         hours=sum(log["document"]["duration_s"] or 0.0 for log in ordered) / S_PER_HOUR,
         statuses=dict(Counter(log_status(log) for log in ordered)),
-        surfaces=tuple(_count(name, every) for name in dict.fromkeys(name for _, name, _ in every)),
-        axes=tuple(
-            _axis_count(name, [entry for axis, entry in moved if axis == name])
-            for name in dict.fromkeys(name for name, _ in moved)
-        ),
-        faults=tuple(
-            _where(log) | {"surface": name} | fault for log, name, entry in every for fault in entry["faults"]
-        ),
+        surfaces=tuple(_count(name, [entry for _, known, entry in every if known == name]) for name in surfaces),
+        axes=tuple(_axis_count(name, [entry for axis, entry in moved if axis == name]) for name in axes),
+        faults=tuple(faults),
         not_judged=tuple(_where(log) | {"reason": log["not_judged"]} for log in ordered if log["not_judged"]),
-        flights=tuple(map(_flight, sorted(ordered, key=lambda log: (_RANK.index(log_status(log)), _gravity(log))))),
-        residuals=tuple(
-            _where(log) | {"surface": name, "status": entry["status"], "share": _share(entry)}
-            for log, name, entry in every
-        ),
+        flights=tuple(map(_flight, sorted(ordered, key=gravity))),
+        residuals=tuple(residuals),
     )
 
 
 def log_status(log: dict[str, Any]) -> str:
     """Worst status of a log's surfaces and axes; ``not_judged`` where there is no verdict on it as a whole."""
-    statuses = {entry["status"] for entry in (*log["document"]["surfaces"].values(), *_axes(log).values())}
+    document = log["document"]
+    statuses = {entry["status"] for entry in (*document["surfaces"].values(), *document.get("axes", {}).values())}
     if log["not_judged"] and "suspect" not in statuses:
         return "not_judged"
     return next((status for status in STATUSES if status in statuses), "not_judged")
-
-
-def _gravity(log: dict[str, Any]) -> int:
-    """Place of a log among others, by what its faults may do to the aircraft; the worst is first."""
-    return gravity_of(fault["kind"] for entry in log["document"]["surfaces"].values() for fault in entry["faults"])
-
-
-def _axes(log: dict[str, Any]) -> dict[str, Any]:
-    """What motion showed, if the log was judged by it."""
-    return dict(log["document"].get("axes", {}))
-
-
-def _place(log: dict[str, Any]) -> tuple[str, str, str]:
-    document = log["document"]
-    return document.get("start_utc") or "", document["path"], document.get("run") or ""
 
 
 def _where(log: dict[str, Any]) -> dict[str, Any]:
@@ -114,24 +106,20 @@ def _where(log: dict[str, Any]) -> dict[str, Any]:
 def _flight(log: dict[str, Any]) -> dict[str, Any]:
     document = log["document"]
     name, outline = worst_outline(document)
+    # Why it was not judged, without its name, which stands beside it.
+    why = str(document["error"] or "").removeprefix(document["path"])
+    why = why.removeprefix(f" (run {document.get('run')})").removeprefix(": ")
     return _where(log) | {
         "duration_s": document["duration_s"],
         "status": log_status(log),
-        "sentence": document.get("sentence") or _why(document),
+        "sentence": document.get("sentence") or why,
         "page": page_name(document["path"], log.get("content") or ""),
         "surface": name,
         "outline": outline,
     }
 
 
-def _why(document: dict[str, Any]) -> str:
-    """Why a log was not judged, without its name, which stands beside it."""
-    said = str(document["error"] or "").removeprefix(document["path"])
-    return said.removeprefix(f" (run {document.get('run')})").removeprefix(": ")
-
-
-def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]]) -> dict[str, Any]:
-    entries = [entry for _, surface, entry in every if surface == name]
+def _count(name: str, entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
     shares = [share for entry in entries if entry["status"] != "fault" and (share := _share(entry)) is not None]
     return {
         "surface": name,
@@ -143,11 +131,8 @@ def _count(name: str, every: Sequence[tuple[dict[str, Any], str, dict[str, Any]]
 
 
 def _axis_count(name: str, entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    left = [
-        1.0 - entry["lost_share"]
-        for entry in entries
-        if entry["status"] == "healthy" and entry["lost_share"] is not None
-    ]
+    lost = [entry["lost_share"] for entry in entries if entry["status"] == "healthy"]
+    left = [1.0 - share for share in lost if share is not None]
     return {
         "axis": name,
         "members": list(dict.fromkeys(member for entry in entries for member in entry["members"])),

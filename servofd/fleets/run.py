@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from servofd.batch.find import fetched
 from servofd.batch.key import Job, content_key
@@ -22,24 +22,12 @@ if TYPE_CHECKING:
     from servofd.detection.verdict import LogAudit
 
 
-@dataclass(frozen=True, slots=True)
-class RunVerdict:
+class RunVerdict(NamedTuple):
     """One run of a log, as JSON shows it (an entry of ``logs`` in servofd.audit/1)."""
 
     document: dict[str, Any]
     not_judged: str
     """Why there is no verdict on it as a whole; empty if there is one."""
-
-    @property
-    def has_fault(self) -> bool:
-        """True if any surface or axis is at fault."""
-        every = (*self.document["surfaces"].values(), *self.document.get("axes", {}).values())
-        return any(one["status"] == "fault" for one in every)
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """As a row of the table of logs."""
-        return {"document": self.document, "not_judged": self.not_judged}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +40,11 @@ class JudgedLog:
     runs: tuple[RunVerdict, ...]
     page: str = ""
     """HTML, where the job asked for it and there is something to show."""
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """Its runs as `servofd.fleets.overview.overview` takes them."""
+        return [run._asdict() | {"content": self.content} for run in self.runs]
 
 
 def judge_log(source: LogSource, job: Job) -> JudgedLog:
@@ -84,14 +77,11 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
                 (document,) = audit_document([result])["logs"]
                 why = result.not_judged and f"{result.log.label.replace(local, source.path)}: {result.not_judged}"
                 runs.append(RunVerdict(document | {"path": source.path}, why))
-            return JudgedLog(source, content, tuple(runs), _page(audits) if audits else "")
+            # Its page leads back to that of all.
+            page = html_page(replace(audit_report(audits), links=[("All flights", FLEET_PAGE)])) if audits else ""
+            return JudgedLog(source, content, tuple(runs), page)
     except ConfigError as error:
         return failed(source, str(error), content)
-
-
-def _page(audits: Sequence[LogAudit | FailedLog]) -> str:
-    """Page of a log, which leads back to that of all."""
-    return html_page(replace(audit_report(audits), links=[("All flights", FLEET_PAGE)]))
 
 
 def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
@@ -123,18 +113,14 @@ def audit_fleet(logs: Sequence[LogSource], job: Job, *, workers: int | None = No
     >>> from servofd.batch.find import find_logs
     >>> from servofd.batch.key import Job
     >>> logs = find_logs(["sample_logs/faser_stuck_flight.mat"]).logs
-    >>> [judged.runs[0].has_fault for judged in audit_fleet(logs, Job(), workers=0)]
-    [True]
+    >>> [one.runs[0].document["surfaces"]["elevator"]["status"] for one in audit_fleet(logs, Job(), workers=0)]
+    ['fault']
     """
     task = partial(judge_log, job=job)
     for source, outcome in run_local(task, logs, workers):
-        if isinstance(outcome, Exception):
-            yield failed(source, f"{source.path}: {_reason(outcome)}")
+        if isinstance(outcome, Exception):  # what stopped a log that nothing in it should have stopped
+            name, text = type(outcome).__name__, " ".join(str(outcome).split())
+            why = text if name == "WorkerDied" else f"could not be judged: {name}: {text}"
+            yield failed(source, f"{source.path}: {why}")
         else:
             yield outcome
-
-
-def _reason(error: Exception) -> str:
-    """What stopped a log that nothing in it should have stopped."""
-    name, text = type(error).__name__, " ".join(str(error).split())
-    return text if name == "WorkerDied" else f"could not be judged: {name}: {text}"

@@ -24,7 +24,6 @@ from servofd.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
 
     import pyarrow as pa
 
@@ -79,46 +78,38 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
     for run in judged.runs:
         document = run.document
         start, duration_s = document.get("start_utc"), document["duration_s"]
-        log = {key: document.get(key) for key in ("path", "run")} | {
-            "content": judged.content,
-            "duration_s": duration_s,
-        }
-        log["start_utc"] = datetime.fromisoformat(start) if start else None
+        log = {"path": document["path"], "run": document.get("run"), "content": judged.content}
+        log |= {"duration_s": duration_s, "start_utc": datetime.fromisoformat(start) if start else None}
         own = {"size_bytes": judged.source.size_bytes, "not_judged": run.not_judged or None}
         own |= {"damage": len(document["damage"]), "document": json.dumps(document)}
-        tables["logs"].append(_row("logs", document | log | own))
+        tables["logs"].append(document | log | own)
         for name, axis in document.get("axes", {}).items():
-            tables["axes"].append(_row("axes", axis | log | {"axis": name, "members": ", ".join(axis["members"])}))
+            tables["axes"].append(axis | log | {"axis": name, "members": ", ".join(axis["members"])})
         for name, surface in document["surfaces"].items():
             sizes = {f"residual_{key}": size for key, size in (surface["residual"] or {}).items()}
             sizes |= {f"threshold_{key}": value for key, value in surface["threshold"].items()}
             counts = {level: len(surface[level]) for level in ("faults", "suspicions")}
-            tables["surfaces"].append(_row("surfaces", surface | log | sizes | counts | {"surface": name}))
+            tables["surfaces"].append(surface | log | sizes | counts | {"surface": name})
             for level in counts:
                 for fault in surface[level]:
                     parameters, others = json.dumps(fault["parameters"]), ", ".join(fault["alternatives"])
                     text = {"level": level.removesuffix("s"), "parameters": parameters, "alternatives": others}
-                    tables["faults"].append(_row("faults", fault | log | text | {"surface": name}))
-    return tables
-
-
-def _row(table: str, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Of all that is known, the columns of a table."""
-    return {name: known.get(name) for name in TABLES[table]}
+                    tables["faults"].append(fault | log | text | {"surface": name})
+    return {
+        name: [{column: row.get(column) for column in TABLES[name]} for row in content]
+        for name, content in tables.items()
+    }
 
 
 def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
-    """Rows as an Arrow table with the columns of `TABLES`, whatever they hold."""
+    """Rows as an Arrow table with the columns of `TABLES`; names of files that are no UTF-8 as Python writes them."""
     import pyarrow as pa
 
     kinds = {"string": pa.string(), "double": pa.float64(), "int64": pa.int64(), "time": pa.timestamp("us", tz="UTC")}
     schema = pa.schema([(column, kinds[kind]) for column, kind in TABLES[name].items()])
-    return pa.Table.from_pylist([{key: _text(value) for key, value in row.items()} for row in content], schema=schema)
-
-
-def _text(value: Any) -> Any:  # noqa: ANN401 - any cell
-    """Names of files that are no UTF-8 as Python writes them; anything else as it is."""
-    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+    texts = [{k: v for k, v in row.items() if isinstance(v, str)} for row in content]
+    plain = [{k: v.encode("utf-8", "backslashreplace").decode() for k, v in row.items()} for row in texts]
+    return pa.Table.from_pylist([row | text for row, text in zip(content, plain, strict=True)], schema=schema)
 
 
 _SCHEMA = "servofd.fleets/1"
@@ -147,27 +138,24 @@ class FleetStore:
 
     def __init__(self, folder: Path, key: str) -> None:
         self.folder = folder
-        self._lock = _only_writer(folder)
+        self._lock = locked(folder)
+        self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
+        self._sizes: dict[int, set[str]] = {}
+        self._written_s = time.monotonic()
         try:
             self.set_aside = _prepared(folder, key)
             """How many logs were judged otherwise, and are in ``earlier`` now."""
-            self._read_what_is_done()
+            for row in read_table(folder, "logs", ["content", "size_bytes"]):
+                if row["content"]:
+                    self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
         except BaseException:
             self._lock.close()
             raise
 
-    def _read_what_is_done(self) -> None:
-        self._waiting: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
-        self._sizes: dict[int, set[str]] = {}
-        self._written_s = time.monotonic()
-        for row in read_table(self.folder, "logs", ["content", "size_bytes", "not_judged"]):
-            if row["content"]:
-                self._sizes.setdefault(row["size_bytes"], set()).add(row["content"])
-
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -222,8 +210,8 @@ class FleetStore:
         import pyarrow.parquet as pq
 
         for path in sorted((self.folder / "logs").glob("*.parquet")):
-            table = _read_part(path)
-            kept = table.filter(pa.array([bool(content) for content in table["content"].to_pylist()], pa.bool_()))
+            table, rows = _read_part(path)
+            kept = table.filter(pa.array([bool(row["content"]) for row in rows], pa.bool_()))
             if len(kept) < len(table):
                 with whole_file(path) as temporary:
                     pq.write_table(kept, temporary, write_page_checksum=True)
@@ -231,31 +219,20 @@ class FleetStore:
 
 def read_table(folder: Path, name: str, columns: list[str] | None = None) -> list[dict[str, Any]]:
     """Rows of one table of a folder of results."""
-    return [row for path in sorted((folder / name).glob("*.parquet")) for row in _rows(path, columns)]
+    return [row for path in sorted((folder / name).glob("*.parquet")) for row in _read_part(path, columns)[1]]
 
 
-def _rows(path: Path, columns: list[str] | None) -> list[dict[str, Any]]:
-    try:
-        rows: list[dict[str, Any]] = _read_part(path, columns).to_pylist()
-    except UnicodeDecodeError as error:
-        raise _damaged(path, error) from None
-    return rows
-
-
-def _read_part(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """One file of a table; damage is found by the check-sums of its pages."""
+def _read_part(path: Path, columns: list[str] | None = None) -> tuple[pa.Table, list[dict[str, Any]]]:
+    """One file of a table, and its rows; damage is found by the check-sums of its pages."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        return pq.read_table(path, columns=columns, page_checksum_verification=True)
+        table = pq.read_table(path, columns=columns, page_checksum_verification=True)
+        return table, table.to_pylist()
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise _damaged(path, error) from None
-
-
-def _damaged(path: Path, error: Exception) -> ConfigError:
-    reason = str(error).splitlines()[0]
-    return ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again")
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"{path}: damaged ({reason}); remove it, and its logs are judged again") from None
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:
@@ -264,31 +241,14 @@ def read_logs(folder: Path) -> list[dict[str, Any]]:
     if not meta.is_file():
         raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")
     _read_meta(meta)
-    logs = [
-        {
-            "document": json.loads(row["document"]),
-            "not_judged": row["not_judged"] or "",
-            "content": row["content"] or "",
-        }
-        for row in read_table(folder, "logs", ["document", "not_judged", "content"])
-    ]
-    return by_path(logs)
+    kept = read_table(folder, "logs", ["document", "not_judged", "content"])
+    texts = [{name: row[name] or "" for name in ("not_judged", "content")} for row in kept]
+    return by_path([one | {"document": json.loads(row["document"])} for one, row in zip(texts, kept, strict=True)])
 
 
 def by_path(logs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Logs as `read_logs` gives them, in order."""
     return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
-
-
-def _only_writer(folder: Path) -> BinaryIO:
-    """Make the folder, and keep others from writing to it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return locked(folder)
-    except (FileExistsError, NotADirectoryError):
-        raise ConfigError(f"{folder}: is a file; results of many logs go to a folder") from None
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
 
 
 def _prepared(folder: Path, key: str) -> int:
@@ -308,7 +268,11 @@ def _prepared(folder: Path, key: str) -> int:
             _move(earlier, folder)
         for name in TABLES:
             (folder / name).mkdir(exist_ok=True)
-        _remove_orphans(folder)
+        # Parts that a killed run wrote without the logs they belong to; those logs are judged again.
+        whole = {path.name for path in (folder / "logs").glob("*.parquet")}
+        for path in (path for name in TABLES for path in (folder / name).glob("*.parquet")):
+            if path.name not in whole:
+                path.unlink()
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written to: {error.strerror}") from None
     write_whole(meta, (json.dumps({"schema": _SCHEMA, "servofd": __version__, "job": key}, indent=2) + "\n").encode())
@@ -323,9 +287,8 @@ def _read_meta(meta: Path) -> dict[str, str]:
         schema = str(content["schema"])
     except (ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(f"{meta}: is not what servofd writes; choose another folder") from None
-    raise ConfigError(
-        f"{meta.parent}: holds results of the form {schema}, this version knows {_SCHEMA}; choose another folder"
-    )
+    forms = f"holds results of the form {schema}, this version knows {_SCHEMA}"
+    raise ConfigError(f"{meta.parent}: {forms}; choose another folder")
 
 
 def _move(source: Path, target: Path) -> None:
@@ -336,43 +299,33 @@ def _move(source: Path, target: Path) -> None:
             (source / name).rename(target / name)
 
 
-def _remove_orphans(folder: Path) -> None:
-    """Parts that a killed run wrote without the logs they belong to; those logs are judged again."""
-    whole = {path.name for path in (folder / "logs").glob("*.parquet")}
-    for name in TABLES:
-        for path in (folder / name).glob("*.parquet"):
-            if path.name not in whole:
-                path.unlink()
-
-
 _NAME = ".lock"
 _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
 
 def locked(folder: Path) -> BinaryIO:
-    """Take the lock of a folder; closing the file gives it back, and so does the end of the process.
-
-    The file stays: to remove it would let two others have locks on two files of one name.
-    """
-    file = (folder / _NAME).open("ab")
+    """Make a folder, and take its lock; closing the file gives it back, and so does the end of the process."""
     try:
-        _lock(file)
+        folder.mkdir(parents=True, exist_ok=True)
+        # The file stays: to remove it would let two others have locks on two files of one name.
+        file = (folder / _NAME).open("ab")
+    except (FileExistsError, NotADirectoryError):
+        raise ConfigError(f"{folder}: is a file; results of many logs go to a folder") from None
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot make this folder: {error.strerror}") from None
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in _TAKEN:
             file.close()
-            raise ConfigError(
-                f"{folder}: another audit writes its results here; wait for it, or choose another folder"
-            ) from None
+            other = "another audit writes its results here; wait for it, or choose another folder"
+            raise ConfigError(f"{folder}: {other}") from None
         # A file system that knows no locks: other processes cannot be kept out.
     return file
-
-
-def _lock(file: BinaryIO) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

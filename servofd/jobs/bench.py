@@ -103,9 +103,11 @@ def identify(
     result = identify_records(segments, order=order, labels=labels, progress=progress)
     if not any(test.pulse_us is not None for one in found for test in one):
         return replace(result, notes=(*sources, *result.notes))
-    gain = result.servo.linear.gain
-    scaled = [[_rescaled(test.segment, gain, result.offset_deg) for test in one] for one in found]
-    slope = gain * _slope_deg_per_us(found[0][0])
+    gain, pulse_us, first = result.servo.linear.gain, found[0][0].pulse_us, segments[0][0]
+    slope = gain if pulse_us is None else gain * float(np.polyfit(pulse_us, first.command_deg, 1)[0])
+    scaled = [
+        [replace(test, command_deg=gain * test.command_deg + result.offset_deg) for test in one] for one in segments
+    ]
     result = identify_records(scaled, order=order, labels=labels)
     scale = f"pulses were converted with the scale that gives a dc gain of 1: {slope:.5f} deg/us"
     return replace(result, notes=(*sources, scale, *result.notes))
@@ -134,9 +136,8 @@ def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> Benc
         name, reason = next(iter(reasons.items()))
         raise NoMeasurement(f"{log.label}: {name}: {reason}")
     if len(segments) > 1:
-        raise ConfigError(
-            f"{log.label}: {len(segments)} servos were measured: choose one of {', '.join(segments)} with -s"
-        )
+        names = ", ".join(segments)
+        raise ConfigError(f"{log.label}: {len(segments)} servos were measured: choose one of {names} with -s")
     ((name, segment),) = segments.items()
     entry = aircraft.surfaces[name]
     measured = entry.measured.channel if entry.measured is not None else ""
@@ -164,14 +165,3 @@ def _chirp_script(log: FlightLog) -> BenchTest:
         f"that repeat a position were left out, which leaves {rate_hz:.0f} Hz",
         pulse_us=command.values,
     )
-
-
-def _slope_deg_per_us(test: BenchTest) -> float:
-    """Degrees per microsecond that the conversion of a test amounts to."""
-    if test.pulse_us is None:
-        return 1.0
-    return float(np.polyfit(test.pulse_us, test.segment.command_deg, 1)[0])
-
-
-def _rescaled(segment: Series, gain: float, offset_deg: float) -> Series:
-    return replace(segment, command_deg=gain * segment.command_deg + offset_deg)

@@ -124,7 +124,20 @@ def explain_logs(
         raise UnknownName(f"{flown.source}: choose a surface: {', '.join(wanted)}")
     others = list(logs_of(also, flown.aircraft)) if also else []
     judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
-    return _explained(flown, wanted, judged, progress)
+    known, found, failures = flown.aircraft, [], []
+    for name in wanted:
+        try:
+            one = _surface(flown, name, judged, progress)
+        except (NoMeasurement, DesignError) as error:
+            failures.append(f"{flown.source}: {name}: {error}")
+            continue
+        found.append(one)
+        if name in flown.unnamed and one.record.side is None:  # with the poles that were found, for an audit
+            poles = scaled(one.record.plant.transfer, one.selection.final.physics.scales)
+            fitted = {"numerator": poles.numerator, "denominator": poles.denominator, "source": "servofd explain"}
+            servo_found = Servo.model_validate(UNKNOWN_SERVO.model_dump() | fitted | {"delay_s": 0.0})
+            known = _with_unknown_servo(known, name, servo_found)
+    return ExplainedLogs(tuple(found), tuple(failures), known, flown.source, flown.logs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,11 +161,6 @@ class _Flown:
         logged = {channel for log in self.logs for channel in log.channels}
         return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
 
-    @property
-    def on_bench(self) -> bool:
-        """Whether these are experiments that begin at rest."""
-        return self.aircraft.table is not None and bool(self.aircraft.table.run)
-
 
 def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = known_aircraft(aircraft)
@@ -163,25 +171,6 @@ def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, se
         flown = flown.with_servo(servo)
     unnamed = frozenset(n for n, s in flown.surfaces.items() if servo == UNKNOWN or not s.names_servo)
     return _Flown(logs, flown, ", ".join(map(label_of, paths)), unnamed)
-
-
-def _explained(
-    flown: _Flown,
-    surfaces: Sequence[str],
-    also: Sequence[tuple[str, dict[str, Series]]],
-    progress: Callable[[str], None],
-) -> ExplainedLogs:
-    aircraft, found, failures = flown.aircraft, [], []
-    for name in surfaces:
-        try:
-            one = _surface(flown, name, also, progress)
-        except (NoMeasurement, DesignError) as error:
-            failures.append(f"{flown.source}: {name}: {error}")
-            continue
-        found.append(one)
-        if name in flown.unnamed and one.record.side is None:
-            aircraft = _with_unknown_servo(aircraft, name, _fitted_poles(one))
-    return ExplainedLogs(tuple(found), tuple(failures), aircraft, flown.source, flown.logs)
 
 
 def _surface(
@@ -200,21 +189,20 @@ def _surface(
         said |= dict.fromkeys(filter(None, (segment.refreshed,))) | dict.fromkeys(damage.note for damage in log.damage)
     conditions = _conditions(logs, aircraft.surfaces[name])
     said |= dict.fromkeys(_same_loads(logs))
+    known = NOTHING if name in flown.unnamed else A_TYPE
+    on_bench = aircraft.table is not None and bool(aircraft.table.run)  # experiments that begin at rest
     found = explain_gap(
-        segments,
-        model,
-        on_bench=flown.on_bench,
-        known=NOTHING if name in flown.unnamed else A_TYPE,
-        off=off,
-        conditions=conditions,
-        progress=progress,
+        segments, model, on_bench=on_bench, known=known, off=off, conditions=conditions, progress=progress
     )
     found = replace(found, notes=(*found.notes, *list(said)[:_MOST_SAID]))
     if found.record.side is None:
         differing = varying(found.selection, conditions)
         found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))
-    if found.fault_s is not None and len(flown.logs) == 1:
-        found = _with_kind(found, found.fault_s, flown.logs[0], aircraft)
+    if found.fault_s is not None and len(flown.logs) == 1:  # which fault it is that sets in, if the audit can name it
+        (verdict,) = audit_log(flown.logs[0], aircraft, surfaces=(name,)).surfaces
+        named = next((one for one in verdict.faults if abs(one.start_s - found.fault_s) < _SAME_FAULT_S), None)
+        if named is not None and named.kind != "unknown":
+            found = replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named)}"))
     judged = tuple(judged_elsewhere(label, there[name], model, found.physics) for label, there in also)
     worse = [
         f"{Path(there.path).name}: the model does worse there than without what was found: is it the same servo?"
@@ -230,15 +218,6 @@ def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Series:
         return cut(log, name, surfaces_of(log, aircraft))
     except NoMeasurement as error:
         raise ConfigError(f"--also {log.label}: {name}: {error}; give a log of the same aircraft") from None
-
-
-def _with_kind(found: Explanation, fault_s: float, log: FlightLog, aircraft: Aircraft) -> Explanation:
-    """An explanation that says which fault it is that sets in, if the audit can name it."""
-    (verdict,) = audit_log(log, aircraft, surfaces=(found.surface,)).surfaces
-    named = [fault for fault in verdict.faults if abs(fault.start_s - fault_s) < _SAME_FAULT_S]
-    if not named or named[0].kind == "unknown":
-        return found
-    return replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named[0])}"))
 
 
 def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Series]]:
@@ -284,17 +263,4 @@ def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = UNKNOWN
     entry = aircraft.surfaces[surface].model_copy(update={"servo": name})
     return aircraft.model_copy(
         update={"surfaces": {**aircraft.surfaces, surface: entry}, "servos": {**aircraft.servos, name: servo}}
-    )
-
-
-def _fitted_poles(found: Explanation) -> Servo:
-    """The servo whose poles were found, for an audit."""
-    transfer = scaled(found.record.plant.transfer, found.selection.final.physics.scales)
-    return Servo(
-        title=UNKNOWN_SERVO.title,
-        numerator=transfer.numerator,
-        denominator=transfer.denominator,
-        delay_s=0.0,
-        hold="zoh",
-        source="servofd explain",
     )

@@ -87,13 +87,11 @@ def odds_from_design(
     0.292
     """
     if not SLOWEST_RATE_HZ <= rate_hz <= _FASTEST_RATE_HZ:
-        raise ConfigError(
-            f"{rate_hz:g} Hz is no rate of positions: give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
-        )
+        usual = f"give {SLOWEST_RATE_HZ:g} to {_FASTEST_RATE_HZ:g} Hz"
+        raise ConfigError(f"{rate_hz:g} Hz is no rate of positions: {usual}")
     if not 0.0 < noise_deg <= _LARGEST_NOISE_DEG:
-        raise ConfigError(
-            f"{noise_deg:g} deg is no noise of positions: give more than 0 and at most {_LARGEST_NOISE_DEG:g} deg"
-        )
+        usual = f"give more than 0 and at most {_LARGEST_NOISE_DEG:g} deg"
+        raise ConfigError(f"{noise_deg:g} deg is no noise of positions: {usual}")
     note = f"designed for white noise of {noise_deg:g} deg, not measured"
     result = []
     for name in surfaces or [name for name, surface in aircraft.surfaces.items() if surface.measured is not None]:
@@ -137,6 +135,5 @@ def _pooled(name: str, met: list[tuple[LogAudit, SurfaceAudit]]) -> SurfaceOdds 
     if not noise.sigma_deg > 0.0:
         return "the residual never changes: there is no noise to judge by"
     alarms = crossings(residual_deg, threshold_deg)
-    return SurfaceOdds(
-        name, servo, design, noise, threshold_deg, judged_s / S_PER_HOUR, alarms=alarms, notes=tuple(notes)
-    )
+    hours = judged_s / S_PER_HOUR
+    return SurfaceOdds(name, servo, design, noise, threshold_deg, hours, alarms=alarms, notes=tuple(notes))

@@ -25,8 +25,7 @@ def compile_ahead(say: Callable[[str], None]) -> None:
     say : callable
         Shows a sentence to whoever waits.
     """
-    path = None if is_compiling() else path_of(EFFECTS)
-    if path is None or is_kept(path):
+    if is_compiling() or is_prepared():
         return
     say(_ONCE)
     nothing = subprocess.DEVNULL
@@ -66,11 +65,8 @@ def keep_windows() -> None:
     from servofd.detection.changes import Memory, Tests, follow
     from servofd.estimate.family import PATTERNS
 
-    usual = CalibratedServo(
-        parameters={prior.name: prior.value for prior in PRIORS},
-        between=lower_triangle(np.eye(FITTED)),
-        noise=CalibratedNoise(still_deg=0.1, lag_s=0.0, colour=(0.0, 0.0), innovation=1.0, period_s=0.02),
-        reach_deg=(-20.0, 20.0),
-    )
+    noise = CalibratedNoise(still_deg=0.1, lag_s=0.0, colour=(0.0, 0.0), innovation=1.0, period_s=0.02)
+    parameters, between = {prior.name: prior.value for prior in PRIORS}, lower_triangle(np.eye(FITTED))
+    usual = CalibratedServo(parameters=parameters, between=between, noise=noise, reach_deg=(-20.0, 20.0))
     tests = Tests.of(usual, 0.02)
     follow(tests, Memory(tests), np.zeros(1), np.zeros(1), np.zeros((1, FITTED + len(PATTERNS))), np.ones(1))

@@ -88,14 +88,12 @@ def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[dict[str, Any
     for name in aircraft.surfaces:
         found, source = _surface(log, aircraft, name), sources.get(name)
         if source is not None:
-            found["current"] = source.channel
+            found["current"], can = source.channel, found["verdict"]
             try:
                 found["current_hz"] = _rate(read_current(log, source).time_s)
+                found["verdict"] = f"{can}; and by its current" if can.startswith("yes") else "yes, by its current"
             except NoMeasurement as reason:
                 found["verdict"] += f"; {reason}"
-            else:
-                can = found["verdict"]
-                found["verdict"] = f"{can}; and by its current" if can.startswith("yes") else "yes, by its current"
         yield found
 
 
@@ -115,8 +113,13 @@ def _surface(log: FlightLog, aircraft: Aircraft, name: str) -> dict[str, Any]:
     except NoMeasurement as reason:
         return found | {"verdict": f"no: {reason}"}
     position_hz = round(1.0 / segment.period_s, 3) if segment.period_s > 0.0 else None
-    rates = {"command_hz": _rate(segment.command_s), "position_hz": position_hz}
-    return found | rates | {"verdict": _judged_by_rate(position_hz)}
+    if position_hz is None:
+        verdict = "no: fewer than two positions"
+    elif position_hz < SLOWEST_RATE_HZ:
+        verdict = f"no: {position_hz:.1f} Hz is too slow, {SLOWEST_RATE_HZ:g} Hz are needed"
+    else:
+        verdict = f"yes, servos of up to {position_hz / _RATE_PER_BANDWIDTH:.1f} Hz bandwidth"
+    return found | {"command_hz": _rate(segment.command_s), "position_hz": position_hz, "verdict": verdict}
 
 
 def _on_board(log: FlightLog, aircraft: Aircraft | None) -> list[dict[str, Any]]:
@@ -132,14 +135,6 @@ def _on_board(log: FlightLog, aircraft: Aircraft | None) -> list[dict[str, Any]]
         }
         for seen in seen_on_board(log)
     ]
-
-
-def _judged_by_rate(position_hz: float | None) -> str:
-    if position_hz is None:
-        return "no: fewer than two positions"
-    if position_hz < SLOWEST_RATE_HZ:
-        return f"no: {position_hz:.1f} Hz is too slow, {SLOWEST_RATE_HZ:g} Hz are needed"
-    return f"yes, servos of up to {position_hz / _RATE_PER_BANDWIDTH:.1f} Hz bandwidth"
 
 
 def _channel(channel: Channel) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from logparsers import EmptyLog, LogError, MissingChannel, UnknownFormat
 from servofd.aircraft.outputs import is_numbered
@@ -61,16 +61,8 @@ def audit(
             nothing = nothing or _alone(run, str(error), job)
             continue
         flown.check_names(job.surfaces, run.label)
-        result = audit_log(
-            run,
-            flown,
-            threshold_deg=job.threshold_deg,
-            threshold=job.threshold,
-            surfaces=job.surfaces,
-            threads=threads,
-            progress=progress,
-        )
-        result = with_currents(result, cycles)
+        wanted: dict[str, Any] = {name: getattr(job, name) for name in ("threshold_deg", "threshold", "surfaces")}
+        result = with_currents(audit_log(run, flown, **wanted, threads=threads, progress=progress), cycles)
         yield result if flown.motion is None else _with_axes(result, flown.motion)
     if nothing is not None:
         raise nothing
@@ -131,11 +123,7 @@ _MOTIONS = {"roll": "rolls", "pitch": "pitches", "side": "yaws"}
 
 
 def _compared(surface: SurfaceAudit, axes: Sequence[AxisAudit]) -> SurfaceAudit:
-    """A surface at fault, with what the aircraft's motion tells of it.
-
-    A servo that stands still takes its share of the axis' effect away; a sensor that does not takes nothing. Where the
-    motion of that time could tell neither, nothing is added.
-    """
+    """A surface at fault, with what the aircraft's motion tells of it: whether it was the servo that stood still."""
     axis = next((axis for axis in axes if surface.surface in axis.members), None)
     still = [fault for fault in (*surface.faults, *surface.suspicions) if fault.kind in STANDS_STILL]
     said = filter(None, (_seen_in_motion(fault, axis) for fault in still)) if axis is not None else iter(())
@@ -159,29 +147,22 @@ def _seen_in_motion(fault: Fault, axis: AxisAudit) -> str:
 
 
 def calibrate_axes(
-    paths: Log | Sequence[Log],
-    *,
-    false_alarms_per_hour: float = 1.0,
-    spans: tuple[Span, ...] = (),
+    paths: Log | Sequence[Log], *, false_alarms_per_hour: float = 1.0, spans: tuple[Span, ...] = ()
 ) -> MotionModel:
     """Calibrate what an aircraft's motion tells of its axes, on flights that are known to be good."""
     from servofd.axes.calibrate import calibrate_motion
     from servofd.axes.read import motion_of
 
-    logs, flights, silent = [], [], []
+    found, silent = [], []
     for log in each_once(logs_of(paths)):
         try:
-            flights.append(motion_of(log))
-            logs.append(log)
+            found.append((log, motion_of(log)))
         except NoMeasurement as error:
             silent.append(str(error))
-    if not flights:
+    if not found:
         raise NoMeasurement("; ".join(dict.fromkeys(silent)))
-    rate_hz = min(flight.rate_hz for flight in flights)
-    flights = [
-        flight if flight.rate_hz < _SAME_RATE * rate_hz else motion_of(log, rate_hz)
-        for log, flight in zip(logs, flights, strict=True)
-    ]
+    rate_hz = min(flight.rate_hz for _, flight in found)
+    flights = [one if one.rate_hz < _SAME_RATE * rate_hz else motion_of(log, rate_hz) for log, one in found]
     if spans:
         flights = [flight.within(spans) for flight in flights]
     model = calibrate_motion(flights, false_alarms_per_hour=false_alarms_per_hour)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.modes import modes_of
 from logparsers.units import MS_PER_S
 from servofd.aircraft.outputs import WITHOUT_SURFACES
 from servofd.axes.model import FORMS
@@ -28,7 +30,6 @@ from servofd.outputs.chart import (
 )
 from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Section, Table, Words
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.lanes import beside, diary
 from servofd.outputs.sentence import (
     LEAST_CLEARED,
     STATUSES,
@@ -37,6 +38,7 @@ from servofd.outputs.sentence import (
     other_way_round,
     plain_rate,
     seen,
+    spoken,
     whole_sentence,
     with_interval,
     worst,
@@ -45,6 +47,7 @@ from servofd.outputs.sentence import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft
     from servofd.axes.motion import Motion
     from servofd.axes.verdict import AxisAudit
@@ -103,23 +106,18 @@ def audit_report(results: Sequence[LogAudit | FailedLog]) -> Document:
     runs = len({one.path if isinstance(one, FailedLog) else str(one.log.source) for one in results}) == 1
     count = f"{len(logs)} {'runs' if runs else 'logs'}"
     said = f"{faulty or 'None'} of {count} show{'s' * (faulty <= 1)} a fault{others}."
-    index = [
-        (Cell(log.title, link=f"#log-{k}"), Cell(status=log.status), log.sentence) for k, log in enumerate(logs, 1)
-    ]
+    index, sections = [], []
+    for k, log in enumerate(logs, 1):
+        index.append((Cell(log.title, link=f"#log-{k}"), Cell(status=log.status), log.sentence))
+        said_of_it = Words(log.sentence, style="verdict"), Words(log.facts, style="soft")
+        sections.append(Section(log.title, [*said_of_it, *log.parts], anchor=f"log-{k}"))
     return Document(
         title=f"{logs[0].log}, {count}" if runs else ", ".join(log.title for log in logs),
         status=next((status for status in LEAST_CLEARED if status in known), "no_data"),
         sentence=f"No verdict on any of {count}." if dark == len(logs) else said,
         parts=[
             Table("All runs" if runs else "All logs", ("run" if runs else "log", "worst", "verdict"), index),
-            *(
-                Section(
-                    log.title,
-                    [Words(log.sentence, style="verdict"), Words(log.facts, style="soft"), *log.parts],
-                    anchor=f"log-{k}",
-                )
-                for k, log in enumerate(logs, 1)
-            ),
+            *sections,
         ],
         evidence=[method],
         data=data,
@@ -141,22 +139,18 @@ def _failed(result: FailedLog) -> Document:
     name = Path(result.path).name
     if result.flight is not None:
         return _alone(name, result.flight, result.error.replace(result.path, name))
-    sentence = "Could not be read." if result.log is None else "Could not be judged."
+    said = "Could not be read." if result.log is None else "Could not be judged."
     if result.log is not None and result.log.vehicle in WITHOUT_SURFACES:
-        sentence = f"No control surfaces: a {result.log.vehicle}."
-    return Document(name, "unknown", sentence, result.error.replace(result.path, name), log=name)
+        said = f"No control surfaces: a {result.log.vehicle}."
+    return Document(name, "unknown", said, result.error.replace(result.path, name), log=name)
 
 
 def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     """What one flight says by itself."""
+    since = ["" if check.since_s is None else clock(check.since_s) for check in flight.checks]
     rows = [
-        (
-            check.name.replace("_", " "),
-            _LOOKS[check.status],
-            check.text,
-            "" if check.since_s is None else clock(check.since_s),
-        )
-        for check in flight.checks
+        (spoken(check.name), _LOOKS[check.status], check.text, at)
+        for check, at in zip(flight.checks, since, strict=True)
     ]
     parts: list[Part] = [Table("What this flight says by itself", ("check", "answer", "what was seen", "from"), rows)]
     if flight.motion is not None:
@@ -185,13 +179,8 @@ def _alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
         one = axes.get(axis)
         if one is not None and one.time_s:
             time_s, score = np.array(one.time_s), np.sqrt(np.array(one.score))
-            curves = (
-                Curve("distance", "residual", time_s, score),
-                Curve("limit", "threshold", time_s[[0, -1]], np.ones(2)),
-            )
-            panels.append(
-                Panel(f"{axis}: distance from its own past", "limits", curves, 0.0, max(1.2, float(np.nanmax(score))))
-            )
+            title = f"{axis}: distance from its own past"
+            panels.append(_distances(title, "limits", "limit", time_s, score, max(1.2, float(np.nanmax(score)))))
     marks = [Mark("onset", one.since_s, f"{one.axis} changed") for one in axes.values() if one.since_s is not None]
     text = "An axis whose distance from its own past exceeds 1 for three seconds no longer answers as it did."
     first_s, last_s = float(motion.time_s[0]), float(motion.time_s[-1])
@@ -204,11 +193,11 @@ def _log(audit: LogAudit) -> Document:
     if log.start_utc is not None:
         facts.append(f"begun {log.start_utc:%Y-%m-%d %H:%M} UTC")
     ordered = sorted(audit.surfaces, key=lambda surface: (STATUSES.index(surface.status), gravity(surface)))
-    damage = [
-        (damage.kind.replace("_", " "), damage.note, str(damage.count), _span(damage.start_s, damage.end_s))
-        for damage in log.damage_summary
-    ]
-    entries = diary(log)
+    damage = []
+    for one in log.damage_summary:
+        when = " to ".join(f"{time_s:.2f}" for time_s in (one.start_s, one.end_s) if time_s is not None)
+        damage.append((spoken(one.kind), one.note, str(one.count), when or "-"))
+    entries, surfaces = _diary(log), [_surface(audit.aircraft, one, len(ordered)) for one in ordered]
     is_drawn = audit.axes or any(s.residuals is not None or s.current is not None for s in audit.surfaces)
     return Document(
         title=log.source.name + (f", run {log.run}" if log.run else ""),
@@ -216,19 +205,12 @@ def _log(audit: LogAudit) -> Document:
         sentence=whole_sentence(audit),
         facts=", ".join(filter(None, facts)),
         parts=[
-            Items(
-                "Surfaces",
-                ("surface", "status", "model", "why"),
-                [_surface(audit.aircraft, one, len(ordered)) for one in ordered],
-            ),
+            Items("Surfaces", ("surface", "status", "model", "why"), surfaces),
             Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
-            *(
-                [Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), entries)], folded=True)]
-                if entries
-                else []
-            ),
-            *([Lanes(lambda: beside(log))] if is_drawn else []),
+            *[Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), entries)], folded=True)]
+            * bool(entries),
+            *[Lanes(lambda: _beside(log))] * bool(is_drawn),
         ],
         log=log.source.name,
     )
@@ -241,33 +223,21 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
         parts.append(Figures(lambda: [*fault_charts(surface), flight_chart(surface, of)]))
     elif surface.current is not None:
         parts.append(Figures(lambda: current_charts(surface)))
-    rows = [
-        (
-            kind_of(fault),
-            f"{fault.start_s:.2f}",
-            f"{fault.alarm_s:.2f}",
-            "lasts" if fault.end_s is None else f"{fault.end_s:.2f}",
-            "; ".join(
-                f"{quantity(name)} {with_interval(one.value, one.low, one.high)}"
-                for name, one in fault.parameters.items()
+    rows = []
+    for fault in found:
+        values = (f"{quantity(name)} {with_interval(*one)}" for name, one in fault.parameters.items())
+        rows.append(
+            (
+                *(kind_of(fault), f"{fault.start_s:.2f}", f"{fault.alarm_s:.2f}"),
+                "lasts" if fault.end_s is None else f"{fault.end_s:.2f}",
+                "; ".join(values) or _MISSING,
+                f"{100.0 * fault.probability:.3g}%",
+                spoken(", ".join(fault.alternatives)) or _MISSING,
+                " and ".join(one.witness for one in (fault, fault.confirmed_by) if one is not None),
             )
-            or _MISSING,
-            f"{100.0 * fault.probability:.3g}%",
-            ", ".join(fault.alternatives).replace("_", " ") or _MISSING,
-            " and ".join(one.witness for one in (fault, fault.confirmed_by) if one is not None),
         )
-        for fault in found
-    ]
-    head = (
-        "kind",
-        "onset [s]",
-        "alarm [s]",
-        "end [s]",
-        "parameters (95% intervals)",
-        "probability",
-        "alternatives",
-        "by its",
-    )
+    times = ("onset [s]", "alarm [s]", "end [s]")
+    head = ("kind", *times, "parameters (95% intervals)", "probability", "alternatives", "by its")
     numbers: list[Part] = [
         Table("Faults and suspicions", head, rows),
         Table("Residual and threshold", ("quantity", "value"), _statistics(surface)),
@@ -284,36 +254,32 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
         delay = f"delay {MS_PER_S * model.delay_s:.3g} ms{rate}"
         numbers.append(Words(f"Model: servo {surface.servo}: poles {poles} rad/s, {delay}.", style="soft"))
     if surface.status in ("fault", "suspect"):
-        lead = [
-            f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}:" if len(found) > 1 else "" for fault in found
-        ]
+        several = len(found) > 1
+        lead = [f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}:" if several else "" for fault in found]
         meanings = [Words(meaning(fault), name, style="soft") for name, fault in zip(lead, found, strict=True)]
         parts = [*meanings, *parts, Section("Details: numbers, quality of the data", numbers, folded=True)]
     elif surface.segment is not None or surface.current is not None:
         parts += numbers
     sizes = seen(surface.detectable) if surface.status == "healthy" else ""
-    return Item(
-        surface.surface,
-        surface.status,
-        "; ".join(filter(None, (surface.reason, other_way_round(surface), sizes))),
-        next_step(surface),
-        surface.model.origin,
-        parts,
-    )
+    said = "; ".join(filter(None, (surface.reason, other_way_round(surface), sizes)))
+    return Item(surface.surface, surface.status, said, next_step(surface), surface.model.origin, parts)
+
+
+def _current(surface: SurfaceAudit) -> list[tuple[str, str]]:
+    if surface.current is None:
+        return []
+    share, ratio = surface.current.explained_share, surface.current.ratio_to_good
+    rows = [("what it shows", surface.current.reason)]
+    rows += [("explained by the motion that was asked for", f"{share:.0%}")] if share is not None else []
+    return rows + ([("in motion, over that of a good servo", f"{ratio:.2f}")] if ratio is not None else [])
 
 
 def _axis(axis: AxisAudit) -> Item:
-    events = [
-        (
-            f"{event.start_s:.1f}",
-            f"{event.alarm_s:.1f}",
-            "lasts" if event.end_s is None else f"{event.end_s:.1f}",
-            _estimated(event.lost_share if axis.model.own_command else None, 2),
-            _estimated(event.offset_us if axis.model.own_command else None, 0),
-            event.cause or "its own",
-        )
-        for event in axis.events
-    ]
+    events = []
+    for event in axis.events:
+        end, own = "lasts" if event.end_s is None else f"{event.end_s:.1f}", axis.model.own_command
+        sizes = (_estimated(event.lost_share if own else None, 2), _estimated(event.offset_us if own else None, 0))
+        events.append((f"{event.start_s:.1f}", f"{event.alarm_s:.1f}", end, *sizes, event.cause or "its own"))
     numbers = [
         ("lost share", _estimated(axis.lost_share, 2)),
         ("offset [us]", _estimated(axis.offset_us, 0)),
@@ -342,8 +308,8 @@ def quantity(name: str) -> str:
     """Name of a parameter in words, with its unit."""
     for suffix, unit in _UNITS.items():
         if name.endswith(f"_{suffix}"):
-            return f"{name.removesuffix(f'_{suffix}').replace('_', ' ')} [{unit}]"
-    return name.replace("_", " ")
+            return f"{spoken(name.removesuffix(f'_{suffix}'))} [{unit}]"
+    return spoken(name)
 
 
 def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
@@ -368,24 +334,6 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
         basis = _RATES.get(model.origin, "were the residual Gaussian")
         rows.append((f"false alarms, {basis}", plain_rate(surface.false_alarms_per_hour)))
     return rows
-
-
-def _current(surface: SurfaceAudit) -> list[tuple[str, str]]:
-    current = surface.current
-    if current is None:
-        return []
-    rows = [("what it shows", current.reason)]
-    if current.explained_share is not None:
-        rows.append(("explained by the motion that was asked for", f"{current.explained_share:.0%}"))
-    if current.ratio_to_good is not None:
-        rows.append(("in motion, over that of a good servo", f"{current.ratio_to_good:.2f}"))
-    return rows
-
-
-def _span(start_s: float | None, end_s: float | None) -> str:
-    if start_s is None:
-        return "-"
-    return f"{start_s:.2f}" if end_s is None else f"{start_s:.2f} to {end_s:.2f}"
 
 
 _MOST_OF_IT = 0.998
@@ -413,16 +361,8 @@ def axis_chart(axis: AxisAudit) -> Chart:
     )
     score = np.sqrt(np.clip(axis.score, 0.0, _HIGHEST**2))
     top = _HEADROOM * max(1.2, float(score.max()))
-    distance = Panel(
-        "distance from healthy over its threshold",
-        "1",
-        (
-            Curve("distance", "residual", time_s, np.where(usable, score, np.nan)),
-            Curve("threshold", "threshold", time_s[[0, -1]], np.ones(2)),
-        ),
-        0.0,
-        top,
-    )
+    title, score = "distance from healthy over its threshold", np.where(usable, score, np.nan)
+    distance = _distances(title, "1", "threshold", time_s, score, top)
     text = (
         "Above, the part of the motion that the command should cause, and the part that nothing else explains; a lost "
         "surface keeps the second from following the first. Below, how far lost share and offset are from those of "
@@ -432,6 +372,15 @@ def axis_chart(axis: AxisAudit) -> Chart:
     spans = tuple(Span("fault", e.start_s, e.end_s or last_s, "lost") for e in axis.events if not e.cause)
     marks = tuple(Mark("alarm", e.alarm_s, "alarm") for e in axis.events if not e.cause)
     return Chart("Whole flight", text, float(time_s[0]), last_s, (effect, distance), spans, marks)
+
+
+def _distances(title: str, unit: str, limit: str, time_s: FloatArray, score: FloatArray, top: float) -> Panel:
+    """How far an axis was from what is usual, and the limit at 1."""
+    curves = (
+        Curve("distance", "residual", time_s, score),
+        Curve(limit, "threshold", time_s[[0, -1]], np.ones(2)),
+    )
+    return Panel(title, unit, curves, 0.0, top)
 
 
 _JITTER_QUANTILE = 0.95
@@ -488,3 +437,66 @@ def _gap(time_s: FloatArray) -> str:
         return "-"
     longest = int(np.argmax(step_s))
     return f"{step_s[longest]:.3g} (at {time_s[longest]:.2f} s)"
+
+
+_MOST_LANES = 12
+"""Lanes of a page: with `_POINTS` each they are 20 kB of it."""
+_POINTS = 300
+"""Points of a lane."""
+_SHOWN = re.compile(
+    r"(?:ATT\.(?:Roll|Pitch|Yaw)|ARSP(?:\[0\])?\.Airspeed|BAT(?:\[0\])?\.(?:Volt|Curr)|POWR\.V(?:Servo|cc)"
+    r"|CTUN\.ThO|BARO(?:\[0\])?\.Alt|ATTITUDE\.(?:roll|pitch|yaw)|VFR_HUD\.(?:airspeed|throttle|alt)"
+    r"|SYS_STATUS\.(?:voltage|current)_battery|airspeed\[0\]\.indicated_airspeed_m_s"
+    r"|battery_status\[0\]\.(?:voltage_v|current_a)|system_power\[0\]\.voltage5v_v)"
+)
+"""Of an autopilot's hundreds of channels: attitude, airspeed, supply, throttle, height; modes have a band."""
+_OF_SURFACES = re.compile(r".*_(?:cmd|pos)_(?:deg|rad)|d[aefr]\w*|time")
+
+
+def _lanes_of(log: FlightLog) -> list[dict[str, Any]]:
+    """Channels that are not those of surfaces: name, unit, outline (as of `Chart.paths`), and the ends of its axes."""
+    if log.is_of_autopilot:
+        wanted = [name for name in log.channels if _SHOWN.fullmatch(name)]
+    else:
+        wanted = [name for name in log.channels if not _OF_SURFACES.fullmatch(name)]
+    lanes = []
+    for name in wanted[:_MOST_LANES]:
+        channel = log[name]
+        known = channel.values[np.isfinite(channel.values)]
+        if channel.time_s.size < 2 or not known.size or channel.time_s[-1] <= channel.time_s[0]:
+            continue
+        steady = 1.0 if np.ptp(known) == 0.0 else 1e-9
+        panel = Panel.around(name, channel.unit, [Curve(name, "other", channel.time_s, channel.values)], steady)
+        first_s, last_s = float(channel.time_s[0]), float(channel.time_s[-1])
+        ((_, path),) = Chart("", "", first_s, last_s, (panel,), points=_POINTS).paths(panel)
+        lanes.append(
+            {"name": name, "unit": channel.unit, "low": panel.low, "high": panel.high}
+            | {"first": first_s, "last": last_s, "path": path}
+        )
+    return lanes
+
+
+_MOST_SAID = 80
+"""Messages of a page: the gravest of a log that has more."""
+_OF_ITS_PLACE = re.compile(r"\d\.\d{4,}|[0-9A-Fa-f]{8}")
+"""Coordinates, and the numbers of boards and builds: a page shows neither the place nor the hardware of a flight."""
+_LEAST_GRAVE = 8
+"""Severity of a message without one: below the least grave of MAVLink, 7."""
+
+
+def _said(log: FlightLog) -> list[tuple[float, str]]:
+    """Time [s] and text of the autopilot's messages in a log."""
+    messages = [one for one in log.texts if np.isfinite(one.time_s) and one.text and not _OF_ITS_PLACE.search(one.text)]
+    gravest = sorted(messages, key=lambda one: _LEAST_GRAVE if one.severity is None else one.severity)[:_MOST_SAID]
+    return sorted({(one.time_s, one.text) for one in gravest})
+
+
+def _beside(log: FlightLog) -> dict[str, Any]:
+    """What the script of a page lays beside its charts: channels, modes and messages, each with its time [s]."""
+    return {"lanes": _lanes_of(log), "modes": modes_of(log), "said": _said(log)}
+
+
+def _diary(log: FlightLog) -> list[tuple[str, str]]:
+    """Rows of a table: when an autopilot changed its mode or sent a message, and which."""
+    changes = [(at_s, f"mode: {mode}") for at_s, mode in modes_of(log)]
+    return [(clock(at_s), words) for at_s, words in sorted([*changes, *_said(log)])]

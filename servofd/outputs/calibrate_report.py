@@ -25,13 +25,11 @@ _KINDS = {"bias_deg": ".2g", "slow_share": ".0%", "loss_share": ".0%", "deadband
 
 def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -> Document:
     """Tables of the surfaces; a lower rate of false alarms than was measured is not promised."""
-    sizes = []
+    fitted, sizes, notes = [], [], []
     for one in found.surfaces:
+        fitted.append(_row(one))
         known = ((getattr(one.detectable, kind), form) for kind, form in _KINDS.items())
         sizes.append([spoken(one.surface), *("none" if size is None else format(size, form) for size, form in known)])
-    fitted = [_row(one) for one in found.surfaces]
-    notes = []
-    for one in found.surfaces:
         notes.append(f"{spoken(one.surface)}: {', '.join(one.effects) or 'no effect beyond a linear servo pays'}")
         notes += [f"{spoken(one.surface)}: note: {note}" for note in (*one.notes, one.sharper)]
     notes += [f"{spoken(name)}: not calibrated: {reason}" for name, reason in found.kept.items()]
@@ -47,7 +45,8 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
     by_current = [spoken(name) for name in found.currents]
     kinds = [", ".join(by_position)] * bool(by_position) + [f"current of {', '.join(by_current)}"] * bool(by_current)
     calibrated = "; ".join(kinds) or "nothing"
-    drawn = [_drawn(name, current) for name in found.currents if (current := _current(found, name)) is not None]
+    healthy = ((name, found.aircraft.surfaces[name].healthy_current) for name in found.currents)
+    drawn = [_drawn(name, current) for name, current in healthy if current is not None]
     return Document(
         title="Calibration",
         status="unknown" if found.kept else "healthy",
@@ -66,21 +65,10 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
 _DRAWN = ("surface", "idle (A)", "most in motion (A)", "noise at rest (A)", "explained", "late (s)", "wear")
 
 
-def _current(found: Calibration, name: str) -> CalibratedCurrent | None:
-    return found.aircraft.surfaces[name].healthy_current
-
-
 def _drawn(name: str, current: CalibratedCurrent) -> list[str]:
-    wear = current.wear
-    return [
-        spoken(name),
-        f"{current.parameters['idle']:.3g}",
-        f"{current.most_a:.3g}",
-        f"{current.noise.still_a:.2g}",
-        f"{current.explained_share:.0%}",
-        f"{current.lag_s:g}",
-        "four good flights or cycles show it" if wear is None else f"known from {wear.flights}",
-    ]
+    wear = "four good flights or cycles show it" if current.wear is None else f"known from {current.wear.flights}"
+    drawn = (f"{current.parameters['idle']:.3g}", f"{current.most_a:.3g}", f"{current.noise.still_a:.2g}")
+    return [spoken(name), *drawn, f"{current.explained_share:.0%}", f"{current.lag_s:g}", wear]
 
 
 def _row(one: CalibratedSurface) -> list[str]:
@@ -106,20 +94,13 @@ _AXES = ("axis", "form", "explained", "delay (s)", "lost share ±", "offset ± (
 
 def motion_report(model: MotionModel) -> Document:
     """What motion tells of the axes of an aircraft, from its calibration flights."""
-    rows = [
-        (
-            name,
-            axis.form.replace("_", " "),
-            f"{axis.explained:.0%}",
-            f"{axis.delay_s:.2f}",
-            f"{axis.spreads[-1].loss_var ** 0.5:.2f}",
-            f"{axis.spreads[-1].offset_var_us2 ** 0.5:.1f}",
-            f"{axis.suspect:.2g}",
-            "never" if axis.fault is None else f"{axis.fault:.2g}",
-            f"{axis.false_alarms_per_hour:.2g}",
-        )
-        for name, axis in model.axes.items()
-    ]
+    rows = []
+    for name, axis in model.axes.items():
+        spread, never = axis.spreads[-1], axis.fault is None
+        fitted = (name, spoken(axis.form), f"{axis.explained:.0%}", f"{axis.delay_s:.2f}")
+        stray = (f"{spread.loss_var**0.5:.2f}", f"{spread.offset_var_us2**0.5:.1f}")
+        limits = (f"{axis.suspect:.2g}", "never" if never else f"{axis.fault:.2g}", f"{axis.false_alarms_per_hour:.2g}")
+        rows.append((*fitted, *stray, *limits))
     days = "1 day" if model.days == 1 else f"{model.days} days"
     low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
     notes = [
@@ -150,10 +131,5 @@ def motion_report(model: MotionModel) -> Document:
     flights = "1 flight" if model.flights == 1 else f"{model.flights} flights"
     facts = f"{flights}, {model.hours:.2f} h, {days}"
     said = f"Calibrated by the motion of the aircraft: {', '.join(model.axes) or 'nothing'}"
-    return Document(
-        "Calibration of motion",
-        "healthy" if model.axes else "unknown",
-        said,
-        facts,
-        [Table("Axes", _AXES, rows), Bullets(notes)],
-    )
+    status = "healthy" if model.axes else "unknown"
+    return Document("Calibration of motion", status, said, facts, [Table("Axes", _AXES, rows), Bullets(notes)])

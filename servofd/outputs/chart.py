@@ -33,6 +33,8 @@ _MOST_TIME_TICKS, _MOST_VALUE_TICKS = 6, 5
 """Labels at most on the axis and on that of values."""
 _TINY = 1e-12
 """Stands for nothing on an axis of ratios."""
+_ALL = (-math.inf, math.inf)
+"""The whole of an axis."""
 _SLACK, _LEAST_DEG = 0.06, 0.5
 """Of a panel's height, above and below its curves, and at least of deflections [deg]."""
 
@@ -64,12 +66,7 @@ class Panel:
 
     @classmethod
     def around(
-        cls,
-        title: str,
-        unit: str,
-        curves: Sequence[Curve],
-        least: float = 1e-9,
-        within: tuple[float, float] = (-math.inf, math.inf),
+        cls, title: str, unit: str, curves: Sequence[Curve], least: float = 1e-9, within: Sequence[float] = _ALL
     ) -> Panel:
         """A panel as high as its curves are `within` a part of the axis, with at least `least` above and below them."""
         every = [np.zeros(0)]
@@ -366,11 +363,8 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
         level_s, level_deg = time_s[[0, -1]], threshold.level_deg[[0, -1]]
     with np.errstate(invalid="ignore"):
         alarm = np.where(np.abs(judged) >= threshold.level_deg, -0.96 * limit, np.nan)
-    left = [
-        Curve("residual", "residual", *bridged(time_s, judged)),
-        Curve("threshold", "threshold", level_s, level_deg),
-        Curve("", "threshold", level_s, -level_deg),
-    ]
+    left = [Curve("residual", "residual", *bridged(time_s, judged))]
+    left += [Curve(name, "threshold", level_s, sign * level_deg) for name, sign in (("threshold", 1.0), ("", -1.0))]
     if np.isfinite(alarm).any():
         left.append(Curve("over threshold", "alarm", time_s, alarm))
     panels = (
@@ -414,10 +408,9 @@ def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Pa
     current = surface.current
     if current is None or current.time_s is None or current.current_a is None:
         return []
-    healthy_a, sigma_a, time_s = current.healthy_a, current.sigma_a, current.time_s
-    if healthy_a is None or sigma_a is None:
+    if current.healthy_a is None or current.sigma_a is None:
         return []
-    width_a = WITHIN_SIGMAS * sigma_a
+    time_s, healthy_a, width_a = current.time_s, current.healthy_a, WITHIN_SIGMAS * current.sigma_a
     curves = (
         Curve("good servo", "simulated", time_s, healthy_a),
         Curve("drawn", "measured", time_s, current.current_a),
@@ -429,16 +422,10 @@ def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Pa
 
 def _found(surface: SurfaceAudit, end_s: float) -> tuple[tuple[Span, ...], tuple[Mark, ...]]:
     """Times to shade, and alarms to mark."""
-    found = [
-        (role, fault)
-        for role, all_of in (("fault", surface.faults), ("suspect", surface.suspicions))
-        for fault in all_of
-    ]
-    spans = tuple(
-        Span(role, fault.start_s, end_s if fault.end_s is None else fault.end_s, kind_of(fault))
-        for role, fault in found
-    )
-    return spans, tuple(Mark(role, fault.alarm_s, f"alarm {clock(fault.alarm_s)}") for role, fault in found)
+    found = [("fault", fault) for fault in surface.faults] + [("suspect", fault) for fault in surface.suspicions]
+    ends_s = [end_s if fault.end_s is None else fault.end_s for _, fault in found]
+    spans = (Span(role, one.start_s, at_s, kind_of(one)) for (role, one), at_s in zip(found, ends_s, strict=True))
+    return tuple(spans), tuple(Mark(role, one.alarm_s, f"alarm {clock(one.alarm_s)}") for role, one in found)
 
 
 def kind_of(fault: Fault) -> str:

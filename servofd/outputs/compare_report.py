@@ -42,10 +42,9 @@ def compare_report(
     parts : sequence of Part
         What stands below the table.
     """
-    both = [worst_runs(document["logs"]) for document in documents]
-    known = list(dict.fromkeys(name for one in both for name in one))
-    entries = {name: [one.get(name) for one in both] for name in known}
-    ordered = sorted(known, key=lambda name: min(_RANKS.index(_cell(one).status) for one in entries[name]))
+    both = [_worst_runs(document["logs"]) for document in documents]
+    entries = {name: [one.get(name) for one in both] for one in both for name in one}
+    ordered = sorted(entries, key=lambda name: min(_RANKS.index(_cell(one).status) for one in entries[name]))
     differ = [name for name in ordered if len({_cell(one).status for one in entries[name]}) > 1]
     said = "the same verdicts"
     if differ:
@@ -58,15 +57,11 @@ def compare_report(
         f"{said[:1].upper()}{said[1:]}.",
         " and ".join(names),
         [Table("The same surfaces and axes in two flights, the worst first", head, rows), *parts],
-        data={
-            "schema": "servofd.compare/1",
-            "flights": list(names),
-            "surfaces": {name: entries[name] for name in ordered},
-        },
+        data={"schema": "servofd.compare/1", "flights": list(names), "surfaces": {n: entries[n] for n in ordered}},
     )
 
 
-def worst_runs(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _worst_runs(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Surfaces and axes of a flight by name, each from the run of the log in which it did worst."""
     found: dict[str, Any] = {}
     for run in runs:
@@ -105,11 +100,10 @@ def track_of(surface: SurfaceAudit, points: int = 0) -> Track | None:
     if found is None or found.time_s.size < _FEWEST:
         return None
     track = Track(found.time_s, found.measured_deg, found.residual_deg)
-    if not points:
-        return track
-    both = (extremes(track.time_s, values, points // 2) for values in track[1:])
-    kept = np.union1d(*both)
-    return Track(*(values[kept] for values in track))
+    if points:
+        kept = np.union1d(*(extremes(track.time_s, values, points // 2) for values in track[1:]))
+        track = Track(*(values[kept] for values in track))
+    return track
 
 
 def overlaid(name: str, tracks: Sequence[Track], names: Sequence[str], at_s: Sequence[float]) -> Chart:

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servofd.outputs.chart import Chart
 
-_PLAIN_HEAD = 3
-"""Headings of items that have nothing beside their status."""
 _TALLEST, _AT_THRESHOLD = 24, 12
 """Of a thumbnail: units of its height, and how high the threshold stands; what is twice as large is cut."""
 
@@ -120,6 +118,11 @@ class Items:
     head: Sequence[str]
     items: Sequence[Item]
 
+    @property
+    def rows(self) -> list[list[str]]:
+        """Its items as rows of a table."""
+        return [[one.name, one.status, *filter(None, [one.beside]), one.words] for one in self.items]
+
 
 @dataclass(frozen=True, slots=True)
 class Section:
@@ -172,12 +175,8 @@ def _marked(parts: Sequence[Part]) -> list[str]:
             texts.append(f"{part.lead} {part.text}".strip())
         elif isinstance(part, Bullets):
             texts.append("\n".join(f"- {_cell(line)}" for line in part.lines))
-        elif isinstance(part, Table) and not part.long:
+        elif (isinstance(part, Table) and not part.long) or isinstance(part, Items):
             texts.append(_rows(part.head, part.rows))
-        elif isinstance(part, Items):
-            beside = len(part.head) > _PLAIN_HEAD
-            cells = [(one.name, one.status, *([one.beside] if beside else []), one.words) for one in part.items]
-            texts.append(_rows(part.head, cells))
         elif isinstance(part, Section) and not part.folded:
             texts += [f"## {part.title}", *_marked(part.parts)]
     return [text for text in texts if text]

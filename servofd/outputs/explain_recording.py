@@ -15,12 +15,11 @@ from servofd.core.series import latest
 from servofd.discrepancy.locate import bad_seconds
 from servofd.outputs.document import markdown
 from servofd.outputs.explain_report import explain_report
-from servofd.outputs.recording.layout import REPORT, blueprint, curves, document, lanes, stacked
+from servofd.outputs.recording.layout import REPORT, REPORT_VIEW, blueprint, curves, lanes, stacked
 from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from typing import Any
 
     from servofd.discrepancy.explanation import Explanation
     from servofd.outputs.recording.stream import Recorder
@@ -36,12 +35,23 @@ _STATES = {_AGREES: "ok", _DIFFERS: "fault"}
 def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
     """Write nominal and extended simulation, residuals and bad blocks into one .rrd file, with its layout inside."""
     place = surface_place(found.surface)
-    with recording_file(path, application_name("explain", found.surface, source), _layout(place, found)) as recorder:
+    views = [
+        curves("Deflection [deg]", [f"{place}/deflection"], origin=place),
+        curves("Measured minus simulated [deg]", [f"{place}/error"], origin=place),
+        lanes("Seconds that disagree by more than noise", [f"{place}/{lane}" for lane in _LANES], origin=place),
+    ]
+    tabs = [stacked("Curves", views, [4, 3, 1.6]), REPORT_VIEW]
+    layout, application = blueprint(tabs, around_s=_worst(found)), application_name("explain", found.surface, source)
+    with recording_file(path, application, layout) as recorder:
         whole = {"schema": "servofd.explain/1", "surface": shown(found.surface), "conclusion": found.conclusion}
         recorder.properties(source, whole)
         recorder.document(REPORT, markdown(explain_report([found], source)))
         _send_curves(recorder, place, found)
-        _send_lanes(recorder, place, found)
+        for lane, fit in zip(_LANES, (found.selection.nominal, found.selection.final), strict=True):
+            changes = {float(found.record.time_s[0]): _AGREES}
+            for begin_s, end_s in bad_seconds(found.record, fit.error_deg, found.selection.sigma_deg):
+                changes |= {begin_s: _DIFFERS, end_s: _AGREES}
+            recorder.states(f"{place}/{lane}", sorted(changes.items()), _STATES)
 
 
 def _send_curves(recorder: Recorder, place: str, found: Explanation) -> None:
@@ -58,14 +68,6 @@ def _send_curves(recorder: Recorder, place: str, found: Explanation) -> None:
     recorder.scalars(f"{place}/error", record.time_s, errors)
 
 
-def _send_lanes(recorder: Recorder, place: str, found: Explanation) -> None:
-    for lane, fit in zip(_LANES, (found.selection.nominal, found.selection.final), strict=True):
-        changes = {float(found.record.time_s[0]): _AGREES}
-        for begin_s, end_s in bad_seconds(found.record, fit.error_deg, found.selection.sigma_deg):
-            changes |= {begin_s: _DIFFERS, end_s: _AGREES}
-        recorder.states(f"{place}/{lane}", sorted(changes.items()), _STATES)
-
-
 def _worst(found: Explanation) -> tuple[float, float] | None:
     """Stretch around the second that the servo as it was disagrees with most [s]; None for the whole of a short log."""
     time_s, rows = found.record.time_s, found.record.counts
@@ -75,12 +77,3 @@ def _worst(found: Explanation) -> tuple[float, float] | None:
     power = np.bincount(second, found.selection.nominal.error_deg[rows] ** 2)
     middle_s = float(time_s[0]) + int(power.argmax()) + 0.5
     return max(middle_s - _AROUND_S, float(time_s[0])), min(middle_s + _AROUND_S, float(time_s[-1]))
-
-
-def _layout(place: str, found: Explanation) -> Any:  # noqa: ANN401 - rerun is untyped
-    views = [
-        curves("Deflection [deg]", [f"{place}/deflection"], origin=place),
-        curves("Measured minus simulated [deg]", [f"{place}/error"], origin=place),
-        lanes("Seconds that disagree by more than noise", [f"{place}/{lane}" for lane in _LANES], origin=place),
-    ]
-    return blueprint([stacked("Curves", views, [4, 3, 1.6]), document("Report", REPORT)], around_s=_worst(found))

@@ -89,9 +89,8 @@ def _maps(found: Explanation) -> list[Chart]:
             f"It predicts {each.share:.0%} of the gap in blocks from which that was not learnt. Median error, with the "
             f"middle 90% of it as bars; noise is {2 * selection.sigma_deg:.2g} deg either way."
         )
-        panel = Panel.around("error", "deg", curves)
-        name = each.quantity
-        charts.append(Chart(f"Error over {name}", text, *ends, (panel,), axis=f"{name} [{each.unit}]"))
+        panels, axis = (Panel.around("error", "deg", curves),), f"{each.quantity} [{each.unit}]"
+        charts.append(Chart(f"Error over {each.quantity}", text, *ends, panels, axis=axis))
     return charts
 
 
@@ -163,57 +162,48 @@ def explain_report(found: Sequence[Explanation], source: str, failures: Sequence
     documents = {one.surface: one.document() for one in found}
     first, alone = found[0], len(found) == 1
     parts = sections[0].parts[1:] if alone else sections  # whose verdict is the sentence of the whole
+    sentence, data = f"{spoken(first.surface)}: {first.answer}", dict(documents[first.surface])
+    if not alone:  # how well several surfaces are explained, the worst first
+        kinds = {kind: [spoken(one.surface) for one in found if one.conclusion == kind] for kind in reversed(_STATUS)}
+        said = "; ".join(f"{spoken(kind)}: {', '.join(names)}" for kind, names in kinds.items() if names)
+        sentence = f"{said[:1].upper()}{said[1:]}."
+    if failures or not alone:
+        data = {"schema": "servofd.explain/1", "surfaces": documents}
     return Document(
         title=f"What the model lacks: {source}",
         status=sections[0].status,
-        sentence=f"{spoken(first.surface)}: {first.answer}" if alone else _together(found),
+        sentence=sentence,
         facts=source,
         parts=parts,
         evidence=[
-            *([Section("Not explained", [Bullets(failures)])] if failures else []),
+            *[Section("Not explained", [Bullets(failures)])] * bool(failures),
             Section("How this was found", [Words(_METHOD)], folded=True),
         ],
-        data=documents[first.surface]
-        if alone and not failures
-        else {"schema": "servofd.explain/1", "surfaces": documents},
+        data=data,
     )
-
-
-def _together(found: Sequence[Explanation]) -> str:
-    """How well several surfaces are explained, the worst first."""
-    kinds = {kind: [spoken(one.surface) for one in found if one.conclusion == kind] for kind in reversed(_STATUS)}
-    said = "; ".join(f"{spoken(kind)}: {', '.join(names)}" for kind, names in kinds.items() if names)
-    return f"{said[:1].upper()}{said[1:]}."
 
 
 def _surface(found: Explanation, anchor: str) -> Section:
     document = found.document()
-    steps = [(_name(step), step) for step in document["steps"]]
-    errors = [("as it was", document["nominal"]), *((f"+ {name}", step) for name, step in steps)]
-    ladder = [(name, *(_number(one[key]) for key in ("train_rms_deg", "held_out_rms_deg"))) for name, one in errors]
-    parameters = [
-        (effect, quantity(name), *known_digits(one["value"], one["low"], one["high"]))
-        for effect, step in steps
-        for name, one in step["parameters"].items()
-    ]
-    rivals = [
-        (effect, spoken(rival["effect"]), _number(rival["held_out_rms_deg"]))
-        for effect, step in steps
-        for rival in step["rivals"][:_MOST_RIVALS]
-    ]
+    ladder, parameters, rivals = [_errors("as it was", document["nominal"])], [], []
+    for step in document["steps"]:
+        effect = spoken(f"{step['effect']} ({step['form']})" if step["form"] else step["effect"])
+        ladder.append(_errors(f"+ {effect}", step))
+        for name, value in step["parameters"].items():
+            parameters.append((effect, quantity(name), *known_digits(value["value"], value["low"], value["high"])))
+        tried = step["rivals"][:_MOST_RIVALS]
+        rivals += [(effect, spoken(one["effect"]), _number(one["held_out_rms_deg"])) for one in tried]
     elsewhere = [
         (f"run {run.run + 1}", *map(_number, (run.nominal_rms_deg, run.held_out_rms_deg)), "") for run in found.runs
     ]
-    elsewhere += [
-        (Path(one.path).name, *map(_number, (one.nominal_rms_deg, one.extended_rms_deg, one.noise_floor_rms_deg)))
-        for one in found.also
-    ]
-    ties = [
-        f"these data cannot tell {spoken(tie[0])} from {' or '.join(map(spoken, tie[1:]))}"
-        for tie in document["indistinguishable"]
-    ]
+    for one in found.also:
+        errors_deg = (one.nominal_rms_deg, one.extended_rms_deg, one.noise_floor_rms_deg)
+        elsewhere.append((Path(one.path).name, *map(_number, errors_deg)))
+    tied = ((spoken(first), " or ".join(map(spoken, others))) for first, *others in document["indistinguishable"])
+    ties = [f"these data cannot tell {first} from {others}" for first, others in tied]
     said = [*document["where"], *ties, *in_words(found.separating), *document["notes"]]
     on_others = "On other flights and runs, to which nothing was fitted [deg rms]"
+    on_rivals = "Rivals, tried in the place of what was found"
     return Section(
         spoken(found.surface),
         [
@@ -222,9 +212,7 @@ def _surface(found: Explanation, anchor: str) -> Section:
             Figures(lambda: [_traces(found, excerpt=True), _traces(found, excerpt=False)]),
             Table("Error after each step [deg rms]", ("model", "fitted samples", "held-out samples"), ladder),
             Table("What was found, with 95% intervals", ("effect", "parameter", "value", "from", "to"), parameters),
-            Table(
-                "Rivals, tried in the place of what was found", ("instead of", "rival", "held out [deg rms]"), rivals
-            ),
+            Table(on_rivals, ("instead of", "rival", "held out [deg rms]"), rivals),
             Table(on_others, ("flight", "before", "after", "noise floor"), elsewhere),
             Figures(lambda: [*explain_charts(found).values()][2:]),
         ],
@@ -234,8 +222,8 @@ def _surface(found: Explanation, anchor: str) -> Section:
     )
 
 
-def _name(step: dict[str, Any]) -> str:
-    return spoken(f"{step['effect']} ({step['form']})" if step["form"] else step["effect"])
+def _errors(model: str, fit: dict[str, Any]) -> tuple[str, str, str]:
+    return model, _number(fit["train_rms_deg"]), _number(fit["held_out_rms_deg"])
 
 
 def _number(value: float) -> str:

@@ -43,22 +43,23 @@ _COLOURS = {
 
 def save_figure(audit: SurfaceAudit, path: Path, title: str) -> None:
     """Draw one surface into a PNG file."""
-    figure = audit_figure(audit)
     reason = textwrap.fill(audit.reason, _TITLE_COLUMNS)
-    figure.axes[0].set_title(f"{title}   {audit.surface}: {audit.status}\n{reason}", loc="left", fontsize=10)
-    write_whole(path, saved(figure, Path(path).suffix.lstrip(".") or "png"))
+    write_whole(path, chart_png(flight_chart(audit), f"{title}   {audit.surface}: {audit.status}\n{reason}"))
 
 
-def audit_figure(audit: SurfaceAudit) -> Figure:
-    """Draw the whole flight of one surface."""
-    return chart_figure(flight_chart(audit))
+def chart_png(chart: Chart, title: str = "") -> bytes:
+    """A chart as PNG, under its title or another: the same bytes for the same data, whatever names stand in it."""
+    from matplotlib.text import Text
 
-
-def chart_png(chart: Chart, kind: str = "png") -> bytes:
-    """A chart as PNG, or a picture of another kind, under its title."""
     figure = chart_figure(chart)
-    figure.axes[0].set_title(chart.title, loc="left", fontsize=10)
-    return saved(figure, kind)
+    figure.axes[0].set_title(title or chart.title, loc="left", fontsize=10)
+    for text in figure.findobj(Text):
+        text.set_text(plain(text.get_text()))
+    buffer = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
+        figure.savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()
 
 
 def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figure:
@@ -81,11 +82,12 @@ def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figur
             axes.set_xlim(chart.first, chart.last)
         if chart.log:
             axes.set_xscale("log")
+        _finish(axes, panel.label)
     upper = all_axes[0]
     for span in chart.spans:
         style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": _colour(span.role)}
         upper.text(span.start, 1.0, f" {span.label}", transform=upper.get_xaxis_transform(), **style)
-    _finish(all_axes[: len(panels)], chart.axis or "time [s]", [panel.label for panel in panels])
+    all_axes[len(panels) - 1].set_xlabel(chart.axis or "time [s]")
     return figure
 
 
@@ -94,35 +96,19 @@ def _draw(axes: Axes, curve: Curve) -> None:
     if curve.style == "bars":
         axes.vlines(curve.x, curve.values, curve.values if curve.until is None else curve.until, color=colour, lw=width)
         return
-    x, values = (curve.x, curve.values) if curve.style == "dots" else thinned(curve.x, curve.values, _WIDEST)
-    axes.plot(
-        x,
-        values,
-        color=colour,
-        lw=0.0 if curve.style == "dots" else width,
-        marker="." if curve.style == "dots" else "",
-        ms=1.5 if curve.role == "raw" else 6.0,
-        ls="--" if curve.role in _DASHED else "-",
-        drawstyle="steps-post" if curve.style == "steps" else "default",
-        label=curve.name or None,
-    )
+    style: dict[str, Any] = {"color": colour, "lw": width, "label": curve.name or None}
+    if curve.style == "dots":
+        axes.plot(
+            curve.x, curve.values, **style | {"lw": 0.0, "marker": ".", "ms": 1.5 if curve.role == "raw" else 6.0}
+        )
+        return
+    style |= {"ls": "--"} if curve.role in _DASHED else {}
+    style |= {"drawstyle": "steps-post"} if curve.style == "steps" else {}
+    axes.plot(*thinned(curve.x, curve.values, _WIDEST), **style)
 
 
 def _colour(role: str) -> str:
     return _COLOURS.get(role) or COLOURS[role]
-
-
-def saved(figure: Figure, kind: str = "png") -> bytes:
-    r"""Picture of a figure, the same bytes for the same data, whatever names from outside stand in it."""
-    from matplotlib.text import Text
-
-    for text in figure.findobj(Text):
-        text.set_text(plain(text.get_text()))
-    buffer = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in scripts that the font lacks
-        figure.savefig(buffer, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
-    return buffer.getvalue()
 
 
 def _new_figure(ratios: tuple[int, ...]) -> tuple[Figure, tuple[Axes, ...]]:
@@ -139,15 +125,13 @@ def _new_figure(ratios: tuple[int, ...]) -> tuple[Figure, tuple[Axes, ...]]:
     return figure, tuple(np.atleast_1d(all_axes))
 
 
-def _finish(all_axes: Sequence[Axes], x: str, y: Sequence[str]) -> None:
-    """Names of the axes, that of `x` below the last; grid; and the legend beside, where it hides nothing."""
-    all_axes[-1].set_xlabel(x)
-    for axes, name in zip(all_axes, y, strict=True):
-        axes.set_ylabel(name)
-        axes.grid(visible=True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
-        for axis in (axes.xaxis, axes.yaxis):
-            if axis.get_scale() == "log":
-                axis.set_major_formatter("{x:g}")  # the usual one writes formulas
-        if axes.get_legend_handles_labels()[1]:
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+def _finish(axes: Axes, name: str) -> None:
+    """Name of the axis, grid, and the legend beside, where it hides nothing."""
+    axes.set_ylabel(name)
+    axes.grid(visible=True, color="0.9")
+    axes.spines[["top", "right"]].set_visible(False)
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "log":
+            axis.set_major_formatter("{x:g}")  # the usual one writes formulas
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)

@@ -33,6 +33,8 @@ _MOST_FLIGHTS = 2000
 """Flights on the page at most."""
 FLIGHTS_HEAD = ("flight", "verdict", "begun (UTC)", "length", "residual", "what")
 _FAULTS_HEAD = ("log", "begun (UTC)", "surface", "kind", "onset [s]", "end [s]", "parameters", "probability")
+_SURFACES_HEAD = ("surface", "flights", "faults", "residual / threshold", "servo")
+_AXES_HEAD = ("axis", "flights", "effect left", "surfaces")
 _LINE = (
     "The small pictures show the residual of the worst surface (what its motion shows of the worst axis) over the "
     "flight; the line is its threshold."
@@ -58,41 +60,29 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
     flown = f"{hours:.1f} h" if hours >= 1.0 else f"{60.0 * hours:.{0 if hours >= 0.1 else 1}f} min"
     rows = []
     for rank, flight in enumerate(flights[:_MOST_FLIGHTS]):
-        name = flight_name(flight)
-        status = "unknown" if flight["status"] == "not_judged" else flight["status"]
+        name, status = flight_name(flight), flight["status"].replace("not_judged", "unknown")
         page = flight["page"] if flight["page"] in pages else ""
         said_of_it = flight["sentence"].replace(flight["path"], name)
         rows.append(flight_row(name, status, flight | {"sentence": said_of_it}, page, rank))
     lost = [(flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in not_judged[:_MOST_ROWS]]
-    parts_of_faults = [
-        Table("Each fault, in s after the beginning", _FAULTS_HEAD, [_fault(one) for one in faults[:_MOST_ROWS]]),
-        *_more(faults, _MOST_ROWS, "faults"),
-    ]
+    each_fault = Table("Each fault, in s after the beginning", _FAULTS_HEAD, list(map(_fault, faults[:_MOST_ROWS])))
+    every_fault = [each_fault, *_more(faults, _MOST_ROWS, "faults")]
+    worst = next((s for s in ("fault", "suspect", "not_judged", "unknown", "healthy") if s in known), "unknown")
     return Document(
         title="Many flights",
-        status=next(
-            (s for s in ("fault", "suspect", "not_judged", "unknown", "healthy") if s in known), "unknown"
-        ).replace("not_judged", "unknown"),
+        status=worst.replace("not_judged", "unknown"),
         sentence=", ".join(said) + "." if judged else "No log was judged.",
         facts=f"{document['logs']} logs, {flown} of flight",
         parts=[
             Table("Flights, the worst first", FLIGHTS_HEAD, rows, long=True),
-            *([Figures(lambda: [_chart(flights)])] if len(flights) >= _FEWEST_DRAWN else []),
-            Table(
-                "Surfaces",
-                ("surface", "flights", "faults", "residual / threshold", "servo"),
-                [_surface(surface) for surface in document["surfaces"]],
-            ),
-            Table(
-                "Axes, judged by the motion of the aircraft",
-                ("axis", "flights", "effect left", "surfaces"),
-                [_axis(axis) for axis in document["axes"]],
-            ),
+            *[Figures(lambda: [_chart(flights)])] * (len(flights) >= _FEWEST_DRAWN),
+            Table("Surfaces", _SURFACES_HEAD, list(map(_surface, document["surfaces"]))),
+            Table("Axes, judged by the motion of the aircraft", _AXES_HEAD, list(map(_axis, document["axes"]))),
         ],
         evidence=[
             *_more(flights, _MOST_FLIGHTS, "logs"),
             Words(_LINE, style="soft"),
-            *([Section("All faults, with onset and parameters", parts_of_faults, folded=True)] if faults else []),
+            *[Section("All faults, with onset and parameters", every_fault, folded=True)] * bool(faults),
             Table("Not judged, and why", ("log", "why"), lost),
             *_more(not_judged, _MOST_ROWS, "logs"),
             Section("What to do next", [Words(_NEXT)], folded=True),
@@ -106,17 +96,11 @@ def _chart(flights: Sequence[Mapping[str, Any]]) -> Chart:
     flown = sorted(flights, key=lambda one: (one["start_utc"] is None, one["start_utc"] or "", one["path"]))
     shares = np.array([max((share or 0.0 for share in one["outline"]), default=np.nan) for one in flown])
     number, high = np.arange(1.0, len(flown) + 1.0), _HIGHEST_SHARE
-    curves = [
-        Curve(
-            words,
-            role,
-            number,
-            np.where([one["status"] in those for one in flown], np.minimum(shares, high), np.nan),
-            "dots",
-        )
-        for words, role, those in _DOTS
-        if any(one["status"] in those for one in flown)
-    ]
+    curves = []
+    for words, role, those in _DOTS:
+        is_of = np.array([one["status"] in those for one in flown])
+        if is_of.any():
+            curves.append(Curve(words, role, number, np.where(is_of, np.minimum(shares, high), np.nan), "dots"))
     limit = Curve("threshold", "threshold", np.array([0.5, len(flown) + 0.5]), np.ones(2))
     panel = Panel("residual of the worst surface over its threshold", "", (*curves, limit), 0.0, 1.05 * high)
     text = (
@@ -168,20 +152,13 @@ def _axis(axis: dict[str, Any]) -> tuple[str | Cell, ...]:
 def _surface(surface: dict[str, Any]) -> tuple[str | Cell, ...]:
     """With its largest share of the threshold in the flights without a fault of it."""
     share = surface["largest_share"]
-    kinds = ", ".join(f"{kind.replace('_', ' ')} {number}" for kind, number in surface["kinds"].items())
+    kinds = ", ".join(f"{spoken(kind)} {number}" for kind, number in surface["kinds"].items())
     flights, nearest = _by_status(surface["logs"]), "" if share is None else f"{share:.0%}"
     return surface["surface"], flights, kinds or "none", nearest, ", ".join(surface["servos"])
 
 
 def _fault(fault: dict[str, Any]) -> tuple[str, ...]:
-    end_s = fault["end_s"]
-    return (
-        flight_name(fault),
-        minute_of(fault["start_utc"]),
-        spoken(fault["surface"]),
-        fault["kind"].replace("_", " "),
-        f"{fault['start_s']:.1f}",
-        "lasts" if end_s is None else f"{end_s:.1f}",
-        ", ".join(f"{quantity(name)} {value:.3g}" for name, value in fault["parameters"].items()),
-        f"{fault['probability']:.0%}",
-    )
+    end = "lasts" if fault["end_s"] is None else f"{fault['end_s']:.1f}"
+    which = (flight_name(fault), minute_of(fault["start_utc"]), spoken(fault["surface"]), spoken(fault["kind"]))
+    sizes = ", ".join(f"{quantity(name)} {value:.3g}" for name, value in fault["parameters"].items())
+    return (*which, f"{fault['start_s']:.1f}", end, sizes, f"{fault['probability']:.0%}")

@@ -18,8 +18,6 @@ from servofd.outputs.sentence import known_digits, spoken
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
-    from servofd.identification.choice import Step
-    from servofd.identification.records import Run
     from servofd.identification.result import Identification
 
 _FEWEST = 2
@@ -38,11 +36,20 @@ _COHERENT = 0.8
 
 def identify_charts(found: Identification) -> dict[str, Chart]:
     """All charts that the tests allow, by name: step, motion, response, validation."""
-    charts = {"step": _step(found)} if any(_steps(run) for run in found.runs) else {}
-    charts["motion"] = _motion(found)
+    charts, runs = {}, found.runs
+    stepwise = [(k, step) for k, run in enumerate(runs) if is_stepwise(run) for step in steps_of(run)]
+    if stepwise:
+        index, step = max(stepwise, key=lambda one: abs(one[1].jump_deg))
+        last_s = min(step.start_s + _STEP_S, step.end_s)
+        charts["step"] = _traced(found, index, "Step (thesis Fig. 3.3)", step.start_s - 0.1, last_s)
+    begin_s, end_s = float(runs[0].measured_s[0]), float(runs[0].measured_s[-1])
+    title = f"First {_EXCERPT_S:g} s of the test (thesis Fig. 3.4)"
+    charts["motion"] = _traced(found, 0, title, begin_s, min(begin_s + _EXCERPT_S, end_s))
     if found.response is not None:
         charts["response"] = _response(found)
-    charts["validation"] = _validation(found)
+    longest = int(np.argmax([run.measured_s.size for run in runs]))
+    time_s, title = runs[longest].measured_s, "Validation in time (thesis Fig. 3.9)"
+    charts["validation"] = _traced(found, longest, title, float(time_s[0]), float(time_s[-1]))
     return charts
 
 
@@ -93,20 +100,6 @@ def _response(found: Identification) -> Chart:
     return Chart("Frequency response", text, 0.5 * low, 1.6 * high, panels, spans, axis="frequency [rad/s]", log=True)
 
 
-def _motion(found: Identification) -> Chart:
-    """First seconds of the first test."""
-    begin_s = float(found.runs[0].measured_s[0])
-    end_s = min(begin_s + _EXCERPT_S, float(found.runs[0].measured_s[-1]))
-    return _traced(found, 0, f"First {_EXCERPT_S:g} s of the test (thesis Fig. 3.4)", begin_s, end_s)
-
-
-def _validation(found: Identification) -> Chart:
-    """All of the longest test."""
-    index = int(np.argmax([run.measured_s.size for run in found.runs]))
-    time_s = found.runs[index].measured_s
-    return _traced(found, index, "Validation in time (thesis Fig. 3.9)", float(time_s[0]), float(time_s[-1]))
-
-
 def _traced(found: Identification, index: int, title: str, first_s: float, last_s: float) -> Chart:
     """Command, measured and simulated position of a test; below, their difference."""
     run, error_deg = found.runs[index], found.errors_deg[index]
@@ -124,19 +117,6 @@ def _traced(found: Identification, index: int, title: str, first_s: float, last_
         f"{np.std(error_deg[inside]):.3g} deg rms here. Of the whole test the fit is {found.fits_percent[index]:.1f}%."
     )
     return Chart(title, text, first_s, last_s, panels)
-
-
-def _steps(run: Run) -> list[Step]:
-    """Steps of a run; those between the samples of a chirp are none."""
-    return steps_of(run) if is_stepwise(run) else []
-
-
-def _step(found: Identification) -> Chart:
-    """Largest step."""
-    every = ((k, step) for k, run in enumerate(found.runs) for step in _steps(run))
-    index, step = max(every, key=lambda one: abs(one[1].jump_deg))
-    last_s = min(step.start_s + _STEP_S, step.end_s)
-    return _traced(found, index, "Step (thesis Fig. 3.3)", step.start_s - 0.1, last_s)
 
 
 def _decibels(response: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> FloatArray:
@@ -164,22 +144,19 @@ def identify_report(found: Identification, source: str) -> Document:
     }
     for k, pole in enumerate(found.poles_rad_s):
         if pole.imag >= 0.0:
-            values[f"pole_{k}_real_rad_s"] = (
-                "pair, real part [rad/s]" if pole.imag else "pole [rad/s]",
-                pole.real,
-                1.0,
-            )
+            label = "pair, real part [rad/s]" if pole.imag else "pole [rad/s]"
+            values[f"pole_{k}_real_rad_s"] = (label, pole.real, 1.0)
         if pole.imag > 0.0:
             values[f"pole_{k}_imag_rad_s"] = ("pair, imaginary part ± [rad/s]", pole.imag, 1.0)
     rows = []
     for name, (label, value, scale) in values.items():
-        if value is not None and math.isfinite(value):
-            interval = found.intervals.get(name)
-            shown, between = f"{scale * value:.4g}", ""
-            if interval is not None and interval.low < interval.high < math.inf:
-                shown, low, high = known_digits(scale * value, scale * interval.low, scale * interval.high)
-                between = f"{low} to {high}"
-            rows.append((label, shown, between))
+        if value is None or not math.isfinite(value):
+            continue
+        interval, shown, between = found.intervals.get(name), f"{scale * value:.4g}", ""
+        if interval is not None and interval.low < interval.high < math.inf:
+            shown, low, high = known_digits(scale * value, scale * interval.low, scale * interval.high)
+            between = f"{low} to {high}"
+        rows.append((label, shown, between))
     rows.append(("rms error [deg]", f"{found.rms_deg:.4g}", ""))
     if found.band_rad_s is not None:
         begin, end = found.band_rad_s

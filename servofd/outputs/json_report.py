@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from logparsers.records import FlightLog
-    from servofd.axes.verdict import AxisAudit
-    from servofd.detection.verdict import CurrentAudit, Fault, LogAudit, SurfaceAudit
+    from servofd.axes.verdict import AxisAudit, AxisEvent
+    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
+    from servofd.flight.change import AxisChange
     from servofd.flight.judge import FlightAlone
 
 
-_OF_FAULT = ("kind", "level", "start_s", "alarm_s", "end_s", "probability", "named_s")
+_OF_FAULT = ("kind", "level", "start_s", "alarm_s", "end_s", "probability", "named_s", "witness")
 
 
 def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
@@ -33,8 +34,7 @@ def audit_document(results: Sequence[LogAudit | FailedLog]) -> dict[str, Any]:
 def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
     """The worst surface or axis of a log, of several the nearest to its threshold or furthest over it; its outline."""
     entries = document["surfaces"] | document.get("axes", {})
-    outlines = {name: (entry["residual"] or {}).get("outline") or [] for name, entry in document["surfaces"].items()}
-    outlines |= {name: entry["outline"] for name, entry in document.get("axes", {}).items()}
+    outlines = {name: (one.get("residual") or one).get("outline") or [] for name, one in entries.items()}
 
     def gravity(name: str) -> tuple[int, float]:
         most = max((share or 0.0 for share in outlines[name]), default=-1.0)
@@ -46,7 +46,7 @@ def worst_outline(document: dict[str, Any]) -> tuple[str, list[float | None]]:
 
 def to_json(document: Mapping[str, Any]) -> str:
     """Text of a document; values that JSON cannot hold (NaN, infinity) become null."""
-    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+    return json.dumps(finite(document), indent=2, allow_nan=False) + "\n"
 
 
 def _log(result: LogAudit | FailedLog) -> dict[str, Any]:
@@ -81,7 +81,10 @@ def _about(log: FlightLog) -> dict[str, Any]:
 
 _OF_CHANGE = ("alarm_s", "explained_share", "judged_share", "judged_from_s", "judged_until_s", "since_s", "status")
 _OF_AXIS = ("status", "reason", "since_s", "false_alarms_per_hour", "judged_share")
+_OF_CURRENT = ("status", "reason", "explained_share", "ratio_to_good", "since_s", "judged_share")
 _OF_EVENT = ("start_s", "alarm_s", "end_s", "from_start")
+_OF_STATISTICS = ("mean_deg", "std_deg", "max_abs_deg")
+_OF_SURFACE = ("status", "reason", "servo", "judged_share", "false_alarms_per_hour", "feedback", "tried")
 
 
 def _named(of: object, names: Sequence[str]) -> dict[str, Any]:
@@ -91,17 +94,14 @@ def _named(of: object, names: Sequence[str]) -> dict[str, Any]:
 def _flight(flight: FlightAlone) -> dict[str, Any]:
     return {
         "checks": [asdict(check) for check in flight.checks],
-        "axes": {
-            name: {
-                **_named(axis, _OF_CHANGE),
-                "reason": axis.text,
-                "members": list(axis.members),
-                "lost_share": axis.lost_share and axis.lost_share._asdict(),
-                "offset_us": axis.offset_us and axis.offset_us._asdict(),
-            }
-            for name, axis in flight.axes.items()
-        },
+        "axes": {name: _change(axis) for name, axis in flight.axes.items()},
     }
+
+
+def _change(axis: AxisChange) -> dict[str, Any]:
+    sizes = {"lost_share": axis.lost_share, "offset_us": axis.offset_us}
+    found = {name: size and size._asdict() for name, size in sizes.items()}
+    return {**_named(axis, _OF_CHANGE), "reason": axis.text, "members": list(axis.members), **found}
 
 
 def _axis(axis: AxisAudit) -> dict[str, Any]:
@@ -116,49 +116,29 @@ def _axis(axis: AxisAudit) -> dict[str, Any]:
         "identifiable": axis.identifiable >= MOST_OF_THE_FLIGHT,
         "identifiable_share": axis.identifiable,
         "detectable": {name: size if math.isfinite(size) else None for name, size in smallest.items()},
-        "events": [
-            {
-                **_named(event, _OF_EVENT),
-                "lost_share": event.lost_share._asdict() if axis.model.own_command else None,
-                "offset_us": event.offset_us._asdict() if axis.model.own_command else None,
-                "lag_s": None if event.lag_s is None else event.lag_s._asdict(),
-                "cause": event.cause or None,
-            }
-            for event in axis.events
-        ],
+        "events": [_event(event, own_command=axis.model.own_command) for event in axis.events],
     }
+
+
+def _event(event: AxisEvent, *, own_command: bool) -> dict[str, Any]:
+    sizes = {"lost_share": event.lost_share, "offset_us": event.offset_us} if own_command else {}
+    found = {name: size and size._asdict() for name, size in (sizes | {"lag_s": event.lag_s}).items()}
+    return {**_named(event, _OF_EVENT), "lost_share": None, "offset_us": None, **found, "cause": event.cause or None}
 
 
 def _surface(surface: SurfaceAudit) -> dict[str, Any]:
     statistics = surface.statistics
     return {
-        "status": surface.status,
-        "reason": surface.reason,
-        "servo": surface.servo,
+        **_named(surface, _OF_SURFACE),
         "model": surface.model.model_dump(),
         "detectable": surface.detectable.document(),
-        "judged_share": surface.judged_share,
         "threshold": {"kind": surface.threshold_kind, "deg": surface.threshold_deg},
-        "residual": None
-        if statistics is None
-        else {
-            "mean_deg": statistics.mean_deg,
-            "std_deg": statistics.std_deg,
-            "max_abs_deg": statistics.max_abs_deg,
-            "outline": list(surface.outline),
-        },
-        "simulation_error_rms_deg": None if statistics is None else statistics.simulation_error_rms_deg,
-        "false_alarms_per_hour": surface.false_alarms_per_hour,
-        "feedback": surface.feedback,
-        "tried": surface.tried,
-        **({} if surface.current is None else {"current": _current(surface.current)}),
+        "residual": statistics and _named(statistics, _OF_STATISTICS) | {"outline": list(surface.outline)},
+        "simulation_error_rms_deg": statistics and statistics.simulation_error_rms_deg,
+        **({} if surface.current is None else {"current": _named(surface.current, _OF_CURRENT)}),
         "faults": _faults(surface.surface, surface.faults),
         "suspicions": _faults(f"{surface.surface}-suspected", surface.suspicions),
     }
-
-
-def _current(current: CurrentAudit) -> dict[str, Any]:
-    return _named(current, ("status", "reason", "explained_share", "ratio_to_good", "since_s", "judged_share"))
 
 
 def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
@@ -169,19 +149,25 @@ def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
 def _fault(identity: str, fault: Fault) -> dict[str, Any]:
     return _named(fault, _OF_FAULT) | {
         "id": identity,
-        "witness": fault.witness,
-        "confirmed_by": None if fault.confirmed_by is None else _fault(f"{identity}-confirmed", fault.confirmed_by),
+        "confirmed_by": fault.confirmed_by and _fault(f"{identity}-confirmed", fault.confirmed_by),
         "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
         "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
         "alternatives": list(fault.alternatives),
     }
 
 
-def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
+def finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
+    """A value with null where JSON cannot hold a number.
+
+    Examples
+    --------
+    >>> finite({"a": [float("nan"), 1.0]})
+    {'a': [None, 1.0]}
+    """
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return value

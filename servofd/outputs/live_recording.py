@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import threading
 from collections import deque
 from dataclasses import dataclass, field
@@ -16,14 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import rerun as rr
 
 from servofd.core.errors import ConfigError
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
-from servofd.outputs.recording.states import breaks_s, ratio
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
-from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, send_styles
+from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, breaks_s, ratio, send_curves, send_styles
 from servofd.outputs.recording.verdicts import MANY_VEHICLES
+from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,6 +39,7 @@ _PATIENCE_S = 5.0
 _ROOM = 4_000
 """Entries that may wait for the next batch; the oldest are dropped."""
 _LEVELS = {"alarm": "ERROR", "named": "ERROR", "no_data": "WARN", "link_lost": "WARN"}
+_STATE_AFTER = {"alarm": "FAULT", "clear": "OK", "no_data": "NO DATA"}
 _ABOUT = "Recorded in flight. `servofd review` of this recording gives the verdicts, as an audit of the log would."
 
 
@@ -78,14 +79,15 @@ class LiveRecording:
         self._stop = threading.Event()
         self._sinks = []
         for kind, every_s, target in (("viewer", _TO_VIEWER_S, port), ("recording", _TO_FILE_S, path)):
-            if target is not None:
-                try:
-                    recorder = _opened(application_name(name or "plain", "live"), surfaces, target)
-                    recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
-                    recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
-                except (OSError, RuntimeError, ValueError, OverflowError) as error:  # rerun's own
-                    raise ConfigError(f"{target}: cannot record: {str(error).splitlines()[0][:160]}") from None
-                self._sinks.append(_Sink(kind, recorder, round(every_s / _TO_VIEWER_S)))
+            if target is None:
+                continue
+            try:
+                recorder = _opened(application_name(name or "plain", "live"), surfaces, target)
+                recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
+                recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
+            except (OSError, RuntimeError, ValueError, OverflowError) as error:  # rerun's own
+                raise ConfigError(f"{target}: cannot record: {str(error).splitlines()[0][:160]}") from None
+            self._sinks.append(_Sink(kind, recorder, round(every_s / _TO_VIEWER_S)))
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()
 
@@ -181,10 +183,7 @@ class _Sink:
             self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
         known_s = np.concatenate([lane.tail_s, time_s])
         broken_s, lane.tail_s = breaks_s(known_s), known_s[-10:]
-        levels = np.column_stack([residual_deg, threshold_deg, -threshold_deg])
-        for name, values in (("deflection", np.column_stack(deflections)), ("residual", levels)):
-            self.recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
-            self.recorder.scalars(f"{place}/{name}", time_s, values)
+        send_curves(self.recorder, place, broken_s, (time_s, *deflections, residual_deg, threshold_deg))
         self.recorder.scalars(f"{place}/command", command_s, came_deg)
         self.recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
         self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))
@@ -202,17 +201,16 @@ class _Sink:
 
     def _event(self, event: Event) -> None:
         time_s = event.time_s if np.isfinite(event.time_s) else 0.0
-        words = " ".join(filter(None, (event.event.replace("_", " "), event.kind.replace("_", " "))))
+        words = spoken(f"{event.event} {event.kind}".strip())
         if np.isfinite(event.residual_deg):
             words += f", residual {event.residual_deg:+.2f} of {event.threshold_deg:.2f} deg"
         words = ": ".join(filter(None, (event.surface, words, event.text)))
         place = f"{surface_place(event.surface)}/events" if event.surface else LINK
         self.recorder.texts(place, [(time_s, _LEVELS.get(event.event, "INFO"), words)])
-        if event.surface and event.event in ("alarm", "clear"):
-            self.lanes.setdefault(event.surface, _Lane()).faulty = event.event == "alarm"
-            self._state(event.surface, time_s, "FAULT" if event.event == "alarm" else "OK")
-        elif event.surface and event.event == "no_data":
-            self._state(event.surface, time_s, "NO DATA")
+        if event.surface and event.event in _STATE_AFTER:
+            if event.event != "no_data":
+                self.lanes.setdefault(event.surface, _Lane()).faulty = event.event == "alarm"
+            self._state(event.surface, time_s, _STATE_AFTER[event.event])
 
     def _state(self, surface: str, time_s: float, word: str) -> None:
         place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
@@ -223,10 +221,6 @@ class _Sink:
 
 def _opened(application: str, surfaces: list[str], target: Path | int) -> Recorder:
     """A file, or a port of the loopback interface for viewers, with layout and styles."""
-    # What it would print of a full disk, in lines of its own, `errors` tells.
-    os.environ.setdefault("RUST_LOG", "off")
-    import rerun as rr
-
     stream = rr.RecordingStream(application, send_properties=False)
     rr.set_log_time_enabled(False, recording=stream)
     if isinstance(target, Path):

@@ -51,38 +51,28 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
             entry["effects"] = _merged(entry.get("effects", {}), _table(one))
             entry.pop("calibrated", None)  # of the servo without them
             if one.record.known.starts and not one.is_servo_of_its_own:
-                servos = {**servos, entry["servo"]: _begun(servos[entry["servo"]], one)}
+                # The servo that the search began with, of which the effects tell how the poles differ.
+                begun = one.record.plant.transfer
+                poles = {"numerator": begun.numerator, "denominator": begun.denominator}
+                servos = {**servos, entry["servo"]: {**servos[entry["servo"]], **poles}}
         elif one.selection.final.effects or not one.is_own_fit:
             continue
-        changed = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
-        levels = good_levels(type(aircraft).model_validate(changed), one.surface, logs)
+        document = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
+        levels = good_levels(type(aircraft).model_validate(document), one.surface, logs)
         if levels:  # what was shown: an audit also counts what follows a start, or a lost command
             levels["model"]["held_out_rms_deg"] = round(one.held_out_deg[1], 4)
         entry |= levels
-        document = {**document, "servos": servos, "surfaces": {**document["surfaces"], one.surface: entry}}
         is_better = True
         if one.surface not in kept:
-            lines += _found(one, source)
+            names, (before_deg, after_deg) = ", ".join(one.selection.final.names), one.held_out_deg
+            lines += [
+                f"# Found by servofd explain in {_comment(source)}: {one.surface}: {names}.",
+                f"# Held-out error of {one.surface}: {before_deg:.4g} deg rms before, {after_deg:.4g} with this model.",
+            ]
     if not is_better:
         return ModelFile("", kept)
     lines = [*(f"# {surface}: as it was: {reason}." for surface, reason in kept.items()), *lines]
     return ModelFile("\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n", kept)
-
-
-def _begun(servo: Mapping[str, Any], one: Explanation) -> dict[str, Any]:
-    """The servo that the search began with, of which the effects tell how the poles differ."""
-    transfer = one.record.plant.transfer
-    return {**servo, "numerator": transfer.numerator, "denominator": transfer.denominator}
-
-
-def _found(one: Explanation, source: str) -> list[str]:
-    """What is missing, and what it is worth, as comments."""
-    final = one.selection.final
-    before, after = (one.rms_deg(fit)["held_out_rms_deg"] for fit in (one.selection.nominal, final))
-    return [
-        f"# Found by servofd explain in {' '.join(source.split())}: {one.surface}: {', '.join(final.names)}.",
-        f"# Held-out error of {one.surface}: {before:.4g} deg rms before, {after:.4g} with this model.",
-    ]
 
 
 def _table(found: Explanation) -> EffectTable:
@@ -135,11 +125,9 @@ _LEVELS = (
 def servo_file(found: Identification, name: str, source: str) -> str:
     """Text of a servo file that ``servofd audit --servo`` and an aircraft file's ``[servos]`` take as it is."""
     linear, servo = found.servo.linear, found.servo
-    rates = [
-        f"{way} {rate:.4g} {_interval(found, f'rate_{way}_deg_s')}".rstrip()
-        for way, rate in (("up", servo.rate_up_deg_s), ("down", servo.rate_down_deg_s))
-        if rate is not None
-    ]
+    known = {"up": servo.rate_up_deg_s, "down": servo.rate_down_deg_s}
+    rates = [f"{way} {rate:.4g} {_interval(found, f'rate_{way}_deg_s')}" for way, rate in known.items() if rate]
+    poles = [(p.real, f" +- {p.imag:.4g}i" if p.imag else "") for p in found.poles_rad_s if p.imag >= 0.0]
     table = {
         "title": name,
         "numerator": [float(value) for value in linear.transfer.numerator],
@@ -153,11 +141,11 @@ def servo_file(found: Identification, name: str, source: str) -> str:
         "notes": list(found.notes) or None,
     }
     comments = {
-        "denominator": f"poles {_poles(found)} rad/s",
+        "denominator": f"poles {', '.join(f'{real:.4g}{pair}' for real, pair in poles)} rad/s",
         "delay_s": _interval(found, "delay_s"),
         "hold": "the delay does not contain the hold of the sampled command",
         "unity_dc": f"dc gain {linear.gain:.5g} {_interval(found, 'dc_gain')}".rstrip(),
-        "rate_limit_deg_s": ", ".join(rates),
+        "rate_limit_deg_s": ", ".join(map(str.rstrip, rates)),
         "free_play_deg": _interval(found, "dead_band_deg"),
     }
     lines = [
@@ -182,12 +170,6 @@ def _interval(found: Identification, name: str) -> str:
     if interval is None or not (math.isfinite(interval.low) and math.isfinite(interval.high)):
         return ""
     return f"[{interval.low:.5g}, {interval.high:.5g}]"
-
-
-def _poles(found: Identification) -> str:
-    return ", ".join(
-        f"{p.real:.4g}" + (f" +- {p.imag:.4g}i" if p.imag else "") for p in found.poles_rad_s if p.imag >= 0.0
-    )
 
 
 def _comment(text: str) -> str:

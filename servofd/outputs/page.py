@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import re
-from dataclasses import dataclass
+import sys
+import webbrowser
 from html import unescape
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from servofd.core.files import beginning
 from servofd.outputs.palette import BANNER_COLOURS, STATUS_COLOURS
 from servofd.outputs.plain import plain
+from servofd.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -52,7 +55,7 @@ def html_page(document: Document, template: str = "document.html", **values: Any
     environment.filters["kind"] = lambda part: type(part).__name__
     environment.filters["typed"] = lambda text: Markup(_TYPED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704
     text = environment.get_template(template).render(
-        versions=_versions(),
+        versions={"servofd": __version__, "Python": platform.python_version(), **{n: version(n) for n in _PACKAGES}},
         status_colours=STATUS_COLOURS,
         banner_colours=BANNER_COLOURS,
         source_tag=lambda log: Markup(source_tag(log)),  # noqa: S704 - escaped there
@@ -69,8 +72,24 @@ def source_tag(log: str) -> str:
     return f'<meta name="servofd-log" content="{escape(log)}">'
 
 
-@dataclass(frozen=True, slots=True)
-class Beside:
+def is_page_of(page: Path, log: str) -> bool:
+    """Whether a page is ours, and of a log of this name: only then it is overwritten without a question."""
+    return source_tag(log) in _head(page)
+
+
+def has_display() -> bool:
+    """Whether there is a screen for windows."""
+    linux = sys.platform.startswith("linux")
+    return not linux or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def open_page(address: str) -> None:
+    """Show a page to whoever sits there: not where there is no display, or the output goes to a file."""
+    if has_display() and sys.stdout.isatty():
+        webbrowser.open(address)
+
+
+class Beside(NamedTuple):
     """Pages of servofd in a folder."""
 
     overviews: tuple[tuple[str, str], ...]
@@ -99,9 +118,3 @@ def _head(path: Path) -> str:
         return beginning(path, _HEAD_BYTES).decode(errors="replace")
     except OSError:
         return ""
-
-
-def _versions() -> dict[str, str]:
-    from servofd.version import __version__
-
-    return {"servofd": __version__, "Python": platform.python_version()} | {name: version(name) for name in _PACKAGES}

@@ -71,11 +71,9 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
         return f"{each}. Do not fly."
     if suspect:
         by_current = all(s.suspicions and all(f.witness == "current" for f in s.suspicions) for s in suspect)
-        witness = (
-            ", by its current" if by_current and len(suspect) == 1 else ", by their currents" if by_current else ""
-        )
-        them = "it" if len(suspect) == 1 else "them"
-        return f"{_surfaces(suspect).upper()} SUSPECT{witness}: look at {them} before the next flight."
+        them, witness = ("it", ", by its current") if len(suspect) == 1 else ("them", ", by their currents")
+        said = f"{_surfaces(suspect).upper()} SUSPECT{witness * by_current}"
+        return f"{said}: look at {them} before the next flight."
     return _cleared(healthy, [s for s in surfaces if s.expected and not s.is_judged])
 
 
@@ -149,11 +147,9 @@ def answers(audit: LogAudit) -> list[str]:
     surfaces = sorted(audit.surfaces, key=lambda s: (STATUSES.index(s.status), gravity(s)))
     for surface in surfaces:
         if surface.status in ("fault", "suspect"):
-            step = next_step(surface).removeprefix("do not fly; ")
-            also = _also(surface)
-            either = other_way_round(surface)
+            step, either = next_step(surface).removeprefix("do not fly; "), other_way_round(surface)
             note = f" {either[:1].upper()}{either[1:]}." if either else ""
-            lines.append(f"{spoken(surface.surface).capitalize()}: {step}.{also}{note}")
+            lines.append(f"{spoken(surface.surface).capitalize()}: {step}.{_also(surface)}{note}")
     if not lines:
         return []  # the sentence says all there is
     dark = [s for s in surfaces if s.expected and not s.is_judged and s.status not in ("fault", "suspect")]
@@ -175,13 +171,7 @@ def _also(surface: SurfaceAudit) -> str:
 
 
 def _calmly(what: str) -> str:
-    """What a fault does, without capitals.
-
-    Examples
-    --------
-    >>> _calmly("TOO SLOW since 0:05"), _calmly("JAMMED at 0:30 (+0.5 deg)")
-    ('was too slow since 0:05', 'jammed at 0:30 (+0.5 deg)')
-    """
+    """What a fault does, without capitals, such as "was too slow since 0:05" or "jammed at 0:30"."""
     words = what.split(" ")
     plain = " ".join(word.lower() if word.isupper() and word != "UTC" else word for word in words)
     return f"was {plain}" if words[0] in _STATES else plain
@@ -201,11 +191,9 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
     dark = [axis.axis for axis in axes if axis.status == "unknown" and axis.axis not in (*weaker, "thrust")]
     sentences = [f"{_listed(healthy).capitalize()} answered as on healthy days."] if healthy else []
     for axis, lost_share in weaker.items():  # without an alarm, and yet surely: how much, and how rare that is
-        value, low, high = (f"{100.0 * share:.0f}" for share in lost_share)
-        size = f"{value}% weaker ({low} to {high}%)"
-        sentences.append(
-            f"{axis.capitalize()} is probably {size}, as one healthy flight in 40 seems to be: look at the next ones."
-        )
+        size = "{:.0f}% weaker ({:.0f} to {:.0f}%)".format(*(100.0 * share for share in lost_share))
+        rare = "as one healthy flight in 40 seems to be: look at the next ones"
+        sentences.append(f"{axis.capitalize()} is probably {size}, {rare}.")
     sentences = sentences or ["Could not tell."]
     return " ".join([*sentences, f"No verdict on {', '.join(dark)}."] if dark else sentences)
 
@@ -280,16 +268,15 @@ def seen(detectable: Detectable) -> str:
     'would have seen an offset of 0.8 deg, 50% less speed, ±0.4 deg of oscillation'
     """
     angle_deg, share = _LEAST_SAID_DEG, _LEAST_SAID_SHARE  # what is seen larger is seen as well: nothing is said of 0.0
-    sizes = [
-        None if detectable.bias_deg is None else f"an offset of {max(detectable.bias_deg, angle_deg):.1f} deg",
-        None if detectable.loss_share is None else f"{max(detectable.loss_share, share):.0%} less travel",
-        None if detectable.slow_share is None else f"{max(1.0 - detectable.slow_share, share):.0%} less speed",
-        None if detectable.deadband_deg is None else f"{max(detectable.deadband_deg, angle_deg):.1f} deg of play",
-        None
-        if detectable.oscillation_deg is None
-        else f"±{max(detectable.oscillation_deg, angle_deg):.1f} deg of oscillation",
-    ]
-    known = [size for size in sizes if size is not None]
+    slow = detectable.slow_share
+    sizes = (
+        ("an offset of {:.1f} deg", detectable.bias_deg, angle_deg),
+        ("{:.0%} less travel", detectable.loss_share, share),
+        ("{:.0%} less speed", slow if slow is None else 1.0 - slow, share),
+        ("{:.1f} deg of play", detectable.deadband_deg, angle_deg),
+        ("±{:.1f} deg of oscillation", detectable.oscillation_deg, angle_deg),
+    )
+    known = [words.format(max(size, least)) for words, size, least in sizes if size is not None]
     return f"would have seen {', '.join(known)}" if known else ""
 
 
@@ -325,14 +312,14 @@ def other_way_round(surface: SurfaceAudit) -> str:
             what, other = "scale", f"moving by {1.0 / gain:.0%} of its command"
         else:
             continue
-        since, until = clock(fault.start_s), None if fault.end_s is None else clock(fault.end_s)
-        begun = 0.0 if surface.segment is None or not surface.segment.measured_s.size else surface.segment.measured_s[0]
-        if until is None:
+        since, segment = clock(fault.start_s), surface.segment
+        begun_s = 0.0 if segment is None or not segment.measured_s.size else segment.measured_s[0]
+        if fault.end_s is None:
             when = f"{other} until {since}, and right since"
-        elif fault.start_s - begun < _AT_ONCE_S:
-            when = f"right until {until}, and {other} since"
+        elif fault.start_s - begun_s < _AT_ONCE_S:
+            when = f"right until {clock(fault.end_s)}, and {other} since"
         else:
-            when = f"right from {since} to {until}, and {other} before and after"
+            when = f"right from {since} to {clock(fault.end_s)}, and {other} before and after"
         return f"its {what} was fitted to this log: it may as well have been {when}"
     return ""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servofd.core.statistics import Z_95
+from servofd.core.statistics import Z_95, Estimate
 from servofd.outputs.chart import Chart, Curve, Mark, Panel
 from servofd.outputs.document import Bullets, Cell, Document, Figures, Section, Table, Words
 from servofd.outputs.fleet_report import flight_name
@@ -45,17 +45,12 @@ def trend_report(document: dict[str, Any], pages: Mapping[str, str] = MappingPro
         for one in flights
         for name, reason in one["alarms"].items()
     ]
-    method = [Words(_MOTION)] if axes else []
-    method += [Words(_FITTED)] if len(surfaces) > len(axes) else []
-    rows: list[tuple[str | Cell, ...]] = [
-        (
-            str(one["number"]),
-            Cell(flight_name(one), link=pages.get(flight_name(one), "")),
-            minute_of(one["start_utc"]),
-            *(_effect(document["surfaces"][axis]["quantities"]["effect"], one, axis) for axis in axes),
-        )
-        for one in flights
-    ]
+    method = [*[Words(_MOTION)] * bool(axes), *[Words(_FITTED)] * (len(surfaces) > len(axes)), Words(_LINES)]
+    rows: list[tuple[str | Cell, ...]] = []
+    for one in flights:
+        name = Cell(flight_name(one), link=pages.get(flight_name(one), ""))
+        left = (_effect(document["surfaces"][axis]["quantities"]["effect"], one, axis) for axis in axes)
+        rows.append((str(one["number"]), name, minute_of(one["start_utc"]), *left))
     heading = ("number", "log", "begun (UTC)", *(f"effect left of {axis} [%]" for axis in axes))
     warnings = [Words(f"{alarm}.", status="suspect") for alarm in alarms]
     flown = Section("Flights", [*warnings, Table("In the order in which they were taken", heading, rows)])
@@ -65,11 +60,11 @@ def trend_report(document: dict[str, Any], pages: Mapping[str, str] = MappingPro
         status=surfaces[0].status if surfaces else "unknown",
         sentence=_verdict(document, alarms, count),
         facts=f"{aircraft}: {count}, {document['order']['reason']}",
-        parts=[*surfaces, *([flown] if axes else [])],
+        parts=[*surfaces, *[flown] * bool(axes)],
         evidence=[
-            *([] if axes else [flown]),
-            *([Section("Not used", [Bullets(document["problems"])])] if document["problems"] else []),
-            Section("How this was found", [*method, Words(_LINES)], folded=True),
+            *[flown] * (not axes),
+            *[Section("Not used", [Bullets(document["problems"])])] * bool(document["problems"]),
+            Section("How this was found", method, folded=True),
         ],
         data=document,
     )
@@ -95,13 +90,7 @@ def _verdict(document: dict[str, Any], alarms: list[str], count: str) -> str:
 
 
 def _beyond(when: str, quantities: dict[str, list[str]]) -> str:
-    """What is, or will be, beyond its limit, by surface, once for all of which the same is true.
-
-    Examples
-    --------
-    >>> _beyond("is beyond its limit", {"rudder": ["gain"], "elevator": ["gain", "bias"]})
-    'rudder (gain), elevator (gain, bias): each is beyond its limit'
-    """
+    """What is, or will be, beyond its limit, by surface, once for all of which the same is true."""
     (name, titles), *others = quantities.items()
     if not others and len(titles) == 1:
         return f"{name}: {titles[0]} {when}"
@@ -114,8 +103,7 @@ def _effect(effect: dict[str, Any], flight: dict[str, Any], axis: str) -> str:
     text = "not known"
     if flight["number"] in effect["flights"]:
         at = effect["flights"].index(flight["number"])
-        value, half = effect["values"][at], Z_95 * effect["deviations"][at]
-        shown = {"value": value, "low": value - half, "high": value + half}
+        shown = Estimate.of(effect["values"][at], effect["deviations"][at])._asdict()
         text = _interval(shown, effect["shown"]["scale"], effect["shown"]["digits"])
     return f"{text} alarm" if axis in flight["alarms"] else text
 
@@ -142,10 +130,8 @@ def _when(one: dict[str, Any]) -> str:
 
 def _interval(estimate: dict[str, float], scale: float, digits: int) -> str:
     """As many decimals as are known: two of the width of the interval, at most."""
-    value, low, high = known_digits(
-        scale * estimate["value"], scale * estimate["low"], scale * estimate["high"], digits
-    )
-    return f"{value} [{low}, {high}]"
+    value, low, high = (scale * estimate[end] for end in ("value", "low", "high"))
+    return "{} [{}, {}]".format(*known_digits(value, low, high, digits))
 
 
 def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any]]) -> Section:
@@ -158,10 +144,9 @@ def _surface(name: str, surface: dict[str, Any], flights: Sequence[dict[str, Any
         status, badge = "suspect", f"alarm in flight {', '.join(alarms)}"
     parts: list[Part] = []
     if not any(QUANTITIES[one].of == "motion" for one in (*quantities, *surface["missing"])):
-        serials = [
-            f"{one['serial'] or 'number unknown'} since flight {one['from_flight']}" for one in surface["serials"]
-        ]
-        parts.append(Words(f"Servo: {', '.join(serials)}.", style="soft"))
+        serials = ((one["serial"] or "number unknown", one["from_flight"]) for one in surface["serials"])
+        since = ", ".join(f"{serial} since flight {flight}" for serial, flight in serials)
+        parts.append(Words(f"Servo: {since}.", style="soft"))
     parts += [Words(f"{event['reason']}.", status="suspect") for event in surface["events"]]
     parts += [Words(f"{note}.") for note in surface["notes"]]
     parts.append(Table("Now, with 95% intervals", _HEAD, [quantity_row(one) for one in quantities.values()]))
@@ -182,10 +167,8 @@ def trend_chart(name: str, surface: dict[str, Any]) -> Chart:
         "Dots are flights with their 95% intervals; lines what they follow since the last change, dashed what is "
         "expected; level lines are limits, vertical lines changes at once."
     )
-    panels = tuple(_panel(one, last) for one in quantities.values())
-    return Chart(
-        f"{spoken(name)} over its flights", text, min(ends) - 0.5, last + 0.5, panels, (), marks, axis="flight"
-    )
+    panels, title = tuple(_panel(one, last) for one in quantities.values()), f"{spoken(name)} over its flights"
+    return Chart(title, text, min(ends) - 0.5, last + 0.5, panels, (), marks, axis="flight")
 
 
 def _panel(one: dict[str, Any], last: float) -> Panel:

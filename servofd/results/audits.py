@@ -32,7 +32,7 @@ from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, plain_log
+from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, over_time, plain_log
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from rich.console import Console
 
     from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
     from servofd.feedback.flown import Log
     from servofd.outputs.chart import Chart
     from servofd.outputs.document import Document
-    from servofd.results.simulated import Flown
+    from servofd.results.models import Flown
 
 
 class AuditedSurface(SurfaceAudit, Drawn):
@@ -56,11 +55,6 @@ class AuditedSurface(SurfaceAudit, Drawn):
 
     __slots__ = ()
     __repr__ = Drawn.__repr__
-
-    @property
-    def said(self) -> str:
-        """Name, status and reason."""
-        return f"{self.surface}: {self.status}: {self.reason}"
 
     def chart(self) -> Chart:
         """The whole flight of the surface."""
@@ -76,22 +70,14 @@ class AuditedSurface(SurfaceAudit, Drawn):
         One row for each position, with the time of the log as index [s]; `judged` is false while the filter settles and
         where nothing was measured. The command is the last that was sent before.
         """
-        needs("pandas")
-        import pandas as pd
-
         segment, residuals, threshold = self._curves()
-        time_s = residuals.time_s
-        return pd.DataFrame(
-            {
-                "command_deg": latest(segment.command_s, segment.command_deg, time_s),
-                "simulated_deg": residuals.simulated_deg,
-                "measured_deg": residuals.measured_deg,
-                "residual_deg": residuals.residual_deg,
-                "threshold_deg": threshold.level_deg,
-                "judged": residuals.settled,
-            },
-            index=pd.Index(time_s, name="time_s"),
-        )
+        columns = {
+            "command_deg": latest(segment.command_s, segment.command_deg, residuals.time_s),
+            **{name: getattr(residuals, name) for name in ("simulated_deg", "measured_deg", "residual_deg")},
+            "threshold_deg": threshold.level_deg,
+            "judged": residuals.settled,
+        }
+        return over_time(residuals.time_s, columns)
 
     def _curves(self) -> tuple[Series, Residuals, Threshold]:
         if self.segment is None or self.residuals is None or self.threshold is None:
@@ -105,11 +91,6 @@ class AuditedAxis(AxisAudit, Drawn):
     __slots__ = ()
     __repr__ = Drawn.__repr__
 
-    @property
-    def said(self) -> str:
-        """Name, status and reason."""
-        return f"{self.axis}: {self.status}: {self.reason}"
-
     def chart(self) -> Chart:
         """The whole flight of the axis."""
         return axis_chart(self)
@@ -119,11 +100,8 @@ class AuditedAxis(AxisAudit, Drawn):
 
         `share` is the distance from healthy over its threshold; `judged` is false outside the calibrated regime.
         """
-        needs("pandas")
-        import pandas as pd
-
         columns = {"expected": self.asked, "shown": self.shown, "share": np.sqrt(np.maximum(self.score, 0.0))}
-        return pd.DataFrame(columns | {"judged": self.inputs.usable}, index=pd.Index(self.time_s, name="time_s"))
+        return over_time(self.time_s, columns | {"judged": self.inputs.usable})
 
 
 class Audit(LogAudit, Shown):
@@ -211,20 +189,15 @@ class Audit(LogAudit, Shown):
     def plot(self, name: str | None = None, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
         if name is not None:
-            return self._drawn(self[name], ax)
-        surfaces = [
-            one.surface
-            for one in self.surfaces
-            if (one.residuals is not None and one.threshold is not None) or one.feedback == "current"
-        ]
-        drawn = [self[one] for one in surfaces or [axis.axis for axis in self.axes]]
+            named: Drawn = self[name]
+            return named.plot(ax)
+        judged = ((s, s.residuals is not None and s.threshold is not None) for s in self.surfaces)
+        drawn = [self[s.surface] for s, has_curves in judged if has_curves or s.feedback == "current"]
+        drawn = drawn or [self[axis.axis] for axis in self.axes]
         if not drawn:
             raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
-        return self._drawn(min(drawn, key=lambda one: LEAST_CLEARED.index(one.status)), ax)
-
-    @staticmethod
-    def _drawn(one: Drawn, ax: Axes | Sequence[Axes] | None) -> Figure:
-        return one.plot(ax)
+        worst: Drawn = min(drawn, key=lambda one: LEAST_CLEARED.index(one.status))
+        return worst.plot(ax)
 
     def _rows(self) -> list[dict[str, Any]]:
         return [_row(one) for one in self.surfaces] + [
@@ -242,11 +215,7 @@ def _row(one: SurfaceAudit) -> dict[str, Any]:
         "surface": one.surface,
         "status": one.status,
         "reason": one.reason,
-        "kind": first.kind if first else None,
-        "start_s": first.start_s if first else None,
-        "alarm_s": first.alarm_s if first else None,
-        "end_s": first.end_s if first else None,
-        "probability": first.probability if first else None,
+        **{name: getattr(first, name, None) for name in ("kind", "start_s", "alarm_s", "end_s", "probability")},
         "servo": one.servo,
         "model": one.model.origin,
         "judged_share": one.judged_share,
@@ -343,15 +312,20 @@ def audit(
     if columns is not None:
         if known is not None:
             raise ConfigError("columns and aircraft both say what the columns are; give one of them")
-        if is_table(log):
-            log, columns = as_described(frame_of(log), columns)
-        known = aircraft_of_columns(columns)
+        log, known = _described(log, columns)
     names = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
     job = Job(known, servo, threshold_deg, threshold, names)
     if isinstance(log, str | Path) and not _is_one_log(str(log)):
         return _fleet_of([str(log)], job)
     found = [Audit._of(result) for result in workflow.audit(cast("Log", log), job)]
     return found[0] if len(found) == 1 else Audits(found)
+
+
+def _described(log: Any, columns: Mapping[str, str]) -> tuple[Any, Aircraft]:  # noqa: ANN401 - a log or a table
+    """A log, and the aircraft that its columns belong to."""
+    if is_table(log):
+        log, columns = as_described(frame_of(log), columns)
+    return log, aircraft_of_columns(columns)
 
 
 class Fleet(Overview, Shown):
@@ -382,19 +356,10 @@ def _fleet_of(inputs: list[str], job: Job) -> Fleet:
 
     logs = find_logs(inputs, layout_of(job.aircraft)).logs
     bar = Console(stderr=True)
-    judged = track(
-        audit_fleet(logs, job),
-        f"{len(logs)} logs",
-        len(logs),
-        console=bar,
-        transient=True,
-        disable=not _is_watched(bar),
-    )
-    return Fleet._of(overview(by_path([run.row | {"content": one.content} for one in judged for run in one.runs])))
-
-
-def _is_watched(console: Console) -> bool:
-    return console.is_terminal or console.is_jupyter
+    unseen = not (bar.is_terminal or bar.is_jupyter)
+    judging = audit_fleet(logs, job)
+    judged = track(judging, f"{len(logs)} logs", len(logs), console=bar, transient=True, disable=unseen)
+    return Fleet._of(overview(by_path([row for one in judged for row in one.rows])))
 
 
 @in_words_of_python
@@ -437,7 +402,6 @@ class Comparison(Shown):
 
     def plot(self, surface: str | None = None, at_s: tuple[float, float] = (0.0, 0.0)) -> Figure:
         """Figure of one surface in both flights, the first if none is named; `at_s` of each lies at 0 [s]."""
-        needs("matplotlib")
         both = self._both()
         if surface is not None and surface not in both:
             raise UnknownName(suggest("surface of both flights", surface, both))
@@ -453,19 +417,12 @@ class Comparison(Shown):
     def _rows(self) -> list[dict[str, Any]]:
         rows = []
         for name, entries in self.report().data["surfaces"].items():
-            statuses = [entry["status"] if entry else None for entry in entries]
-            sizes = [(entry or {}).get("residual") for entry in entries]
-            first, second = (size["max_abs_deg"] if size else None for size in sizes)
-            rows.append(
-                {
-                    "surface": name,
-                    "status_a": statuses[0],
-                    "status_b": statuses[1],
-                    "max_abs_deg_a": first,
-                    "max_abs_deg_b": second,
-                    "max_abs_deg_difference": None if first is None or second is None else first - second,
-                }
-            )
+            row: dict[str, Any] = {"surface": name}
+            row |= {f"status_{one}": entry and entry["status"] for one, entry in zip("ab", entries, strict=True)}
+            sizes = ((entry or {}).get("residual") for entry in entries)
+            first, second = (size and size["max_abs_deg"] for size in sizes)
+            apart = None if first is None or second is None else first - second
+            rows.append(row | {"max_abs_deg_a": first, "max_abs_deg_b": second, "max_abs_deg_difference": apart})
         return rows
 
 
@@ -500,8 +457,6 @@ def load(
     'rad_or_count'
     """
     if columns is not None:
-        if is_table(log):
-            log, columns = as_described(frame_of(log), columns)
-        aircraft = aircraft_of_columns(columns)
+        log, aircraft = _described(log, columns)
     found = tuple(logs_of(log, known_aircraft(aircraft)))
     return found[0] if len(found) == 1 else found

@@ -1,11 +1,11 @@
-"""Servos identified, explained, calibrated and followed over many flights."""
+"""Servos identified, explained, calibrated, followed over many flights, and simulated."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from logparsers import FlightLog
 from logparsers.units import MS_PER_S
@@ -13,10 +13,9 @@ from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
-from servofd.core.files import write_whole
 from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
-from servofd.jobs import bench, workflow
+from servofd.jobs import bench, simulating, workflow
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.calibrate_report import calibrate_report, motion_report
 from servofd.outputs.document import Table
@@ -25,7 +24,8 @@ from servofd.outputs.figure import chart_figure
 from servofd.outputs.identify_report import identify_charts, identify_report
 from servofd.outputs.model_file import model_file
 from servofd.outputs.trend_report import quantity_row, trend_chart, trend_report
-from servofd.results.shown import Shown, in_words_of_python, plain_log, shown
+from servofd.results.shown import Shown, fields_of, in_words_of_python, plain_log, shown
+from servofd.simulation.flight import SimulatedFlight
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ class Identified(Identification, Shown):
 
     def plot(self) -> Figure:
         """Figure of the frequency response, or of the motion where there is none."""
-        needs("matplotlib")
         charts = identify_charts(self)
         return chart_figure(charts.get("response", charts["motion"]))
 
@@ -93,29 +92,20 @@ class Explained(Shown):
 
     def plot(self) -> Figure:
         """Figure of the motion where the models differ most."""
-        needs("matplotlib")
         return chart_figure(explain_charts(self.explanation)["traces"])
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file with the better model, and give the path."""
-        text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
-        write_whole(path, text.encode())
-        return Path(path)
+        return self._save(path, model_file([self.explanation], self.aircraft, self.source, self.logs).text)
 
     def _rows(self) -> list[dict[str, Any]]:
         document = self.explanation.document()
-        first = {"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}
-        steps = [
-            {
-                "effect": step["effect"],
-                "form": step["form"],
-                "sizes": ", ".join(f"{name} = {each['value']:.4g}" for name, each in step["parameters"].items()),
-                "train_rms_deg": step["train_rms_deg"],
-                "held_out_rms_deg": step["held_out_rms_deg"],
-            }
-            for step in document["steps"]
-        ]
-        return [first, *steps]
+        rows = [{"effect": "as it was", "form": None, "sizes": "", **document["nominal"]}]
+        for step in document["steps"]:
+            sizes = ", ".join(f"{name} = {each['value']:.4g}" for name, each in step["parameters"].items())
+            errors = {name: step[name] for name in ("train_rms_deg", "held_out_rms_deg")}
+            rows.append({"effect": step["effect"], "form": step["form"], "sizes": sizes, **errors})
+        return rows
 
 
 def _explained_of(explanation: Explanation, aircraft: Aircraft, source: str, logs: list[dict[str, Any]]) -> Explained:
@@ -160,26 +150,21 @@ class Calibrated(Calibration, Shown):
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file, and give the path."""
-        write_whole(path, self.to_toml().encode())
-        return Path(path)
+        return self._save(path, self.to_toml())
 
     def report(self) -> Document:
         """Tables of the surfaces, and the smallest faults."""
         return calibrate_report(self)
 
     def _rows(self) -> list[dict[str, Any]]:
-        return [
-            {
-                "surface": one.surface,
-                "delay_ms": round(MS_PER_S * one.estimates["delay_s"].value, 1),
-                "bandwidth_rad_s": round(one.bandwidth_rad_s.value, 1),
-                "held_out_rms_deg": round(one.held_out_rms_deg, 3),
-                **{f"smallest_{name}": size for name, size in one.detectable.document().items()},
-                "flights": ", ".join(one.flights),
-                "notes": "; ".join(one.notes),
-            }
-            for one in self.surfaces
-        ]
+        rows = []
+        for one in self.surfaces:
+            delay_ms, bandwidth_rad_s = MS_PER_S * one.estimates["delay_s"].value, one.bandwidth_rad_s.value
+            row = {"surface": one.surface, "delay_ms": round(delay_ms, 1), "bandwidth_rad_s": round(bandwidth_rad_s, 1)}
+            row |= {"held_out_rms_deg": round(one.held_out_rms_deg, 3)}
+            row |= {f"smallest_{name}": size for name, size in one.detectable.document().items()}
+            rows.append(row | {"flights": ", ".join(one.flights), "notes": "; ".join(one.notes)})
+        return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -199,8 +184,7 @@ class CalibratedAxes(Shown):
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file, and give the path."""
-        write_whole(path, self.to_toml().encode())
-        return Path(path)
+        return self._save(path, self.to_toml())
 
     def report(self) -> Document:
         """Table of the axes."""
@@ -237,7 +221,6 @@ class Trend(AircraftTrend, Shown):
 
     def plot(self, surface: str | None = None) -> Figure:
         """Figure of one surface over its flights; of the first that has an alarm, or of the first, if none is named."""
-        needs("matplotlib")
         known = {one.surface: one for one in self.surfaces}
         name = surface or next((one.surface for one in self.surfaces if one.alarms), next(iter(known)))
         if name not in known:
@@ -254,3 +237,29 @@ class Trend(AircraftTrend, Shown):
 
 
 trend = shown("trend", trend_logs, Trend)
+
+
+class Flown(SimulatedFlight):
+    """A simulated flight, which is a log for every verb."""
+
+    __slots__ = ()
+
+    @classmethod
+    def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
+        return cls(**fields_of(found))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """As a plain table: time, and command and measured position of each surface [deg]."""
+        needs("pandas")
+        import pandas as pd
+
+        columns = {"time_s": self.time_s}
+        for k, name in enumerate(self.surfaces):
+            columns |= {f"{name}_cmd_deg": self.command_deg[:, k], f"{name}_pos_deg": self.measured_deg[:, k]}
+        return pd.DataFrame(columns)
+
+    def __repr__(self) -> str:
+        return f"Flown: {', '.join(self.surfaces)}, {self.time_s[-1]:.1f} s"
+
+
+simulate = shown("simulate", simulating.simulate, Flown)

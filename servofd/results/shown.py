@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from logparsers import Channel
+    from servofd.core.types import FloatArray
     from servofd.outputs.chart import Chart
     from servofd.outputs.document import Document
 
@@ -61,6 +62,10 @@ class Shown(ABC):
     def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
         return cls(**fields_of(found))
 
+    def _save(self, path: str | Path, text: str) -> Path:
+        write_whole(path, text.encode())
+        return Path(path)
+
     def to_pandas(self) -> pd.DataFrame:
         """One row for each surface or quantity."""
         needs("pandas")
@@ -70,8 +75,7 @@ class Shown(ABC):
 
     def save_html(self, path: str | Path) -> Path:
         """Write its page, and give the path."""
-        write_whole(path, self.to_html().encode())
-        return Path(path)
+        return self._save(path, self.to_html())
 
     def __repr__(self) -> str:
         """Short: one line, and one for each surface or quantity."""
@@ -84,12 +88,9 @@ class Shown(ABC):
 
     def _repr_html_(self) -> str:
         rows = self._rows()
-        return html_page(
-            self.report(),
-            "cell.html",
-            head=[spoken(name) for name in (rows[0] if rows else ())][:_SHOWN],
-            rows=[["" if value is None else value for value in row.values()][:_SHOWN] for row in rows],
-        )
+        head = [spoken(name) for name in (rows[0] if rows else ())][:_SHOWN]
+        cells = [["" if value is None else value for value in row.values()][:_SHOWN] for row in rows]
+        return html_page(self.report(), "cell.html", head=head, rows=cells)
 
 
 _SHORT, _SHOWN = 3, 6
@@ -125,15 +126,14 @@ def in_words_of_python(verb: Callable[P, Given]) -> Callable[P, Given]:
         except (LogError, ServofdError) as error:
             text = str(error).replace(*_DISORDER) if str(error).startswith(_TABLES) else str(error)
             said = re.split("(`.*?`)", text.replace(BY_DAYS, _BY_DAYS))  # a command to be typed stays as it is
-            error.args = ("".join(s if s[:1] == "`" else _OPTION.sub(_keyword, s) for s in said), *error.args[1:])
+            error.args = ("".join(s if s[:1] == "`" else _OPTION.sub(keyword, s) for s in said), *error.args[1:])
             raise
 
+    def keyword(option: re.Match[str]) -> str:
+        name = option["short"] or option["long"].replace("-", "_")
+        return f"{_KEYWORDS.get(name, name)}={option['value'] or ''}"
+
     return call
-
-
-def _keyword(option: re.Match[str]) -> str:
-    name = option["short"] or option["long"].replace("-", "_")
-    return f"{_KEYWORDS.get(name, name)}={option['value'] or ''}"
 
 
 def shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable[P, Result]:
@@ -158,13 +158,9 @@ class Drawn(ABC):
     __slots__ = ()
 
     def __repr__(self) -> str:
-        """What is said of it."""
-        return self.said
-
-    @property
-    @abstractmethod
-    def said(self) -> str:
         """Name, status and reason."""
+        known: Any = self
+        return f"{getattr(known, 'axis', None) or known.surface}: {known.status}: {known.reason}"
 
     @abstractmethod
     def chart(self) -> Chart:
@@ -178,6 +174,14 @@ class Drawn(ABC):
         """Figure of the whole flight; into one's own axes, the upper part into one, or all of it into several."""
         needs("matplotlib")
         return chart_figure(self.chart(), ax)
+
+
+def over_time(time_s: FloatArray, columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Table of columns over the time of a log [s]."""
+    needs("pandas")
+    import pandas as pd
+
+    return pd.DataFrame(columns, index=pd.Index(time_s, name="time_s"))
 
 
 def fields_of(found: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from functools import cache
+from contextlib import suppress
+from dataclasses import asdict
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -27,7 +28,7 @@ from servofd.outputs.sentence import LEAST_CLEARED
 from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
 from servofd.serve.forms import fields_of, files_in, refused
 from servofd.serve.guard import Guard
-from servofd.serve.judge import AUDIT, PAGE, RECORDING, curves_in, progress_in
+from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, curves_in, text_in
 from servofd.serve.preview import preview
 from servofd.serve.viewer import FILES, viewer_files
 
@@ -39,9 +40,13 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
     from servofd.serve.flights import Flight, Flights, Upload
-    from servofd.serve.tasks import Task, Verb
+    from servofd.serve.tasks import Verb
 
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
+_OF_SUMMARY = frozenset(
+    ("status", "sentence", "start_utc", "duration_s", "too_long", "surface", "surfaces", "table", "outline")
+)
+"""What the list of flights tells of a verdict."""
 _COMPARED = 2
 _STATUSES = (*LEAST_CLEARED, "not_a_log")
 """Of flights in the list, the one to look at first."""
@@ -71,7 +76,7 @@ def application(flights: Flights) -> ASGIApp:
             Route("/favicon.ico", _icon),
             Route("/viewer/{file:path}", routes.viewer),
         ],
-        exception_handlers={HTTPException: _said, Exception: _failed},
+        exception_handlers={HTTPException: _failed, Exception: _failed},
     )
     return Guard(app)
 
@@ -80,23 +85,13 @@ async def _icon(_request: Request) -> Response:
     return Response(_ICON, media_type="image/svg+xml", headers={"Cache-Control": "max-age=86400"})
 
 
-async def _said(_request: Request, error: Exception) -> Response:
-    """What is wrong with a request, as a page."""
-    status, text = HTTPStatus.INTERNAL_SERVER_ERROR, ""
-    if isinstance(error, HTTPException):
-        status, text = HTTPStatus(error.status_code), error.detail
-    title = "Not done" if status == HTTPStatus.BAD_REQUEST else "Nothing here"
-    return _page(Document(title, "unknown", text or "Not found."), status)
-
-
-async def _failed(_request: Request, _error: Exception) -> Response:
-    """What is wrong with the page itself: printed where it runs; the browser learns only that there is something."""
-    shown = Document("An error", "unknown", "This did not work; the terminal says why.")
-    return _page(shown, HTTPStatus.INTERNAL_SERVER_ERROR)
-
-
-def _missing(text: str) -> HTTPException:
-    return HTTPException(HTTPStatus.NOT_FOUND, text)
+async def _failed(_request: Request, error: Exception) -> Response:
+    """What is wrong with a request; of the page itself, which prints it where it runs, only that there is something."""
+    if not isinstance(error, HTTPException):
+        shown = Document("An error", "unknown", "This did not work; the terminal says why.")
+        return _page(shown, HTTPStatus.INTERNAL_SERVER_ERROR)
+    title = "Not done" if error.status_code == HTTPStatus.BAD_REQUEST else "Nothing here"
+    return _page(Document(title, "unknown", error.detail or "Not found."), error.status_code)
 
 
 def _page(document: Document, status: int = HTTPStatus.OK, template: str = "serve.html", **values: object) -> Response:
@@ -117,15 +112,17 @@ class _Routes:
                 continue
             rank = _STATUSES.index(shown) if shown in _STATUSES else None
             name, _, *cells = flight_row(one["name"], one["status"], one, f"/flights/{one['id']}", rank)
-            state = Cell(status=shown, order=rank) if one["state"] == "done" else shown
-            rows.append((name, state, *cells, Cell(choice=one["id"], soft=one["name"])))
+            verdict = Cell(status=shown, order=rank) if one["state"] == "done" else shown
+            rows.append((name, verdict, *cells, Cell(choice=one["id"], soft=one["name"])))
         caption = "Flights by their date, the latest first; those without one at the end"
         if not rows:
             caption = f"None of the {len(every)} flights is like that" if every else "No flight is here yet"
         flights = Table(caption, (*FLIGHTS_HEAD, "tick"), rows, long=True, id="flights")
-        done = [
-            (Cell(task.title, link=f"/tasks/{task.id}"), _state(task), task.sentence) for task in self._flights.tasks()
-        ]
+        done: list[tuple[str | Cell, ...]] = []
+        for task in self._flights.tasks():
+            has_verdict = task.state == "done" and task.verb == "trend"
+            state = Cell(status=task.status) if has_verdict else task.state
+            done.append((Cell(task.title, link=f"/tasks/{task.id}"), state, task.sentence))
         tasks = Table("Calibrations, trends and explanations", ("what", "state", "found"), done)
         kinds = "Flight logs: .bin, .log, .tlog, .ulg, .mat, .csv, packed or not; and aircraft files."
         where = f"{kinds} They stay on this computer."
@@ -147,25 +144,21 @@ class _Routes:
         """The bytes of one log, as they come: no more of them is in memory than one piece."""
         name = request.query_params.get("name", "") or "flight"
         expected = request.headers.get("content-length", "0")
+        upload: Upload | None = None
         try:
             upload = await run_in_threadpool(self._flights.upload, name, int(expected) if expected.isdecimal() else 0)
+            async for some in request.stream():
+                await run_in_threadpool(upload.write, some)
+            taken, upload = await run_in_threadpool(upload.finish), None
         except TooLarge as error:
             return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except OSError as error:
             return JSONResponse({"error": f"{name}: cannot be kept: {error.strerror}"}, HTTPStatus.INSUFFICIENT_STORAGE)
-        try:
-            async for some in request.stream():
-                await run_in_threadpool(upload.write, some)
-            taken = await run_in_threadpool(upload.finish)
-        except TooLarge as error:
-            upload.abandon()
-            return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except ClientDisconnect:
-            upload.abandon()
             return JSONResponse({"error": f"{name}: did not arrive completely"}, HTTPStatus.BAD_REQUEST)
-        except BaseException:
-            upload.abandon()
-            raise
+        finally:
+            if upload is not None:
+                upload.abandon()
         row = {} if taken.flight is None else self._row(taken.flight)
         return JSONResponse(row | {"notice": taken.notice}, HTTPStatus.CREATED)
 
@@ -210,12 +203,13 @@ class _Routes:
         if verb in ("delete", "restore"):
             if not ticked:
                 raise refused("Tick the flights to delete first.")
-            act = self._flights.remove if verb == "delete" else self._flights.restore
+            title, act, deleted = "Taken back", self._flights.restore, []
+            if verb == "delete":
+                title, act, deleted = "Deleted", self._flights.remove, ticked
             said = [await run_in_threadpool(act, one) for one in ticked]
-            title = "Deleted" if verb == "delete" else "Taken back"
-            return _page(Document(title, "no_data", " ".join(said)), deleted=ticked if verb == "delete" else ())
+            return _page(Document(title, "no_data", " ".join(said)), deleted=deleted)
         flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
-        if verb not in ("calibrate", "trend", "explain"):
+        if verb not in _VERBS:
             raise refused("There is nothing of that name to do.")
         if not flights:
             raise refused(f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
@@ -259,27 +253,21 @@ class _Routes:
             "time_units": TIME_UNITS,
             "tasks": [task for task in self._flights.tasks() if flight.id in task.flights],
         }
-        try:
-            found = (folder / PAGE).read_text(encoding="utf-8") if flight.state == "done" else ""
-        except OSError:
-            found = ""
-        if not found:
-            waits = row["sentence"] if flight.state == "done" else f"{flight.name}: {flight.state}"
-            soon = (
-                ""
-                if flight.state == "done"
-                else f"{row['sentence']} This page shows the verdict as soon as there is one."
-            )
-            status = row["status"] if row["status"] != "not_a_log" else "unknown"
-            document = Document(flight.name, status or "no_data", waits, soon.strip())
-            return _page(document, template="flight.html", **values)
-        return HTMLResponse(_within(found, Document(flight.name, "", ""), "flight_tools.html", values))
+        found = text_in(folder / PAGE) if flight.state == "done" else ""
+        if found:
+            return _within(found, flight.name, "flight_tools.html", values)
+        waits, soon = row["sentence"], ""
+        if flight.state != "done":
+            soon = f"{row['sentence']} This page shows the verdict as soon as there is one.".strip()
+            waits = f"{flight.name}: {flight.state}"
+        status = row["status"] if row["status"] != "not_a_log" else "unknown"
+        return _page(Document(flight.name, status or "no_data", waits, soon), template="flight.html", **values)
 
     async def result(self, request: Request) -> Response:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
         path = self._flights.results(flight.id) / name
         if name not in _KINDS or not path.is_file():
-            raise _missing("There is no such result of this flight.")
+            raise refused("There is no such result of this flight.", HTTPStatus.NOT_FOUND)
         download = {AUDIT: f"{flight.name}.json", RECORDING: f"{flight.name}.rrd"}.get(name)
         if "download" in request.query_params and name == PAGE:
             download = f"{flight.name}.html"
@@ -289,15 +277,12 @@ class _Routes:
         """A calibration, trend or explanation, or how far it is."""
         task = self._flights.task(request.path_params["id"])
         if task is None:
-            raise _missing("There is no such calibration, trend or explanation.")
-        try:
-            page = self._flights.task_folder(task.id) / PAGE
-            found = page.read_text(encoding="utf-8") if task.state == "done" else ""
-        except OSError:
-            found = ""
+            raise refused("There is no such calibration, trend or explanation.", HTTPStatus.NOT_FOUND)
+        folder = self._flights.task_folder(task.id)
+        found = text_in(folder / PAGE) if task.state == "done" else ""
         if found:
-            return HTMLResponse(_within(found, Document(task.title, "", ""), "task_tools.html", {"task": task}))
-        at_work = task.state == "at work" and progress_in(self._flights.task_folder(task.id))
+            return _within(found, task.title, "task_tools.html", {"task": task})
+        at_work = task.state == "at work" and text_in(folder / PROGRESS)
         soon = task.sentence or f"{at_work or 'It waits.'} This page shows the result as soon as there is one."
         return _page(Document(task.title, task.status or "no_data", task.title, soon), template="task.html", task=task)
 
@@ -305,19 +290,17 @@ class _Routes:
         chosen = request.query_params.getlist("flight")
         if len(chosen) != _COMPARED:
             done = [flight for flight in self._flights.all() if flight.state == "done"]
-            asks = Document(
-                "Compare", "no_data", "Which two flights?", "Choose both; they are shown beside each other."
-            )
+            how = "Choose both; they are shown beside each other."
+            asks = Document("Compare", "no_data", "Which two flights?", how)
             return _page(asks, template="compare.html", done=done, chosen=chosen[:_COMPARED])
         flights = [self._known(one) for one in chosen]
+        folders = [self._flights.results(one.id) for one in flights]
         try:
-            documents = [
-                json.loads((self._flights.results(one.id) / AUDIT).read_text(encoding="utf-8")) for one in flights
-            ]
+            documents = [json.loads((folder / AUDIT).read_text(encoding="utf-8")) for folder in folders]
         except OSError:
-            raise HTTPException(HTTPStatus.CONFLICT, "One of the two is not judged yet.") from None
+            raise refused("One of the two is not judged yet.", HTTPStatus.CONFLICT) from None
         names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
-        first, second = (curves_in(self._flights.results(one.id)) for one in flights)
+        first, second = map(curves_in, folders)
         both = {name: (track, second[name]) for name, track in first.items() if name in second}
         off_s = [document["logs"][0].get("take_off_s") for document in documents]
         at_s = _moments(request.query_params.getlist("at") or ([] if None in off_s else list(map(str, off_s))))
@@ -326,61 +309,42 @@ class _Routes:
 
     async def viewer(self, request: Request) -> Response:
         name = request.path_params["file"] or "index.html"
-        folder = await run_in_threadpool(viewer_files, self._flights.folder / RESULTS / f"viewer-{_rerun_version()}")
+        folder = await run_in_threadpool(viewer_files, self._flights.folder / RESULTS)
         if folder is None or name not in FILES:
-            raise _missing('The viewer is not here; pip install "servofd[view]" brings it.')
+            raise refused('The viewer is not here; pip install "servofd[view]" brings it.', HTTPStatus.NOT_FOUND)
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
 
     def _row(self, flight: Flight) -> dict[str, Any]:
         """A flight in the list; it tells no folder. What is at work says how far it is."""
-        summary = flight.summary
-        sentence = summary.sentence if summary else ""
+        known = {name: one for name, one in asdict(flight.summary or Summary("", "")).items() if name in _OF_SUMMARY}
         if flight.state == "at work":
-            sentence = progress_in(self._flights.results(flight.id))
-        return {
-            "id": flight.id,
-            "name": flight.name,
-            "size": f"{flight.size_bytes / 1e6:.1f} MB",
-            "state": flight.state,
-            "status": summary.status if summary else "",
-            "sentence": sentence,
-            "start_utc": summary.start_utc if summary else None,
-            "duration_s": summary.duration_s if summary else None,
-            "too_long": summary.too_long if summary else False,
-            "surface": summary.surface if summary else "",
-            "surfaces": summary.surfaces if summary else (),
-            "table": summary.table if summary else False,
-            "outline": summary.outline if summary else (),
-        }
+            known["sentence"] = text_in(self._flights.results(flight.id) / PROGRESS)
+        size = f"{flight.size_bytes / 1e6:.1f} MB"
+        return {"id": flight.id, "name": flight.name, "size": size, "state": flight.state, **known}
 
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
         if flight is None:
-            raise _missing("There is no such flight; it may have been deleted.")
+            raise refused("There is no such flight; it may have been deleted.", HTTPStatus.NOT_FOUND)
         return flight
 
 
 def _moments(given: Sequence[str]) -> tuple[float, float]:
     """The moment of each flight that lies at 0 [s]: its boot, if none is given and no take-off is known."""
-    try:
+    with suppress(ValueError):
         first, second = (float(one or 0.0) for one in given or ("", ""))
-    except ValueError:
-        raise refused("Align two flights by a moment of each, in seconds.") from None
-    if not (math.isfinite(first) and math.isfinite(second)):
-        raise refused("Align two flights by a moment of each, in seconds.")
-    return first, second
+        if math.isfinite(first) and math.isfinite(second):
+            return first, second
+    raise refused("Align two flights by a moment of each, in seconds.")
 
 
 _VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "explain": "explain"}
 
 
-def _state(task: Task) -> str | Cell:
-    return Cell(status=task.status) if task.state == "done" and task.verb == "trend" else task.state
-
-
-def _within(found: str, document: Document, template: str, values: Mapping[str, Any]) -> str:
+def _within(found: str, title: str, template: str, values: Mapping[str, Any]) -> Response:
     """The page of a result, with what can be done with it before it: one document."""
-    return found.replace("<body>\n", f"<body>\n{html_page(document, template, **values)}\n", 1)
+    tools = html_page(Document(title, "", ""), template, **values)
+    return HTMLResponse(found.replace("<body>\n", f"<body>\n{tools}\n", 1))
 
 
 def _pairs(columns: Mapping[str, str]) -> Sequence[tuple[str, str, str, str, str]]:
@@ -417,13 +381,3 @@ def _columns(form: Mapping[str, str], log: Path) -> dict[str, str]:
         if meaning != "run" and (shown is None or column not in shown.numeric):
             raise ConfigError(f"column {column!r} holds no numbers")
     return columns
-
-
-@cache
-def _rerun_version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("rerun-sdk")
-    except PackageNotFoundError:
-        return "none"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import multiprocessing
 import os
@@ -17,7 +18,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.aircraft.schema import load_aircraft
@@ -32,9 +33,6 @@ from servofd.serve.tasks import Task, Verb, do
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from types import TracebackType
-
-
 State = Literal["waiting", "at work", "done"]
 
 RESULTS = "servofd"
@@ -91,14 +89,13 @@ class Taken(NamedTuple):
     """What to say of it; empty of a new flight, which its row shows."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Work:
+class _Work(NamedTuple):
     """Something for a process: what to call, and who hears of its end."""
 
     begin: Callable[[], Callable[[], object] | None]
     """Gives what to call, or None if it is not wanted any more."""
-    end: Callable[[object], None]
-    fail: Callable[[str], None]
+    end: Callable[[Any], None]
+    """Takes what came of it, or why nothing did."""
 
 
 class Flights:
@@ -127,7 +124,7 @@ class Flights:
             thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._ended = True
         for _ in self._workers:
             self._waiting.put(None)
@@ -164,9 +161,13 @@ class Flights:
 
     def add(self, log: Path, flight_id: str) -> Flight:
         """Take up a log of the folder; one that was judged in the same way before is done."""
-        choice = _chosen(self.results(flight_id))
+        choice, key = Choice(), ""
+        with suppress(OSError, ValueError, TypeError):  # what was chosen before
+            choice = Choice(**json.loads((self.results(flight_id) / _CHOICE).read_text(encoding="utf-8")))
+        with suppress(ConfigError):
+            key = self.job_of(choice).key
         summary = Summary.read(self.results(flight_id))
-        if summary is not None and summary.key != self._key(choice):
+        if summary is not None and summary.key != key:
             summary = None
         with self._lock:
             known = self._flights.get(flight_id)
@@ -189,10 +190,10 @@ class Flights:
         self.job_of(choice)
         with self._lock:
             flight = self._flights.get(flight_id)
-            if flight is None or flight.state == "at work":
-                raise ConfigError(
-                    "this flight is being judged; choose again when it is done" if flight else "it is gone"
-                )
+            if flight is None:
+                raise ConfigError("it is gone")
+            if flight.state == "at work":
+                raise ConfigError("this flight is being judged; choose again when it is done")
             self._flights[flight_id] = replace(flight, state="waiting", summary=None, choice=choice)
         make_folder(self.results(flight_id))
         write_whole(self.results(flight_id) / _CHOICE, json.dumps(asdict(choice)).encode())
@@ -274,45 +275,30 @@ class Flights:
         known = self.job_of(choice).aircraft
         names = ", ".join(one.name for one in flights)
         titles = {"calibrate": f"Calibration from {names}", "trend": f"Trend of {names}"}
-        task = Task(secrets.token_hex(16), verb, titles.get(verb, f"Explanation of {spoken(surface)}, {names}"))
-        task = replace(task, flights=tuple(one.id for one in flights))
-        output = self._free_name(Path(aircraft).stem or "aircraft") if verb == "calibrate" else Path()
-        call = partial(
-            do, task, str(self.task_folder(task.id)), [str(f.log) for f in flights], known, surface, str(output)
-        )
-        with self._lock:
-            self._tasks[task.id] = task
+        title = titles.get(verb, f"Explanation of {spoken(surface)}, {names}")
+        task = Task(secrets.token_hex(16), verb, title, flights=tuple(one.id for one in flights))
+        stem, output = Path(aircraft).stem or "aircraft", ""
+        if verb == "calibrate":  # an aircraft file that is not there yet
+            every = (self.folder / f"{stem}-{number}.toml" for number in itertools.count(1))
+            output = str(next(path for path in every if not path.exists()))
+        logs = [str(one.log) for one in flights]
+        call = partial(do, task, str(self.task_folder(task.id)), logs, known, surface, output)
+        self._set_task(task)
 
         def at_work() -> Callable[[], object]:
             self._set_task(replace(task, state="at work"))
             return call
 
-        self._waiting.put(
-            _Work(
-                at_work,
-                lambda done: self._set_task(done) if isinstance(done, Task) else None,
-                lambda text: self._set_task(replace(task, state="done", status="unknown", sentence=text)),
-            )
-        )
-        return task
+        def end(done: Task | str) -> None:
+            failed = replace(task, state="done", status="unknown", sentence=str(done))
+            self._set_task(done if isinstance(done, Task) else failed)
 
-    def _free_name(self, stem: str) -> Path:
-        """Path of an aircraft file that is not there yet."""
-        number = 1
-        while True:
-            path = self.folder / f"{stem}-{number}.toml"
-            if not path.exists():
-                return path
-            number += 1
+        self._waiting.put(_Work(at_work, end))
+        return task
 
     def _set_task(self, task: Task) -> None:
         with self._lock:
             self._tasks[task.id] = task
-
-    def _key(self, choice: Choice) -> str:
-        with suppress(ConfigError):
-            return self.job_of(choice).key
-        return ""
 
     def _find(self) -> None:
         """Logs that lie in the folder already, and what was dropped before and is no log."""
@@ -333,13 +319,10 @@ class Flights:
             self._tasks = {task.id: task for task in tasks} | self._tasks
 
     def _judge(self, flight_id: str) -> None:
-        self._waiting.put(
-            _Work(
-                partial(self._begun, flight_id),
-                lambda summary: self._set(flight_id, "done", summary) if isinstance(summary, Summary) else None,
-                lambda text: self._set(flight_id, "done", Summary("unknown", text)),
-            )
-        )
+        def end(found: Summary | str) -> None:
+            self._set(flight_id, "done", Summary("unknown", found) if isinstance(found, str) else found)
+
+        self._waiting.put(_Work(partial(self._begun, flight_id), end))
 
     def _begun(self, flight_id: str) -> Callable[[], object] | None:
         flight = self.get(flight_id)
@@ -366,10 +349,10 @@ class Flights:
                             future = pool.submit(call)
                         work.end(future.result())
                     except BrokenProcessPool:
-                        work.fail(_DIED)
+                        work.end(_DIED)
                         break
                     except Exception as error:
-                        work.fail(f"Could not be judged: {str(error).replace(f'{self.folder}{os.sep}', '')}")
+                        work.end(f"Could not be judged: {str(error).replace(f'{self.folder}{os.sep}', '')}")
                 else:
                     return
 
@@ -379,30 +362,19 @@ class Flights:
             self._flights[flight_id] = replace(flight, state=state, summary=summary)
 
 
-def _chosen(folder: Path) -> Choice:
-    """What was chosen for a flight before."""
-    try:
-        return Choice(**json.loads((folder / _CHOICE).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return Choice()
-
-
 def _moved(path: Path, folder: Path, name: str) -> Path:
     """Move a file under its name, or with a number if another has it; never over one that is there."""
     stem, suffix = Path(name).stem, Path(name).suffix
-    number = 1
-    while True:
-        target = folder / (name if number == 1 else f"{stem}~{number}{suffix}")
-        try:
+    others = (folder / f"{stem}~{number}{suffix}" for number in itertools.count(2))
+    for target in itertools.chain([folder / name], others):
+        with suppress(FileExistsError):
             target.open("xb").close()
-        except FileExistsError:
-            number += 1
-            continue
-        try:
-            return path.replace(target)
-        except BaseException:
-            target.unlink()
-            raise
+            break
+    try:
+        return path.replace(target)
+    except BaseException:
+        target.unlink()
+        raise
 
 
 class Upload:
@@ -465,12 +437,8 @@ class Upload:
         return Taken(flight, "" if named and target.name == self._name else f"{self.given} is kept as {target.name}.")
 
     def _already(self, known: Flight) -> Taken:
-        same = (
-            "is here already"
-            if known.name == self._name
-            else f"holds the same bytes as {known.name}, which is here already"
-        )
-        return Taken(known, f"{self.given} {same}.")
+        same = "is" if known.name == self._name else f"holds the same bytes as {known.name}, which is"
+        return Taken(known, f"{self.given} {same} here already.")
 
     def _no_room(self, error: OSError) -> TooLarge:
         return TooLarge(f"{self._name}: there is no room for it on the disk ({error.strerror})")

@@ -20,9 +20,9 @@ _MOST_BYTES = 1_000_000
 _NAME = re.compile(rb'filename="((?:[^"\\]|\\.)*)"', re.IGNORECASE)
 
 
-def refused(text: str) -> HTTPException:
-    """What to raise where a request makes no sense."""
-    return HTTPException(HTTPStatus.BAD_REQUEST, text)
+def refused(text: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> HTTPException:
+    """What to raise where a request makes no sense, or asks for what is not there."""
+    return HTTPException(status, text)
 
 
 async def fields_of(request: Request) -> ImmutableMultiDict[str, str]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import socket
-import sys
-import webbrowser
 from contextlib import suppress
 from http import HTTPStatus
 from typing import TYPE_CHECKING
@@ -15,6 +12,8 @@ from urllib.parse import urlsplit
 import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
+
+from servofd.outputs.page import open_page
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -44,9 +43,13 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        answer = _refused(headers)
-        await (answer or self._app)(scope, receive, _with_headers(send))
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_HEADERS)
+            await send(message)
+
+        await (_refused(Headers(scope=scope)) or self._app)(scope, receive, sent)
 
 
 def _refused(headers: Headers) -> PlainTextResponse | None:
@@ -60,22 +63,12 @@ def _refused(headers: Headers) -> PlainTextResponse | None:
     return None
 
 
-def _with_headers(send: Send) -> Send:
-    async def sent(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(_HEADERS)
-        await send(message)
-
-    return sent
-
-
 def serve(app: ASGIApp, listening_socket: socket.socket, link: str = "") -> None:
     """Answer until Ctrl-C or termination."""
     config = uvicorn.Config(
         app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=1, lifespan="off"
     )
-    display = not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if link and display and sys.stdout.isatty():
-        webbrowser.open(link)
+    if link:
+        open_page(link)
     with suppress(KeyboardInterrupt):
         uvicorn.Server(config).run([listening_socket])

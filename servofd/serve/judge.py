@@ -48,8 +48,6 @@ class Summary:
     start_utc: str | None = None
     surface: str = ""
     outline: tuple[float | None, ...] = ()
-    alarm_s: float | None = None
-    """When the first alarm would have been raised [s]."""
     key: str = ""
     """Of the `servofd.batch.key.Job` that judged it."""
     too_long: bool = False
@@ -79,7 +77,8 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     report = audit_report(results)
     document = json.loads(to_json(report.data).replace(json.dumps(log)[1:-1], json.dumps(Path(log).name)[1:-1]))
     audits = [result for result in results if not isinstance(result, FailedLog)]
-    too_long = bool(audits) and _positions(audits[0]) > _MOST_RECORDED
+    segments = [surface.segment for audit in audits[:1] for surface in audit.surfaces]
+    too_long = sum(segment.measured_s.size for segment in segments if segment is not None) > _MOST_RECORDED
     summary = replace(_summary(results, document["logs"], report.sentence, job), too_long=too_long)
     if not audits:
         summary = _unread(Path(log), results, summary)
@@ -92,7 +91,7 @@ def judge(log: str, folder: str, job: Job) -> Summary:
     if audits:
         write_whole(target / _CURVES, _curves(audits[0]))
     if audits and not too_long and find_spec("rerun") is not None:
-        from servofd.outputs.recording import save_recording
+        from servofd.outputs.recording.write import save_recording
 
         save_recording(audits[0], target / RECORDING)
     write_whole(target / SUMMARY, json.dumps(asdict(summary)).encode())
@@ -104,9 +103,9 @@ def _curves(audit: LogAudit) -> bytes:
     """What each surface did, as arrays of a file that is read without running anything."""
     tracks = {one.surface: track for one in audit.surfaces if (track := track_of(one, _POINTS)) is not None}
     content = io.BytesIO()
-    arrays = {
-        f"{k}.{field}": array for k, track in enumerate(tracks.values()) for field, array in track._asdict().items()
-    }
+    arrays: dict[str, Any] = {}
+    for k, track in enumerate(tracks.values()):
+        arrays |= {f"{k}.{field}": array for field, array in track._asdict().items()}
     np.savez_compressed(content, names=np.array(list(tracks), dtype=str), **arrays)
     return content.getvalue()
 
@@ -123,10 +122,10 @@ def curves_in(folder: Path) -> dict[str, Track]:
         return {}
 
 
-def progress_in(folder: Path) -> str:
-    """How far the work in a folder is, in words; empty if not known."""
+def text_in(path: Path) -> str:
+    """What stands in a file of results: how far the work is, or its page; empty where there is none."""
     try:
-        return (folder / PROGRESS).read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except OSError:
         return ""
 
@@ -141,10 +140,6 @@ def so_far(folder: Path, words: str) -> Callable[[str], None]:
         write_whole(folder / PROGRESS, f"{words} so far: {', '.join(dict.fromkeys(done))}.".encode())
 
     return tell
-
-
-def _positions(audit: LogAudit) -> int:
-    return sum(surface.segment.measured_s.size for surface in audit.surfaces if surface.segment is not None)
 
 
 def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) -> Summary:
@@ -162,10 +157,7 @@ def _unread(log: Path, results: list[LogAudit | FailedLog], summary: Summary) ->
 
 
 def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]], sentence: str, job: Job) -> Summary:
-    """Of several runs the status of the worst and the sentence of the page; of one log its own.
-
-    Of a log that could not be judged it is that of its page as well.
-    """
+    """Of several runs the status of the worst and the sentence of the page; of one log, judged or not, its own."""
     judged = [
         (LEAST_CLEARED.index(worst((*result.surfaces, *result.axes))), result, document)
         for result, document in zip(results, documents, strict=True)
@@ -179,7 +171,6 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
             said = sentence
         return Summary("unknown", said, known.get("duration_s"), known.get("start_utc"), key=job.key)
     _, shown, document = min(judged, key=lambda one: one[0])
-    faults = [fault.alarm_s for surface in shown.surfaces for fault in surface.faults]
     name, outline = worst_outline(document)
     return Summary(
         worst((*shown.surfaces, *shown.axes)),
@@ -188,7 +179,6 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
         document["start_utc"],
         name,
         tuple(outline),
-        min(faults, default=None),
         job.key,
         surfaces=tuple(surface.surface for surface in shown.surfaces),
     )

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from logparsers import LogError
+from servofd.aircraft.axes import motion_to_toml
 from servofd.calibrating.result import calibration_to_toml
 from servofd.core.errors import NoMeasurement, ServofdError
 from servofd.core.files import make_folder, write_whole
@@ -23,7 +24,7 @@ from servofd.outputs.trend_report import trend_report
 from servofd.serve.judge import so_far
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from servofd.aircraft.schema import Aircraft
 
@@ -59,8 +60,6 @@ class Task:
 
 def do(task: Task, folder: str, logs: list[str], aircraft: Aircraft | None, surface: str, output: str) -> Task:
     """Do it; page and result go into the folder, an aircraft file to `output`; what is wrong is part of the result."""
-    from dataclasses import replace
-
     target = Path(folder)
     make_folder(target)
     wrote = ""
@@ -68,10 +67,19 @@ def do(task: Task, folder: str, logs: list[str], aircraft: Aircraft | None, surf
         if task.verb == "calibrate":
             report, wrote = _calibrated(logs, aircraft, Path(output), so_far(target, "Calibrated"))
         elif task.verb == "trend":
+            from servofd.wear.trend import trend_document, trend_logs
+
+            if aircraft is None:
+                choose = "choose its file, or calibrate one from good flights first"
+                raise NoMeasurement(f"a trend follows one aircraft: {choose}")
             pages = {Path(log).name: f"/flights/{flight}" for log, flight in zip(logs, task.flights, strict=True)}
-            report = _trend(logs, aircraft, pages)
+            report = trend_report(trend_document(trend_logs(logs, aircraft, workers=0)), pages)
         else:
-            report = _explained(logs, aircraft, surface, so_far(target, "Tried"))
+            wanted, tried = (surface,) if surface else (), so_far(target, "Tried")
+            found = explain_logs(logs, aircraft, surfaces=wanted, alone=bool(surface), progress=tried)
+            if not found.explanations:
+                raise NoMeasurement("; ".join(found.failures))
+            report = explain_report(found.explanations, ", ".join(Path(log).name for log in logs), found.failures)
     except (LogError, ServofdError) as error:
         text = _OPTION.sub("", str(error))
         for log in logs:
@@ -88,8 +96,6 @@ def _calibrated(
     logs: list[str], aircraft: Aircraft | None, output: Path, progress: Callable[[str], None]
 ) -> tuple[Document, str]:
     """An aircraft from good flights; of flights without feedback from its motion."""
-    from servofd.aircraft.axes import motion_to_toml
-
     try:
         found = calibrate(logs, aircraft, progress=progress)
     except NoMeasurement:
@@ -99,20 +105,3 @@ def _calibrated(
         text, report = calibration_to_toml(found), calibrate_report(found)
     write_whole(output, text.encode())
     return report, output.name
-
-
-def _trend(logs: list[str], aircraft: Aircraft | None, pages: Mapping[str, str]) -> Document:
-    from servofd.wear.trend import trend_document, trend_logs
-
-    if aircraft is None:
-        raise NoMeasurement("a trend follows one aircraft: choose its file, or calibrate one from good flights first")
-    found: dict[str, Any] = trend_document(trend_logs(logs, aircraft, workers=0))
-    return trend_report(found, pages)
-
-
-def _explained(logs: list[str], aircraft: Aircraft | None, surface: str, progress: Callable[[str], None]) -> Document:
-    surfaces = (surface,) if surface else ()
-    found = explain_logs(logs, aircraft, surfaces=surfaces, alone=bool(surface), progress=progress)
-    if not found.explanations:
-        raise NoMeasurement("; ".join(found.failures))
-    return explain_report(found.explanations, ", ".join(Path(log).name for log in logs), found.failures)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import re
 import socket
 import subprocess
 import time
 import urllib.request
 from contextlib import contextmanager
-from importlib.util import find_spec
-from pathlib import Path
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from servofd.core.files import make_folder, write_whole
+from servofd.outputs.recording.viewer import quiet, rerun_program
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 FILES = {
     "index.html": "text/html; charset=utf-8",
@@ -30,16 +30,16 @@ _PATIENCE_S, _AGAIN_S = 20.0, 0.1
 """How long a start of the viewer may take, and how often it is tried [s]."""
 
 
-def viewer_files(folder: Path) -> Path | None:
+def viewer_files(results: Path) -> Path | None:
     """Folder with the files of the viewer, which are taken out of its program if they are not there.
 
     The program would serve them itself, but to everybody and without end: it runs on this machine's own address for the
     seconds that this takes.
     """
-    package = find_spec("rerun_cli")
-    program = Path(package.origin or "").with_name("rerun") if package is not None else Path()
-    if not program.is_file():
+    program = rerun_program()
+    if program is None:
         return None
+    folder = results / f"viewer-{version('rerun-sdk')}"
     if all((folder / name).is_file() for name in FILES):
         return folder
     make_folder(folder)
@@ -59,10 +59,9 @@ def _served_by(program: Path) -> Iterator[str]:
         port = free.getsockname()[1]
     # A recording that it need not read keeps it from opening a second port.
     words = ("--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "http://127.0.0.1:1/none.rrd")
-    quiet = {**os.environ, "CI": "1"}  # it reports its calls to its makers elsewhere
-    with subprocess.Popen(  # noqa: S603 - fixed program and words
-        [str(program), *words], env=quiet, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as running:
+    nothing = subprocess.DEVNULL
+    command = [str(program), *words]
+    with subprocess.Popen(command, env=quiet(), stdout=nothing, stderr=nothing) as running:  # noqa: S603 - fixed words
         try:
             yield f"http://127.0.0.1:{port}"
         finally:

@@ -33,8 +33,7 @@ from servofd.live.session import Session
 from servofd.outputs.fleet_report import fleet_report
 from servofd.outputs.json_report import audit_document, to_json
 from servofd.outputs.page import html_page
-from servofd.outputs.recording.read import read_recording
-from servofd.outputs.recording.review import contradictions, rejudged
+from servofd.outputs.recording.read import contradictions, read_recording, rejudged
 from servofd.servo.library import find_servo
 from tests.fuzz import mutate, seeds
 from tests.fuzz.harness import outcome

@@ -29,7 +29,7 @@ from servofd.fleets.store import FleetStore, read_table
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
 from servofd.outputs.recording.content import Trace
-from servofd.outputs.recording.review import rejudged, statistics_of
+from servofd.outputs.recording.read import rejudged, statistics_of
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.viewer import run_rerun

@@ -18,10 +18,9 @@ from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
 from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit
 from servofd.outputs.recording.content import Recording, Trace
-from servofd.outputs.recording.read import read_recording
-from servofd.outputs.recording.review import statistics_of
-from servofd.outputs.recording.states import breaks_s
+from servofd.outputs.recording.read import read_recording, statistics_of
 from servofd.outputs.recording.stream import microseconds, seconds
+from servofd.outputs.recording.surface import breaks_s
 from servofd.outputs.recording.write import write_recording
 from tests.recordings.inside import everything
 

@@ -12,8 +12,7 @@ import servofd
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
 from servofd.live.session import Session
-from servofd.outputs.recording.read import read_recording
-from servofd.outputs.recording.review import rejudged
+from servofd.outputs.recording.read import read_recording, rejudged
 
 if TYPE_CHECKING:
     from pathlib import Path

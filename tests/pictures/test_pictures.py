@@ -14,7 +14,7 @@ import servofd
 from servofd.detection.verdict import LogAudit
 from servofd.outputs.chart import Chart, Curve, Panel, bridged, thinned
 from servofd.outputs.figure import save_figure
-from servofd.outputs.recording import save_recording
+from servofd.outputs.recording.write import save_recording
 from tests.recordings.inside import everything
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"

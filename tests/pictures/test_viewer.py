@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import servofd
 from servofd.cli import main
 from servofd.outputs.palette import COLOURS
-from servofd.outputs.recording import save_recording
+from servofd.outputs.recording.write import save_recording
 from tests.pictures.viewer import Viewer, pixels, share_of, viewer, why_not
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"

@@ -17,8 +17,7 @@ from servofd.cli import main
 from servofd.live.session import stamped
 from servofd.outputs.live_recording import LiveRecording, Samples
 from servofd.outputs.recording.content import Trace
-from servofd.outputs.recording.read import read_recording
-from servofd.outputs.recording.review import rejudged
+from servofd.outputs.recording.read import read_recording, rejudged
 from servofd.outputs.recording.verdicts import live_verdicts
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"

@@ -11,7 +11,7 @@ import pytest
 
 import servofd
 from servofd.outputs.explain_recording import _worst
-from servofd.outputs.recording import save_recording
+from servofd.outputs.recording.write import save_recording
 
 
 def layout_of(path: Path) -> dict[str, Any]:

@@ -162,7 +162,6 @@ def test_a_recording_of_a_killed_process_is_read(tmp_path: Path) -> None:
     path = tmp_path / "killed.rrd"
     code = f"""
 import os, signal, servofd
-from servofd.outputs.recording.stream import Clock
 from servofd.outputs.recording.stream import Recorder
 from servofd.outputs.recording.write import fill, recording_of
 import rerun as rr
@@ -227,7 +226,7 @@ def test_view_opens_recordings_and_logs(
 ) -> None:
     opened = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("servofd.cli.view.open_viewer", lambda path: opened.append(read_recording(path)))
+    monkeypatch.setattr("servofd.cli.review.open_viewer", lambda path: opened.append(read_recording(path)))
     assert main(["review", "--view", str(stuck)]) == 0
     assert main(["review", "--view", str(STUCK)]) == 0
     assert opened[0].audit.surfaces == opened[1].audit.surfaces
@@ -242,7 +241,7 @@ def test_view_gives_the_viewer_names_that_it_can_draw(
     opened = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(
-        "servofd.cli.view.open_viewer",
+        "servofd.cli.review.open_viewer",
         lambda path: opened.append((path.name, read_recording(path).audit.has_fault)),
     )
     for source in (stuck, STUCK):

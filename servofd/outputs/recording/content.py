@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from servofd.onboard.seen import Seen
 
 _ASKED = ("asked_s", "asked_deg")
-_CURVES = ("time_s", "command_deg", "simulated_deg", "measured_deg", "residual_deg", "threshold_deg")
+_OF_LOG = ("format", "damage", "run", "vehicle", "firmware", "start_utc")
+"""What a recording tells of its log, beside its name and its length."""
+CURVES = ("time_s", "command_deg", "simulated_deg", "measured_deg", "residual_deg", "threshold_deg")
+"""Of a `Trace`, those with an entry per measurement."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +47,7 @@ class Trace:
     context: Context = NO_CONTEXT
 
     def __post_init__(self) -> None:
-        for name in (*_CURVES, *_ASKED):
+        for name in (*CURVES, *_ASKED):
             object.__setattr__(self, name, own(getattr(self, name)))
 
     @classmethod
@@ -59,37 +62,20 @@ class Trace:
             held_deg = latest(segment.command_s, segment.command_deg, time_s)
             asked_deg = np.where(time_s >= segment.command_s[0], held_deg, np.nan)
         threshold_deg = np.full(size, np.nan) if surface.threshold is None else surface.threshold.level_deg
-        return cls(
-            time_s,
-            asked_deg,
-            residuals.simulated_deg,
-            residuals.measured_deg,
-            np.where(residuals.settled, residuals.residual_deg, np.nan),
-            threshold_deg,
-            segment.command_s,
-            segment.command_deg,
-            segment.left_out,
-            segment.context,
-        )
+        residual_deg = np.where(residuals.settled, residuals.residual_deg, np.nan)
+        curves = (time_s, asked_deg, residuals.simulated_deg, residuals.measured_deg, residual_deg, threshold_deg)
+        return cls(*curves, segment.command_s, segment.command_deg, segment.left_out, segment.context)
 
     def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Series:
         """What an audit starts from, see `Series`: as of a log, without commands that are no numbers or come again."""
         from servofd.aircraft.pace import WARM_UP_STEPS, link_period_s
         from servofd.aircraft.series import Series, marks_of
 
-        given = np.isfinite(self.asked_deg) & _rising(self.asked_s)
-        seen = _rising(self.time_s)
-        return Series(
-            surface,
-            self.asked_s[given],
-            self.asked_deg[given],
-            self.time_s[seen],
-            self.measured_deg[seen],
-            command_period_s,
-            marks_of(self.left_out, self.time_s[seen]),
-            self.context,
-            link_period_s(self.asked_s[given][: WARM_UP_STEPS + 1]) if is_streamed else None,
-        )
+        given, seen = np.isfinite(self.asked_deg) & _rising(self.asked_s), _rising(self.time_s)
+        asked, measured = (self.asked_s[given], self.asked_deg[given]), (self.time_s[seen], self.measured_deg[seen])
+        link_s = link_period_s(asked[0][: WARM_UP_STEPS + 1]) if is_streamed else None
+        marks = marks_of(self.left_out, measured[0])
+        return Series(surface, *asked, *measured, command_period_s, marks, self.context, link_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,22 +98,11 @@ class Recording:
     def of(cls, audit: LogAudit) -> Self:
         """Everything of an audit that a recording tells; nothing that tells where on a machine its log was."""
         log = audit.log
-        bare = FlightLog(
-            source=Path(log.source.name),
-            format=log.format,
-            channels={},
-            damage=log.damage,
-            run=log.run,
-            vehicle=log.vehicle,
-            firmware=log.firmware,
-            start_utc=log.start_utc,
-            span_s=log.ends_s,
-        )
+        kept: dict[str, Any] = {name: getattr(log, name) for name in _OF_LOG}
+        bare = FlightLog(source=Path(log.source.name), channels={}, span_s=log.ends_s, **kept)
         surfaces = tuple(replace(s, segment=None, residuals=None, threshold=None) for s in audit.surfaces)
-        return cls(
-            replace(audit, log=bare, surfaces=surfaces),
-            {s.surface: trace for s in audit.surfaces if (trace := Trace.of(s)) is not None},
-        )
+        traces = {s.surface: trace for s in audit.surfaces if (trace := Trace.of(s)) is not None}
+        return cls(replace(audit, log=bare, surfaces=surfaces), traces)
 
     @property
     def end_s(self) -> float:

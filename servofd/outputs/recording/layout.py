@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import rerun as rr
+import rerun.blueprint as rrb
+
 from servofd.axes.model import FORMS
 from servofd.outputs.recording.stream import TIME_BOOT, shown, surface_place
 from servofd.outputs.recording.surface import axis_place, deflection_range, residual_range
@@ -43,9 +46,6 @@ def blueprint(
     marked_s : tuple of float, optional
         Begin and end of what is marked on the time line [s]. A layout cannot move the cursor: it stands at the start.
     """
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     edge = rr.TimeRangeBoundary
     begin, end = edge.infinite(), edge.infinite()
     if last_s is not None:
@@ -68,24 +68,18 @@ def blueprint(
             state="collapsed",
             timeline=TIME_BOOT,
             play_state="paused" if last_s is None else "following",
-            time_selection=None if marked_s is None else rr.encodings.AbsoluteTimeRange(*(_ns(s) for s in marked_s)),
+            time_selection=marked_s and rr.encodings.AbsoluteTimeRange(*(round(1e9 * time_s) for time_s in marked_s)),
         ),
     )
 
 
-def _ns(time_s: float) -> int:
-    return round(1e9 * time_s)
-
-
 def curves(name: str, places: Sequence[str], *, origin: str = "/", span: tuple[float, float] | None = None) -> Any:  # noqa: ANN401
     """Plot of some entities, from the bottom to the top of `span`; it fits itself to the curves without one."""
-    import rerun.blueprint as rrb
-
     return rrb.TimeSeriesView(
         origin=origin,
         contents=list(places),
         name=shown(name),
-        axis_x=_linked(),
+        axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
         axis_y=None if span is None else rrb.ScalarAxis(range=span),
         plot_legend=rrb.PlotLegend(corner="LeftTop"),
         interaction=rrb.PlotInteraction(tooltip_mode="All"),
@@ -94,36 +88,13 @@ def curves(name: str, places: Sequence[str], *, origin: str = "/", span: tuple[f
 
 def lanes(name: str, places: Sequence[str], *, origin: str = "/") -> Any:  # noqa: ANN401
     """Coloured lanes, one of each entity; `origin` as for `curves`."""
-    import rerun.blueprint as rrb
-
-    return rrb.StateTimelineView(origin=origin, contents=list(places), name=shown(name), time_view=_linked())
-
-
-def messages(name: str, places: Sequence[str]) -> Any:  # noqa: ANN401
-    """Lines of text logs."""
-    import rerun.blueprint as rrb
-
-    return rrb.TextLogView(origin="/", contents=list(places), name=shown(name))
-
-
-def document(name: str, place: str) -> Any:  # noqa: ANN401
-    """A text."""
-    import rerun.blueprint as rrb
-
-    return rrb.TextDocumentView(origin=place, name=shown(name))
+    axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+    return rrb.StateTimelineView(origin=origin, contents=list(places), name=shown(name), time_view=axis)
 
 
 def stacked(name: str, views: Sequence[Any], shares: Sequence[float]) -> Any:  # noqa: ANN401
     """Views one below the other, by shares of the height."""
-    import rerun.blueprint as rrb
-
     return rrb.Vertical(*views, row_shares=list(shares), name=shown(name))
-
-
-def _linked() -> Any:  # noqa: ANN401
-    import rerun.blueprint as rrb
-
-    return rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
 
 
 ALARM_LINE = "/surfaces_alarm"
@@ -131,6 +102,8 @@ ALARM_LINE = "/surfaces_alarm"
 
 REPORT = "/report"
 """Entity of the report."""
+REPORT_VIEW = rrb.TextDocumentView(origin=REPORT, name="Report")
+"""The report in a layout."""
 
 LINK = "/link"
 """Entity of messages about a live link, and of no surface."""
@@ -149,8 +122,14 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     alone = [name for name in currents if name not in drawn]
     for name, trace in drawn.items():
         tabs.append(_surface(name, deflection_range(trace), residual_range(trace), has_current=name in currents))
-    tabs += [_by_current(name) for name in alone]
-    tabs += [axis_tab(axis) for axis in recording.audit.axes]
+    for name in alone:  # what was asked and what was drawn
+        place = surface_place(name)
+        views = [
+            curves(f"{name}: {what}", [f"{place}/{which}"], origin=place)
+            for what, which in (("command [deg]", "command"), ("current [A]", "current"))
+        ]
+        tabs.append(stacked(name, views, [2, 3]))
+    tabs += [_axis(axis) for axis in recording.audit.axes]
     alarms: list[tuple[str, Fault | AxisEvent]] = [
         *((surface.surface, fault) for surface in recording.audit.surfaces for fault in surface.faults),
         *((axis.axis, event) for axis in recording.audit.axes for event in axis.events if event.is_own),
@@ -159,23 +138,16 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
         return blueprint(tabs)
     names = [*drawn, *alone, *(axis.axis for axis in recording.audit.axes)]
     name, first = min(alarms, key=lambda alarm: alarm[1].alarm_s)
-    marked_s = (min(first.start_s, first.alarm_s), first.alarm_s)
-    return blueprint(tabs, None, _around(recording, *marked_s), 1 + names.index(name), marked_s)
-
-
-def _around(recording: Recording, start_s: float, alarm_s: float) -> tuple[float, float] | None:
-    """Begin and end of what is shown [s]: an alarm and what led to it; None for the whole of a short flight."""
-    if recording.end_s - recording.start_s <= _AROUND_S:
-        return None
-    begin_s = max(start_s - _BEFORE_S, recording.start_s)
-    return begin_s, min(max(alarm_s + _BEFORE_S, begin_s + _AROUND_S), recording.end_s)
+    marked_s, around_s = (min(first.start_s, first.alarm_s), first.alarm_s), None
+    if recording.end_s - recording.start_s > _AROUND_S:  # an alarm and what led to it
+        begin_s = max(marked_s[0] - _BEFORE_S, recording.start_s)
+        around_s = begin_s, min(max(first.alarm_s + _BEFORE_S, begin_s + _AROUND_S), recording.end_s)
+    return blueprint(tabs, None, around_s, 1 + names.index(name), marked_s)
 
 
 def live_layout(surfaces: Sequence[str], *, following: bool = False) -> Any:  # noqa: ANN401
     """Layout of what a monitor records: the whole flight, or the last minute, following."""
-    return blueprint(
-        [_overview(surfaces, surfaces), *(_surface(name) for name in surfaces)], _LAST_S if following else None
-    )
+    return blueprint([_overview(surfaces, surfaces), *map(_surface, surfaces)], _LAST_S if following else None)
 
 
 def _surface(
@@ -186,10 +158,16 @@ def _surface(
     has_current: bool = False,
 ) -> Any:  # noqa: ANN401
     """Deflection, residual and state of one surface, one below the other, from bottom to top of given ranges [deg]."""
-    place = surface_place(name)
+    place, beside = surface_place(name), ("deflection [deg]", "residual and thresholds [deg]")
+    shaded = [
+        [f"{place}/deflection", f"{place}/shade/deflection/**"],
+        [f"{place}/residual", f"{place}/onboard", f"{place}/shade/residual/**"],
+    ]
     views = [
-        _plot(place, "deflection", f"{name}: deflection [deg]", deflection),
-        _plot(place, "residual", f"{name}: residual and thresholds [deg]", residual),
+        *(
+            curves(f"{name}: {words}", places, origin=place, span=span)
+            for words, places, span in zip(beside, shaded, (deflection, residual), strict=True)
+        ),
         lanes(f"{name}: state", [f"{place}/state"], origin=f"{place}/state"),
     ]
     if has_current:
@@ -198,21 +176,10 @@ def _surface(
     return stacked(name, views, [4, 3, 1.4])
 
 
-def _by_current(name: str) -> Any:  # noqa: ANN401
-    """What was asked and what was drawn, of a surface without a position."""
-    place = surface_place(name)
-    views = [
-        curves(f"{name}: command [deg]", [f"{place}/command"], origin=place),
-        curves(f"{name}: current [A]", [f"{place}/current"], origin=place),
-    ]
-    return stacked(name, views, [2, 3])
-
-
 def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN401
-    import rerun.blueprint as rrb
-
-    events = messages("Events", [LINK, *(f"{surface_place(name)}/events" for name in names)])
-    below = rrb.Horizontal(events, document("Report", REPORT), column_shares=[1, 1])
+    places = [LINK, *(f"{surface_place(name)}/events" for name in names)]
+    events = rrb.TextLogView(origin="/", contents=places, name="Events")
+    below = rrb.Horizontal(events, REPORT_VIEW, column_shares=[1, 1])
     if not shown:
         return rrb.Vertical(below, name="Overview")
     ratios = [f"{surface_place(name)}/{what}" for name in shown for what in ("ratio", "onset")]
@@ -224,13 +191,7 @@ def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN40
     return stacked("Overview", views, [0.8 + 0.4 * len(shown), 3, 2.6])
 
 
-def _plot(place: str, which: str, name: str, span: tuple[float, float] | None) -> Any:  # noqa: ANN401
-    """Curves of one entity over the shading of its faults."""
-    beside = [f"{place}/onboard"] if which == "residual" else []
-    return curves(name, [f"{place}/{which}", *beside, f"{place}/shade/{which}/**"], origin=place, span=span)
-
-
-def axis_tab(axis: AxisAudit) -> Any:  # noqa: ANN401 - rerun is untyped
+def _axis(axis: AxisAudit) -> Any:  # noqa: ANN401 - rerun is untyped
     """Effect, distance and state of one axis, one below the other."""
     place, unit = axis_place(axis), FORMS[axis.model.form].unit
     views = [

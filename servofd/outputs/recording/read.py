@@ -1,4 +1,4 @@
-"""A recording read back, without the log that it was made from."""
+"""A recording read back without its log: whether its curves fit its verdicts, and what a monitor saw, judged."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rerun.chunk import RrdReader
 
 from logparsers.detect import RECORDING
+from servofd.aircraft.series import is_streamed
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning
-from servofd.detection.verdict import WITHIN_SIGMAS
+from servofd.detection.audit import audit_segment
+from servofd.detection.verdict import WITHIN_SIGMAS, Statistics
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
 from servofd.outputs.recording.surface import AIRSPEED, SUPPLY
-from servofd.outputs.recording.verdicts import audit_of
+from servofd.outputs.recording.verdicts import LIVE, audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context
 
@@ -41,23 +44,21 @@ def read_recording(path: str | Path) -> Recording:
     stored = _Stored.of(Path(path))
     name = Path(path).name
     if not stored.properties:
-        raise RecordingError(
-            f"{path}: not a recording of servofd; 'servofd audit LOG --rrd FILE' writes one"
-            if stored.entities
-            else f"{path}: an empty recording; 'servofd audit LOG --rrd FILE' writes one"
-        )
+        what = "not a recording of servofd" if stored.entities else "an empty recording"
+        raise RecordingError(f"{path}: {what}; 'servofd audit LOG --rrd FILE' writes one")
     audit, notes, left_out = audit_of(stored.properties, name)
-    context = _context(stored)
-    traces = {
-        s.surface: trace
-        for s in audit.surfaces
-        if (trace := _trace(stored, s.surface, left_out.get(s.surface, ()), context)) is not None
-    }
-    surfaces = tuple(
-        s if s.current is None else replace(s, current=_drawn(stored, s.surface, s.current)) for s in audit.surfaces
-    )
-    audit = replace(audit, surfaces=surfaces)
-    return Recording(audit, traces, notes)
+    columns: list[FloatArray] = []  # airspeed and supply, as far as they were recorded
+    for place in (AIRSPEED, SUPPLY):
+        found = stored.curves(place) or (np.zeros(0), np.zeros((0, 1)))
+        columns += [_exact(stored, found[0], f"{place}/seconds"), found[1][:, 0]]
+    context, surfaces = Context(*columns), []
+    traces: dict[str, Trace] = {}
+    for surface in audit.surfaces:
+        trace = _trace(stored, surface.surface, left_out.get(surface.surface, ()), context)
+        traces |= {} if trace is None else {surface.surface: trace}
+        current = surface.current and _drawn(stored, surface.surface, surface.current)
+        surfaces.append(replace(surface, current=current))
+    return Recording(replace(audit, surfaces=tuple(surfaces)), traces, notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +73,15 @@ class _Stored:
     @classmethod
     def of(cls, path: Path) -> _Stored:
         """Read all of it; of a file that was cut short or damaged what is whole, which the viewer's program saves."""
-        check_is_recording(path)
-        _check_is_readable(path)
+        if not is_recording(path):  # what is none at all Rerun does not look at
+            if path.stat().st_size == 0:
+                raise RecordingError(f"{path}: the file is empty; 'servofd audit LOG --rrd FILE' writes a recording")
+            raise RecordingError(f"{path}: not a Rerun recording (.rrd); logs are for 'servofd audit'")
+        # Another process reads it first: at some damage, as at a NUL in the name of a column, Rerun's library ends the
+        # process that it is in.
+        met = run_rerun("rrd", "print", "-vv", str(path.resolve()))
+        if met.returncode < 0 or met.returncode in _PANICS or "\0" in met.stdout:
+            raise RecordingError(f"{path}: damaged beyond what Rerun's library can read")
         try:
             return cls._of(path)
         except (ValueError, RuntimeError, OSError) as error:
@@ -93,7 +101,9 @@ class _Stored:
         properties: dict[str, Any] = {}
         entities = set()
         chunks: dict[str, list[tuple[IntArray, FloatArray]]] = defaultdict(list)
-        reader = _reader(path)
+        with warnings.catch_warnings():  # one that a killed process left has no index, and is read from front to back
+            warnings.filterwarnings("ignore", message="RRD file has no footer")
+            reader = RrdReader(str(path))
         if len(recordings := reader.recordings()) > 1:
             raise RecordingError(
                 f"{path}: holds {len(recordings)} recordings, and one is judged at a time; "
@@ -103,7 +113,7 @@ class _Stored:
             entities.add(chunk.entity_path)
             if chunk.entity_path == _PROPERTIES:
                 properties |= _values(chunk)
-            elif _is_curve(chunk) and (curve := _curve(chunk)) is not None:
+            elif (curve := _curve(chunk)) is not None:
                 chunks[chunk.entity_path].append(curve)
         return cls(properties, frozenset(entities), chunks)
 
@@ -124,25 +134,6 @@ class _Stored:
         return seconds(time_us), values
 
 
-def _check_is_readable(path: Path) -> None:
-    """Let another process read it first: at some damage Rerun's library ends the process that it is in.
-
-    It tells the names of all columns as well, since the library does the same at a NUL in one of them.
-    """
-    met = run_rerun("rrd", "print", "-vv", str(path.resolve()))
-    if met.returncode < 0 or met.returncode in _PANICS or "\0" in met.stdout:
-        raise RecordingError(f"{path}: damaged beyond what Rerun's library can read")
-
-
-def _reader(path: Path) -> Any:  # noqa: ANN401 - rerun is untyped here
-    """Reader of a file; one that a killed process left has no index, and is read from front to back."""
-    from rerun.chunk import RrdReader
-
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="RRD file has no footer")
-        return RrdReader(str(path))
-
-
 def is_recording(path: Path) -> bool:
     """Whether a file begins as Rerun's recordings do."""
     try:
@@ -151,24 +142,12 @@ def is_recording(path: Path) -> bool:
         raise RecordingError(f"{path}: cannot read this file: {error.strerror}") from None
 
 
-def check_is_recording(path: Path) -> None:
-    """Refuse what is no recording at all before Rerun looks at it."""
-    if is_recording(path):
-        return
-    if path.stat().st_size == 0:
-        raise RecordingError(f"{path}: the file is empty; 'servofd audit LOG --rrd FILE' writes a recording")
-    raise RecordingError(f"{path}: not a Rerun recording (.rrd); logs are for 'servofd audit'")
-
-
-def _is_curve(chunk: Any) -> bool:  # noqa: ANN401 - rerun is untyped here
+def _curve(chunk: Any) -> tuple[IntArray, FloatArray] | None:  # noqa: ANN401 - rerun is untyped here
+    """Times [us] and values of a chunk of a curve that is read back; None of any other."""
     place = chunk.entity_path
     kept = place.startswith("/flight/") or (place.startswith("/surfaces/") and place.rsplit("/", 1)[-1] in _KEPT)
-    return bool(kept and not chunk.is_static)
-
-
-def _curve(chunk: Any) -> tuple[IntArray, FloatArray] | None:  # noqa: ANN401
-    batch = chunk.to_record_batch()
-    if _CURVES not in batch.schema.names or TIME_BOOT not in batch.schema.names:
+    batch = chunk.to_record_batch() if kept and not chunk.is_static else None
+    if batch is None or not {_CURVES, TIME_BOOT} <= set(batch.schema.names):
         return None
     time_ns = batch.column(TIME_BOOT).to_numpy(zero_copy_only=False).astype(np.int64)
     cells = batch.column(_CURVES)
@@ -212,30 +191,11 @@ def _trace(stored: _Stored, surface: str, left_out: tuple[LeftOut, ...], context
         asked_s, asked_deg = time_s, shown[:, 0]
     else:
         asked_s, asked_deg = _exact(stored, command[0], surface_place(surface, "command_seconds")), command[1][:, 0]
+    (asked, simulated, measured), (residual_deg, level_deg) = shown[:rows, :3].T, judged[:rows, :2].T
     return Trace(
-        time_s[:rows],
-        command_deg=shown[:rows, 0],
-        simulated_deg=shown[:rows, 1],
-        measured_deg=shown[:rows, 2],
-        residual_deg=judged[:rows, 0],
-        threshold_deg=judged[:rows, 1],
-        asked_s=asked_s,
-        asked_deg=asked_deg,
-        left_out=left_out,
-        context=context,
+        *(time_s[:rows], asked, simulated, measured, residual_deg, level_deg),
+        *(asked_s, asked_deg, left_out, context),
     )
-
-
-def _context(stored: _Stored) -> Context:
-    """Airspeed and supply, as far as they were recorded."""
-    columns = []
-    for place in (AIRSPEED, SUPPLY):
-        found = stored.curves(place)
-        if found is None:
-            columns += [np.zeros(0), np.zeros(0)]
-        else:
-            columns += [_exact(stored, found[0], f"{place}/seconds"), found[1][:, 0]]
-    return Context(*columns)
 
 
 def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
@@ -245,3 +205,51 @@ def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
         return time_s
     exact_s = found[1][:, 0]
     return exact_s if np.all(np.abs(exact_s - time_s) < 1e-6) else time_s
+
+
+def statistics_of(trace: Trace) -> Statistics | None:
+    """Size of the residual while it was judged, from the recorded curves; None if it never was."""
+    judged = np.isfinite(trace.residual_deg)
+    if not judged.any():
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):  # of a damaged recording
+        error_deg = (trace.measured_deg - trace.simulated_deg)[judged]
+    return Statistics.of(trace.residual_deg[judged], error_deg)
+
+
+def contradictions(recording: Recording) -> list[str]:
+    """One sentence for each surface whose recorded curves are not the ones that were judged.
+
+    Statistics are computed from the curves in the same way as by the audit, so that they agree to the last bit, or
+    the recording is incomplete, or was altered.
+    """
+    found, other = [], "the verdict was made from other curves than are recorded here"
+    for surface in recording.audit.surfaces:
+        trace = recording.traces.get(surface.surface)
+        now = None if trace is None else statistics_of(trace)
+        if surface.statistics is not None and now != surface.statistics:
+            until = f"end at {trace.time_s[-1]:.2f} s" if trace is not None and trace.time_s.size else "are missing"
+            found.append(f"{surface.surface}: {other} (they {until}): incomplete or altered")
+    return found
+
+
+def rejudged(recording: Recording) -> Recording:
+    """Judge the recorded commands and deflections of a monitor, as an audit of the log would.
+
+    The recording has the aircraft's models and tolerances, so that new alarms get names as well.
+    """
+    audit = recording.audit
+    audit = replace(audit, log=replace(audit.log, span_s=(recording.start_s, recording.end_s)))
+    surfaces = []
+    for surface in audit.surfaces:
+        trace, known = recording.traces.get(surface.surface), audit.aircraft.surfaces[surface.surface]
+        if trace is not None and trace.time_s.size > 1:
+            streamed = is_streamed(audit.log.format, known.command.channel)
+            segment = trace.segment(surface.surface, known.command_period_s, is_streamed=streamed)
+            expected, duration_s = surface.expected, audit.log.duration_s
+            surfaces.append(audit_segment(segment, audit.aircraft, duration_s=duration_s, expected=expected))
+        else:
+            surfaces.append(surface)
+    again = Recording.of(replace(audit, surfaces=tuple(surfaces)))
+    notes = (*(n for n in recording.notes if n != LIVE), "judged again, by the recorded threshold")
+    return Recording(replace(again.audit, log=audit.log), {**recording.traces, **again.traces}, notes)

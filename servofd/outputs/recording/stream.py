@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import re
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import rerun as rr
 
 from logparsers.units import US_PER_S
 from servofd.core.files import whole_file
@@ -37,35 +38,6 @@ def seconds(time_us: IntArray) -> FloatArray:
     """Microseconds to seconds: the same number that a log's own microseconds give."""
     converted: FloatArray = np.asarray(time_us) / 1e6
     return converted
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """What the time lines of a recording are."""
-
-    start_utc: datetime | None = None
-    """When ``time_s`` was 0; None if the log does not say, and there is no time of the day then."""
-
-    def columns(self, time_s: FloatArray) -> list[Any]:
-        """Time columns for Rerun, from times of shape (n,) [s].
-
-        Floats of seconds would be off by a nanosecond here and there; whole microseconds are exact.
-        """
-        import rerun as rr
-
-        time_us = microseconds(time_s)
-        columns = [rr.TimeColumn(TIME_BOOT, duration=time_us.astype("timedelta64[us]"))]
-        if self.start_utc is not None:
-            utc_us = time_us + self.start_us
-            columns.append(rr.TimeColumn(TIME_UTC, timestamp=utc_us.astype("datetime64[us]")))
-        return columns
-
-    @property
-    def start_us(self) -> int:
-        """Microseconds from 1970 to the start; 0 if it is not known."""
-        if self.start_utc is None:
-            return 0
-        return int(np.datetime64(self.start_utc.replace(tzinfo=None), "us").astype(np.int64))
 
 
 CHUNK_ROWS = 65_536
@@ -95,8 +67,6 @@ def surface_place(surface: str, *parts: str) -> str:
     >>> surface_place("elevator", "residual"), surface_place("a/b"), surface_place("a" + chr(92))
     ('/surfaces/elevator/residual', '/surfaces/a\\/b', '/surfaces/aU\\+005C')
     """
-    import rerun as rr
-
     # Rerun takes a backslash at the end of a name, which it writes twice, for an escape of what follows.
     path: str = rr.new_entity_path(["surfaces", shown(surface).replace("\\", "U+005C"), *parts])
     return path
@@ -112,25 +82,37 @@ class Recorder:
     """A Rerun stream as servofd writes it."""
 
     stream: Any
-    clock: Clock = field(default_factory=Clock)
+    start_utc: datetime | None = None
+    """When ``time_s`` was 0; None if the log does not say, and there is no time of the day then."""
+
+    @property
+    def _start_us(self) -> int:
+        """Microseconds from 1970 to the start; 0 if it is not known."""
+        known = self.start_utc and self.start_utc.replace(tzinfo=None)
+        return 0 if known is None else int(np.datetime64(known, "us").astype(np.int64))
 
     def columns(self, place: str, time_s: FloatArray, columns: Any) -> None:  # noqa: ANN401 - rerun is untyped here
-        """Send columns of one row per time; nothing if there is no row."""
-        if len(time_s):
-            self.stream.send_columns(place, self.clock.columns(np.asarray(time_s)), columns)
+        """Send columns of one row per time [s]; nothing if there is no row.
+
+        Floats of seconds would be off by a nanosecond here and there; whole microseconds are exact.
+        """
+        if not len(time_s):
+            return
+        time_us = microseconds(time_s)
+        times = [rr.TimeColumn(TIME_BOOT, duration=time_us.astype("timedelta64[us]"))]
+        if self.start_utc is not None:
+            utc_us = time_us + self._start_us
+            times.append(rr.TimeColumn(TIME_UTC, timestamp=utc_us.astype("datetime64[us]")))
+        self.stream.send_columns(place, times, columns)
 
     def scalars(self, place: str, time_s: FloatArray, values: FloatArray) -> None:
         """Send curves of shape (n,) or (n, k), `CHUNK_ROWS` rows at a time."""
-        import rerun as rr
-
         for begin in range(0, time_s.size, CHUNK_ROWS):
             rows = slice(begin, begin + CHUNK_ROWS)
             self.columns(place, time_s[rows], rr.Scalars.columns(scalars=values[rows]))
 
     def lines(self, place: str, names: Sequence[str], tints: Sequence[str] = (), **style: Any) -> None:  # noqa: ANN401
         """Name and colour the curves of an entity, for all time; without colours they may change with time."""
-        import rerun as rr
-
         # The viewer's default draws a lone spike at half its height.
         style = {"aggregation_policy": "MinMax", "names": [shown(name) for name in names]} | style
         if tints:
@@ -139,16 +121,12 @@ class Recorder:
 
     def line_colours(self, place: str, changes: Sequence[tuple[float, Sequence[str]]]) -> None:
         """Recolour the curves of an entity from given times [s] on; the first must not be after the first sample."""
-        import rerun as rr
-
         rows = rr.SeriesLines.columns(colors=np.concatenate([colours(names) for _, names in changes]))
         times = np.array([time_s for time_s, _ in changes])
         self.columns(place, times, rows.partition([len(names) for _, names in changes]))
 
     def states(self, place: str, changes: Sequence[tuple[float, str]], tints: Mapping[str, str] = STATES) -> None:
         """Coloured lane: from each time [s] on, a word out of `tints`."""
-        import rerun as rr
-
         words = list(tints)
         style = rr.StateConfiguration(values=words, labels=words, colors=colours(list(tints.values())))
         self.stream.log(place, style, static=True)
@@ -157,24 +135,18 @@ class Recorder:
 
     def texts(self, place: str, texts: Sequence[tuple[float, str, str]]) -> None:
         """Lines of a text log: when [s], level (``ERROR``, ``WARN``, ``INFO``), words."""
-        import rerun as rr
-
         times = np.array([time_s for time_s, _, _ in texts])
         levels, words = [level for _, level, _ in texts], [shown(text) for _, _, text in texts]
         self.columns(place, times, rr.TextLog.columns(text=words, level=levels))
 
     def markers(self, place: str, time_s: FloatArray, heights: FloatArray, name: str, tint: str) -> None:
         """Triangles that point down at given times."""
-        import rerun as rr
-
         style = rr.SeriesPoints(markers="Down", marker_sizes=6.0, colors=colours([tint]), names=shown(name))
         self.stream.log(place, style, static=True)
         self.columns(place, time_s, rr.Scalars.columns(scalars=heights))
 
     def shade(self, place: str, spans: Sequence[tuple[float, float]], middle: float, half: float, tint: str) -> None:
         """Translucent band from the bottom to the top of a plot during each span (from, to) [s]."""
-        import rerun as rr
-
         style = rr.Measurements.from_fields(colors=colours([tint], 0.65), names=tint, widths=0.0)
         self.stream.log(place, style, static=True)
         # A value that is not a number parts one band from the next.
@@ -185,18 +157,14 @@ class Recorder:
 
     def document(self, place: str, markdown: str) -> None:
         """Text of the report, for all time."""
-        import rerun as rr
-
         self.stream.log(place, rr.TextDocument(shown(markdown), media_type="text/markdown"), static=True)
 
     def properties(self, name: str, values: Mapping[str, Any]) -> None:
         """Properties of the recording; send them first, so that a recording that was cut short has them."""
-        import rerun as rr
-
         self.stream.send_property(PROPERTIES, rr.AnyValues(**values))
         self.stream.send_recording_name(shown(name))
-        if self.clock.start_utc is not None:
-            self.stream.send_recording_start_time_nanos(self.clock.start_us * 1000)
+        if self.start_utc is not None:
+            self.stream.send_recording_start_time_nanos(self._start_us * 1000)
         # Columns overtake what waits to be batched: a recording that was cut short would lack what it needs most.
         self.stream.flush()
 
@@ -214,11 +182,14 @@ def application_name(*parts: str) -> str:
 
 
 @contextmanager
-def recording_file(path: str | Path, application: str, layout: Any, clock: Clock = Clock()) -> Iterator[Recorder]:  # noqa: ANN401 - frozen
+def recording_file(
+    path: str | Path,
+    application: str,
+    layout: Any,  # noqa: ANN401 - rerun is untyped here
+    start_utc: datetime | None = None,
+) -> Iterator[Recorder]:
     """Write a recording whole or not at all; those of one `application` share its layout in the viewer."""
-    import rerun as rr
-
     with whole_file(path) as temporary, rr.RecordingStream(application, send_properties=False) as stream:
         rr.set_log_time_enabled(False, recording=stream)
         stream.save(str(temporary), default_blueprint=layout)
-        yield Recorder(stream, clock)
+        yield Recorder(stream, start_utc)

@@ -6,14 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.detection.verdict import WITHIN_SIGMAS
-from servofd.outputs.recording.states import breaks_s, events, ratio, states
+from servofd.core.series import tenths
+from servofd.detection.verdict import WITHIN_SIGMAS, describe
+from servofd.outputs.recording.content import CURVES
 from servofd.outputs.recording.stream import STATES, microseconds, seconds, surface_place
+from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servofd.axes.verdict import AxisAudit
-    from servofd.core.types import FloatArray
-    from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
+    from servofd.core.types import BoolArray, FloatArray
+    from servofd.detection.verdict import CurrentAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
     from servofd.outputs.recording.content import Trace
     from servofd.outputs.recording.stream import Recorder
@@ -61,17 +65,26 @@ def send_surface(
     if trace is None or not trace.time_s.size:
         return
     send_styles(recorder, surface.surface, tint)
-    changes = states(trace, surface)
+    changes = _states_of(trace, surface)
     recorder.states(f"{place}/state", changes)
     # Before the first sample, and from where the cursor stands at first: else the legend has colours of its own.
     tints = [(start_s, STATES[changes[0][1]]), *((time_s, STATES[word]) for time_s, word in changes[1:])]
     recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
-    _send_curves(recorder, place, trace)
-    _send_commands(recorder, place, trace)
-    _send_overview(recorder, place, surface, trace)
+    send_curves(recorder, place, breaks_s(trace.time_s), [getattr(trace, name) for name in CURVES])
+    # Commands on their own time stamps, unless each came with a measurement: then the curve has them all.
+    _send_seconds(recorder, f"{place}/seconds", trace.time_s)
+    if not np.array_equal(trace.asked_s, trace.time_s):
+        recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
+        _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
+    recorder.scalars(f"{place}/ratio", *ratio(trace.time_s, trace.residual_deg, trace.threshold_deg))
+    starts_s = np.array([fault.start_s for fault in surface.faults])
+    if starts_s.size:
+        heights = np.full(starts_s.size, MARKER_HEIGHT)
+        recorder.markers(f"{place}/onset", starts_s, heights, f"{surface.surface}: onset", "fault")
     for name, (low, high) in (("deflection", deflection_range(trace)), ("residual", residual_range(trace))):
         for found, level in ((surface.faults, "fault"), (surface.suspicions, "suspect")):
-            spans = [_span(fault, trace) for fault in found]
+            end_s = float(trace.time_s[-1])
+            spans = [(fault.start_s, end_s if fault.end_s is None else fault.end_s) for fault in found]
             if spans:
                 recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
 
@@ -111,36 +124,19 @@ def send_styles(recorder: Recorder, surface: str, tint: str = "simulated") -> No
     recorder.lines(f"{place}/ratio", [surface], [tint], aggregation_policy="Max")
 
 
-def _send_curves(recorder: Recorder, place: str, trace: Trace) -> None:
-    deflections = np.column_stack([trace.command_deg, trace.simulated_deg, trace.measured_deg])
-    residuals = np.column_stack([trace.residual_deg, trace.threshold_deg, -trace.threshold_deg])
-    broken_s = breaks_s(trace.time_s)
-    for name, values in (("deflection", deflections), ("residual", residuals)):
-        recorder.scalars(f"{place}/{name}", trace.time_s, values)
+def send_curves(recorder: Recorder, place: str, broken_s: FloatArray, columns: Sequence[FloatArray]) -> None:
+    """Send time, command, simulated and measured deflection, residual and threshold, and break the curves."""
+    time_s, *deflections, residual_deg, threshold_deg = columns
+    levels = [residual_deg, threshold_deg, -threshold_deg]
+    for name, values in (("deflection", deflections), ("residual", levels)):
         recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
+        recorder.scalars(f"{place}/{name}", time_s, np.column_stack(values))
 
 
-def _send_commands(recorder: Recorder, place: str, trace: Trace) -> None:
-    """Commands on their own time stamps, unless each came with a measurement: then the curve has them all."""
-    send_seconds(recorder, f"{place}/seconds", trace.time_s)
-    if not np.array_equal(trace.asked_s, trace.time_s):
-        recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
-        send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
-
-
-def send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
+def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
     """Time stamps that are no whole microseconds (a log of 32-bit floats), so that they can be read back exactly."""
     if np.any(seconds(microseconds(time_s)) != time_s):
         recorder.scalars(place, time_s, time_s)
-
-
-def _send_overview(recorder: Recorder, place: str, surface: SurfaceAudit, trace: Trace) -> None:
-    time_s, largest = ratio(trace.time_s, trace.residual_deg, trace.threshold_deg)
-    recorder.scalars(f"{place}/ratio", time_s, largest)
-    starts_s = np.array([fault.start_s for fault in surface.faults])
-    if starts_s.size:
-        heights = np.full(starts_s.size, MARKER_HEIGHT)
-        recorder.markers(f"{place}/onset", starts_s, heights, f"{surface.surface}: onset", "fault")
 
 
 def send_context(recorder: Recorder, context: Context) -> None:
@@ -152,12 +148,7 @@ def send_context(recorder: Recorder, context: Context) -> None:
         if time_s.size:
             recorder.lines(place, [name], ["simulated"])
             recorder.scalars(place, time_s, values)
-            send_seconds(recorder, f"{place}/seconds", time_s)
-
-
-def _span(fault: Fault, trace: Trace) -> tuple[float, float]:
-    last_s = float(trace.time_s[-1])
-    return fault.start_s, last_s if fault.end_s is None else fault.end_s
+            _send_seconds(recorder, f"{place}/seconds", time_s)
 
 
 def axis_place(axis: AxisAudit) -> str:
@@ -188,3 +179,81 @@ def _states(axis: AxisAudit) -> list[tuple[float, str]]:
             words[(axis.time_s >= event.start_s) & (axis.time_s < until_s)] = said
     first = np.flatnonzero(np.concatenate(([True], words[1:] != words[:-1])))
     return [(float(axis.time_s[k]), str(words[k])) for k in first]
+
+
+_SHORTEST_SILENCE_S = 0.5
+_PERIODS = 5.0
+"""Longer than that without a sample, the curve is broken."""
+
+
+def _silences(trace: Trace) -> list[tuple[float, float]]:
+    """From when to when nothing was judged for half a second and more [s]."""
+    judged_s = trace.time_s[np.isfinite(trace.residual_deg)]
+    edges_s = np.concatenate([trace.time_s[:1], judged_s, trace.time_s[-1:]])
+    long = np.flatnonzero(np.diff(edges_s) >= _SHORTEST_SILENCE_S)
+    return [(float(edges_s[i]), float(edges_s[i + 1])) for i in long]
+
+
+def _states_of(trace: Trace, surface: SurfaceAudit) -> list[tuple[float, str]]:
+    """Times [s] at which the state of a surface changed, and to what.
+
+    A fault begins with its alarm: what the lane shows, a monitor would have known in flight. Where nothing was judged
+    it says so, whatever was before.
+    """
+    if not trace.time_s.size:
+        return []
+    first_s, last_s = float(trace.time_s[0]), float(trace.time_s[-1])
+    if not surface.is_judged:
+        return [(first_s, "NO DATA")]
+    spans = [(f.alarm_s, f.end_s, "SUSPECT") for f in surface.suspicions]
+    spans += [(f.alarm_s, f.end_s, "FAULT") for f in surface.faults]
+    spans += [(begin, end, "NO DATA") for begin, end in _silences(trace)]
+    edges = sorted({first_s, *(t for a, b, _ in spans for t in (a, b) if t is not None and first_s <= t <= last_s)})
+    changes: list[tuple[float, str]] = []
+    for time_s in edges:
+        held = [word for begin, end, word in spans if begin <= time_s and (end is None or time_s < end)]
+        word = held[-1] if held else "OK"  # the later in the list, the more it says
+        if not changes or changes[-1][1] != word:
+            changes.append((time_s, word))
+    return changes
+
+
+def events(trace: Trace | None, surface: SurfaceAudit, start_s: float = 0.0) -> list[tuple[float, str, str]]:
+    """Lines of the text log: when [s], level, words; of a surface without curves, at the start of the others."""
+    name = surface.surface
+    lines = []
+    for found, level in ((surface.faults, "ERROR"), (surface.suspicions, "WARN")):
+        for fault in found:
+            lines.append((fault.alarm_s, level, f"{name}: {describe(fault)}"))
+            if fault.end_s is not None:
+                lines.append((fault.end_s, "INFO", f"{name}: last sign of {spoken(fault.kind)}"))
+    if trace is None or not trace.time_s.size:
+        return [(start_s, "WARN", f"{name}: {surface.status}, {surface.reason}")]
+    if surface.is_judged:
+        late = (s for s in _silences(trace) if s[0] > trace.time_s[0])
+        lines += [(a, "WARN", f"{name}: nothing to judge for {b - a:.1f} s") for a, b in late]
+    if not lines:
+        lines.append((float(trace.time_s[-1]), "INFO", f"{name}: {surface.status}, {surface.reason}"))
+    return sorted(lines)
+
+
+def ratio(time_s: FloatArray, residual_deg: FloatArray, threshold_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest |residual| / threshold of each tenth of a second: times [s] and ratios, of shape (m,)."""
+    if not time_s.size:
+        return time_s, time_s
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.abs(residual_deg) / threshold_deg
+    first = tenths(time_s)
+    known: BoolArray = np.isfinite(size)
+    largest = np.maximum.reduceat(np.where(known, size, -1.0), first)
+    return time_s[first], np.where(largest < 0.0, np.nan, largest)
+
+
+def breaks_s(time_s: FloatArray) -> FloatArray:
+    """Where a curve has to be broken, because nothing came for long: a microsecond after the sample before [s]."""
+    if time_s.size < 3:
+        return np.zeros(0)
+    step_s = np.diff(time_s)
+    long = step_s > max(_PERIODS * float(np.median(step_s)), 1e-3)
+    # Counted in the microseconds of the recording: 0.5 us + 1 us may be rounded to 0 or 2 us.
+    return seconds(microseconds(time_s[:-1][long]) + 1)

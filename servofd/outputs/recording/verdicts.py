@@ -39,6 +39,10 @@ _WITHOUT_VERDICTS = {
 }
 
 
+_AS_IT_IS = ("status", "reason", "servo", "expected", "false_alarms_per_hour", "judged_share")
+"""Fields of a surface that its verdict holds under the same names."""
+
+
 class Verdicts(NamedTuple):
     """What the properties of a recording tell."""
 
@@ -60,7 +64,9 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
         if trace is not None:
             entry |= {"left_out": trace.left_out}
     document |= {"vehicle": log.vehicle, "firmware": log.firmware, "span_s": log.span_s, "notes": recording.notes}
-    document["start_utc"] = log.start_utc.isoformat() if log.start_utc else None
+    # The aircraft without the words on where its servos were identified, which may name files.
+    servos = {key: servo.model_copy(update={"source": "recorded"}) for key, servo in audit.aircraft.servos.items()}
+    models = audit.aircraft.model_copy(update={"servos": servos}).model_dump(mode="json", exclude_none=True)
     return {
         "schema": SCHEMA,
         "version": __version__,
@@ -72,7 +78,7 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
         "surfaces": [shown(s.surface) for s in audit.surfaces],
         "statuses": [s.status for s in audit.surfaces],
         "verdicts": json.dumps(document),
-        "models": _models(audit.aircraft),
+        "models": json.dumps(models),  # in ASCII: the viewer cannot draw every letter
     }
 
 
@@ -80,100 +86,68 @@ def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dic
     """Properties of a recording that is still being made: the models, and no verdict yet."""
     from servofd.outputs.recording.content import Recording
 
-    watched = tuple(
-        SurfaceAudit(
-            surface=key,
-            status="no_data",
-            reason="nothing of it was recorded",
-            servo=aircraft.surfaces[key].servo,
-            threshold_kind=aircraft.surfaces[key].threshold,
-            threshold_deg=aircraft.surfaces[key].threshold_deg,
-            expected=aircraft.surfaces[key].measured is not None,
-            model=aircraft.surfaces[key].model,
-        )
-        for key in surfaces
-    )
+    watched, reason = [], "nothing of it was recorded"
+    for key in surfaces:
+        one = aircraft.surfaces[key]
+        threshold, expected = (one.threshold, one.threshold_deg), one.measured is not None
+        watched.append(SurfaceAudit(key, "no_data", reason, one.servo, *threshold, expected, model=one.model))
     log = FlightLog(Path(name), "live", {}, span_s=(0.0, 0.0))
-    return verdicts_of(Recording(LogAudit(log, aircraft, watched), {}, notes=(LIVE,)))
+    return verdicts_of(Recording(LogAudit(log, aircraft, tuple(watched)), {}, notes=(LIVE,)))
 
 
 def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
     """Verdicts of a recording, and what its reader should know."""
     schema = properties.get("schema")
     if isinstance(schema, str) and schema in _WITHOUT_VERDICTS:
-        raise RecordingError(
-            f"{name}: a recording of {_WITHOUT_VERDICTS[schema]}: no verdicts to review; "
-            "'servofd review --view' shows it"
-        )
+        what = f"a recording of {_WITHOUT_VERDICTS[schema]}"
+        raise RecordingError(f"{name}: {what}: no verdicts to review; 'servofd review --view' shows it")
     if schema != SCHEMA:
         wrote = f"schema {schema}" if schema else "an older servofd, without a schema"
         raise RecordingError(f"{name}: written by {wrote}; this one reads {SCHEMA}: audit the log again with --rrd")
     try:
         document = json.loads(properties["verdicts"])
         aircraft = Aircraft.model_validate_json(properties["models"])
-        surfaces = tuple(_surface(key, entry) for key, entry in document["surfaces"].items())
-        left_out = {
-            key: tuple(LeftOut(*each) for each in entry.get("left_out", ()))
-            for key, entry in document["surfaces"].items()
-        }
-        causes = tuple(
-            CommonCause(**{**one, "surfaces": tuple(one["surfaces"])}) for one in document.get("common_causes", ())
-        )
-        audit = LogAudit(_log(document), aircraft, surfaces, common_causes=causes)
+        surfaces, left_out = [], {}
+        for key, entry in document["surfaces"].items():
+            surfaces.append(_surface(key, entry))
+            left_out[key] = tuple(LeftOut(*each) for each in entry.get("left_out", ()))
+        shared = document.get("common_causes", ())
+        causes = [CommonCause(**one | {"surfaces": tuple(one["surfaces"])}) for one in shared]
+        audit = LogAudit(_log(document), aircraft, tuple(surfaces), common_causes=tuple(causes))
         return Verdicts(audit, tuple(document["notes"]), left_out)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
-        raise RecordingError(
-            f"{name}: its verdicts cannot be read ({type(error).__name__}); audit the log again"
-        ) from None
-
-
-def _models(aircraft: Aircraft) -> str:
-    """The aircraft, without the words on where its servos were identified: those may name files."""
-    servos = {key: servo.model_copy(update={"source": "recorded"}) for key, servo in aircraft.servos.items()}
-    # In ASCII: the viewer cannot draw every letter.
-    return json.dumps(aircraft.model_copy(update={"servos": servos}).model_dump(mode="json", exclude_none=True))
+        why = f"its verdicts cannot be read ({type(error).__name__}); audit the log again"
+        raise RecordingError(f"{name}: {why}") from None
 
 
 def _log(document: Mapping[str, Any]) -> FlightLog:
     return FlightLog(
-        source=Path(document["path"]),
-        format=document["format"],
+        Path(document["path"]),
+        document["format"],
         channels={},
         damage=tuple(Damage(**damage) for damage in document["damage"]),
         run=document["run"] or "",
-        vehicle=document["vehicle"],
-        firmware=document["firmware"],
         start_utc=datetime.fromisoformat(document["start_utc"]) if document["start_utc"] else None,
         span_s=tuple(document["span_s"]),
+        **{name: document[name] for name in ("vehicle", "firmware")},
     )
 
 
 def _surface(name: str, entry: Mapping[str, Any]) -> SurfaceAudit:
-    statistics = entry["residual"]
-    if statistics is not None:
-        statistics = Statistics(
-            statistics["mean_deg"],
-            statistics["std_deg"],
-            statistics["max_abs_deg"],
-            entry["simulation_error_rms_deg"],
-        )
+    sizes = dict(entry["residual"] or {})
+    outline = tuple(sizes.pop("outline", ()))
     return SurfaceAudit(
         surface=name,
-        status=entry["status"],
-        reason=entry["reason"],
-        servo=entry["servo"],
+        **{key: entry[key] for key in _AS_IT_IS},
         threshold_kind=entry["threshold"]["kind"],
         threshold_deg=entry["threshold"]["deg"],
-        expected=entry["expected"],
         tried=entry.get("tried", True),
-        faults=tuple(_fault(fault) for fault in entry["faults"]),
-        suspicions=tuple(_fault(fault) for fault in entry["suspicions"]),
-        statistics=statistics,
-        false_alarms_per_hour=entry["false_alarms_per_hour"],
+        faults=tuple(map(_fault, entry["faults"])),
+        suspicions=tuple(map(_fault, entry["suspicions"])),
+        statistics=Statistics(**sizes, simulation_error_rms_deg=entry["simulation_error_rms_deg"]) if sizes else None,
         model=ModelOrigin.model_validate(entry["model"]),
         detectable=Detectable.from_document(entry["detectable"]),
-        judged_share=entry["judged_share"],
-        outline=tuple(entry["residual"].get("outline", ())) if entry["residual"] else (),
+        outline=outline,
         current=_current(entry),
     )
 
@@ -182,38 +156,20 @@ def _current(entry: Mapping[str, Any]) -> CurrentAudit | None:
     """The verdict of a current; its curves are read with the others."""
     if "current" not in entry:
         return None
-    current = entry["current"]
-    faults, suspicions = (
-        tuple(fault for one in entry[which] if (fault := _by_current(_fault(one))) is not None)
-        for which in ("faults", "suspicions")
-    )
-    return CurrentAudit(
-        current["status"],
-        current["reason"],
-        current["explained_share"],
-        current["ratio_to_good"],
-        faults,
-        suspicions,
-        judged_share=current["judged_share"],
-    )
-
-
-def _by_current(fault: Fault) -> Fault | None:
-    return fault if fault.witness == "current" else fault.confirmed_by
+    known: dict[str, Any] = {}
+    for which in ("faults", "suspicions"):
+        each = map(_fault, entry[which])
+        by_current = (fault if fault.witness == "current" else fault.confirmed_by for fault in each)
+        known[which] = tuple(fault for fault in by_current if fault is not None)
+    names = ("status", "reason", "explained_share", "ratio_to_good", "judged_share")
+    return CurrentAudit(**{name: entry["current"][name] for name in names}, **known)
 
 
 def _fault(entry: Mapping[str, Any]) -> Fault:
-    parameters = {k: Estimate(v, *entry["intervals"][k]) for k, v in entry["parameters"].items()}
     return Fault(
-        entry["kind"],
-        entry["start_s"],
-        entry["alarm_s"],
-        entry["end_s"],
-        parameters,
-        entry["probability"],
-        tuple(entry["alternatives"]),
-        entry["level"],
-        entry["named_s"],
-        entry.get("witness", "position"),
-        _fault(entry["confirmed_by"]) if entry.get("confirmed_by") else None,
+        **{name: entry[name] for name in ("kind", "start_s", "alarm_s", "end_s", "probability", "level", "named_s")},
+        parameters={k: Estimate(v, *entry["intervals"][k]) for k, v in entry["parameters"].items()},
+        alternatives=tuple(entry["alternatives"]),
+        witness=entry.get("witness", "position"),
+        confirmed_by=_fault(entry["confirmed_by"]) if entry.get("confirmed_by") else None,
     )

@@ -21,7 +21,7 @@ from servofd.outputs.document import Bullets, markdown
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
-from servofd.outputs.recording.stream import Clock, Recorder, application_name, recording_file
+from servofd.outputs.recording.stream import application_name, recording_file
 from servofd.outputs.recording.surface import send_axis, send_context, send_on_board, send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servofd.detection.verdict import LogAudit
+    from servofd.outputs.recording.stream import Recorder
 
 
 def save_recording(audit: LogAudit, path: str | Path) -> None:
@@ -42,20 +43,15 @@ def recording_of(audit: LogAudit) -> Recording:
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
-    """Write a recording into a file, whole or not at all."""
-    clock = Clock(recording.audit.log.start_utc)
-    with recording_file(path, application_of(recording), audit_layout(recording), clock) as recorder:
-        fill(recorder, recording)
+    """Write a recording into a file, whole or not at all.
 
-
-def application_of(recording: Recording) -> str:
-    """Name under which the viewer keeps the layout: one for each log.
-
-    The layout says how high the plots reach. That of another flight of the same aircraft, which the viewer remembers by
-    this name, would cut a fault off that goes beyond it.
+    The viewer keeps a layout for each log: that of another flight of the same aircraft says how high other plots reach,
+    and would cut a fault off that goes beyond it.
     """
-    log = recording.audit.log
-    return application_name(recording.audit.aircraft.name, log.source.stem, log.run)
+    audit, log = recording.audit, recording.audit.log
+    application = application_name(audit.aircraft.name, log.source.stem, log.run)
+    with recording_file(path, application, audit_layout(recording), log.start_utc) as recorder:
+        fill(recorder, recording)
 
 
 def fill(recorder: Recorder, recording: Recording) -> None:
