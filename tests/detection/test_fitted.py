@@ -279,6 +279,7 @@ def test_a_servo_far_from_zero_is_known_as_well_as_one_about_it() -> None:
     assert far.detectable.bias_deg == pytest.approx(near.detectable.bias_deg, rel=0.4)
 
 
+@pytest.mark.slow
 def test_a_surface_that_leaves_its_command_is_not_cleared_however_little_was_asked(tmp_path: Path) -> None:
     rng, t = np.random.default_rng(3), np.arange(0.0, 120.0, 0.1)
     asked_deg = 0.3 * np.sin(t) + np.where((t > 60.2) & (t < 64.0), -3.5 * np.sin(1.6 * (t - 60.2)), 0.0)

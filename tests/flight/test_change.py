@@ -34,6 +34,7 @@ def test_half_of_the_ailerons_is_missed_and_measured(seed: int) -> None:
     assert roll.lost_share.low < 0.5 < roll.lost_share.high
 
 
+@pytest.mark.slow
 def test_healthy_flights_are_no_reason_to_look() -> None:
     looks = [
         axis.axis

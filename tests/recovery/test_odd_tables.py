@@ -39,13 +39,13 @@ def test_positions_held_between_updates_are_judged_once(tmp_path: Path) -> None:
     assert any("refreshed every 0.05 s" in note and "600 of 3000 rows" in note for note in found.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("words", "more", "size"),
     [
         (",load_g,servo_current_a", ",200,0.5", 8.0),
-        pytest.param(",load_g", ",heavy", 8.0, marks=pytest.mark.nightly),
-        pytest.param("", "", 80.0, marks=pytest.mark.nightly),
+        (",load_g", ",heavy", 8.0),
+        ("", "", 80.0),
     ],
     ids=["constant", "words", "units of 100"],
 )
