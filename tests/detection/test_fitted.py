@@ -145,7 +145,9 @@ def test_a_healthy_surface_tells_what_would_have_been_seen(tmp_path: Path) -> No
 @cache
 def three_faults() -> servofd.Audit:
     """The sample that has no aircraft file, as every question here is asked of it."""
-    return servofd.audit("sample_logs/table_three_faults.csv")[0]
+    (found,) = servofd.audit("sample_logs/table_three_faults.csv")
+    assert isinstance(found, servofd.Audit)
+    return found
 
 
 @cache

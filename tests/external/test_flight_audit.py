@@ -26,13 +26,11 @@ pytestmark = pytest.mark.skipif(
     ("suffix", "aileron", "elevator", "only"),
     [
         ("bin", "aileron_1", "elevator_10", ("aileron_1", "elevator_2", "elevator_10")),
-        pytest.param("bin", "aileron_1", "elevator_10", None, marks=pytest.mark.nightly),
-        pytest.param("tlog", "servo_1", "servo_10", None, marks=pytest.mark.nightly),
+        pytest.param("bin", "aileron_1", "elevator_10", (), marks=pytest.mark.nightly),
+        pytest.param("tlog", "servo_1", "servo_10", (), marks=pytest.mark.nightly),
     ],
 )
-def test_both_jams_are_found_and_nothing_else(
-    suffix: str, aileron: str, elevator: str, only: tuple[str, ...] | None
-) -> None:
+def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevator: str, only: tuple[str, ...]) -> None:
     (result,) = servofd.audit(LOGS / f"ardupilot_sitl_feedback.{suffix}", surfaces=only)
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
     assert len(verdicts) == (len(only) if only else 6)

@@ -211,8 +211,11 @@ class Autopilot(Conformance):
         assert log.parameters
         assert log.texts
 
-    @pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97])
-    def test_truncated(self, share: float) -> None:
+    def test_truncated(self) -> None:
+        for share in (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97):
+            self.check_share(share)
+
+    def check_share(self, share: float) -> None:
         whole = self.read(self.content)
         log = self.outcome(self.content[: int(len(self.content) * share)])
         if isinstance(log, LogError):
@@ -291,7 +294,7 @@ class TestTextWithoutStamps(Conformance):
             np.testing.assert_allclose(times_s - times_s[0], np.arange(values.size) * 10.0 / values.size, atol=0.06)
         assert ["no time stamps" in damage.note for damage in log.damage] == [True]
 
-    def test_truncated(self) -> None:  # type: ignore[override]
+    def test_truncated(self) -> None:
         for share in (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97):
             log = self.outcome(self.content[: int(len(self.content) * share)])
             if isinstance(log, LogError):

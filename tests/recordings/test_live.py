@@ -27,7 +27,9 @@ SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 
 @cache
 def three_faults() -> servofd.Audit:
-    return servofd.audit(SAMPLES / "table_three_faults.csv", servo="hs225bb-eq31")[0]
+    (found,) = servofd.audit(SAMPLES / "table_three_faults.csv", servo="hs225bb-eq31")
+    assert isinstance(found, servofd.Audit)
+    return found
 
 
 @pytest.mark.slow

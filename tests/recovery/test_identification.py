@@ -173,14 +173,16 @@ def test_offset_gain_and_sign_of_the_position() -> None:
     assert result.servo.linear.gain == pytest.approx(-0.8, rel=0.01)
     assert result.offset_deg == pytest.approx(3.0, abs=0.02)
     assert any("runs against the command" in note for note in result.notes)
-    assert not any("check the units" in note for note in result.notes)
 
 
 @pytest.mark.slow
 def test_a_position_in_radians_is_doubted() -> None:
     segment = sweep("hs225bb-eq31", duration_s=30.0)
-    notes = identify(replace(segment, measured_deg=np.radians(segment.measured_deg))).notes
-    assert any("times its command: check the units of both" in note for note in notes)
+    in_degrees, in_radians = (
+        identify(replace(segment, measured_deg=by * segment.measured_deg)).notes for by in (1.0, np.pi / 180.0)
+    )
+    assert any("times its command: check the units of both" in note for note in in_radians)
+    assert not any("check the units" in note for note in in_degrees)
 
 
 @pytest.mark.slow

@@ -103,7 +103,7 @@ def test_no_interval_is_wider_than_what_was_known_and_the_calibrated_flight_is_w
 ) -> None:
     """A healthy surface, calibrated on two flights, followed over these and one more."""
     for seed in range(3):
-        assert main(["simulate", "-o", str(tmp_path / f"{seed}.bin"), "--duration", "40", "--seed", str(seed)]) == 0
+        assert main(["simulate", "-o", str(tmp_path / f"{seed}.bin"), "--duration", "60", "--seed", str(seed)]) == 0
     good = [str(tmp_path / f"{seed}.bin") for seed in range(2)]
     assert main(["calibrate", *good, "-s", "elevator", "-o", str(tmp_path / "plane.toml")]) == 0
     plane = load_aircraft(tmp_path / "plane.toml")
