@@ -284,6 +284,7 @@ def test_servos_without_power_at_once_are_one_supply_that_gave_way(tmp_path: Pat
     assert found.sentence.startswith("SUPPLY GAVE WAY at 1:")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("again_v", [4.5, 6.0])
 def test_a_supply_that_sags_is_said_though_servos_follow(tmp_path: Path, again_v: float) -> None:
     """By a quarter for good, or to a half for two seconds in four."""

@@ -145,6 +145,7 @@ def test_a_wire_that_carries_nothing_is_a_supply_that_gave_way(tmp_path: Path, p
     assert {s.status for s in found.surfaces} == {"fault"}
 
 
+@pytest.mark.slow
 def test_good_servos_are_cleared(tmp_path: Path, plane: str) -> None:
     found = servofd.audit(written(tmp_path, 9), plane)
     assert {s.status for s in found.surfaces} == {"healthy"}

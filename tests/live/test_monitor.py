@@ -132,6 +132,7 @@ class TestAsAnAudit:
         assert np.nanmax(np.abs(expected_deg)) > 1.0, "the load has to matter"
         assert np.nanmax(np.abs(residual_deg - expected_deg)) < 0.1
 
+    @pytest.mark.slow
     def test_what_it_stores_is_the_log(self, log: bytes, aircraft: Aircraft) -> None:
         stored = bytearray()
         session = Session(Codec(0, 191), {0: aircraft}, store=stored.extend)

@@ -84,6 +84,7 @@ def test_a_folder_is_a_fleet(folder: Path, capsys: pytest.CaptureFixture[str]) -
         assert name in table
 
 
+@pytest.mark.slow
 def test_one_bad_recording_does_not_stop_the_others(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -179,6 +180,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert main(["review", str(path)]) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -253,6 +255,7 @@ def test_view_gives_the_viewer_names_that_it_can_draw(
     assert opened == [("U+98DBU+884C.rrd", True)] * 2
 
 
+@pytest.mark.slow
 def test_the_viewer_that_fails_is_one_line(
     stuck: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,7 @@ def test_columns_that_say_nothing_change_nothing(tmp_path: Path, words: str, mor
     assert "FAULT" not in found.answer
 
 
+@pytest.mark.slow
 def test_a_servo_whose_commands_were_not_logged_for_a_while_has_no_fault(tmp_path: Path) -> None:
     """It moves on meanwhile, by commands that nobody knows: those 2 s are no part of the comparison."""
     path = written(tmp_path / "log.csv")
