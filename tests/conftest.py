@@ -12,6 +12,9 @@ from hypothesis import settings
 for library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+# Programs that the tests start would compile all that they import, each time anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # A suite that was started in the background ignores Ctrl-C, and so would the programs that it starts and interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

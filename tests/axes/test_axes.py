@@ -14,7 +14,7 @@ from scipy import stats
 
 import logparsers
 from logparsers.records import FlightLog
-from servofd.aircraft.axes import MotionModel, motion_to_toml
+from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.outputs import outputs_of
 from servofd.aircraft.schema import load_aircraft
 from servofd.axes.calibrate import calibrate_motion, spread_between, tail_of
@@ -26,14 +26,9 @@ from servofd.cli import main
 from servofd.core.errors import CalibrationError, ConfigError, NoMeasurement
 from servofd.core.windows import Sizes, distance
 from servofd.detection.verdict import LogAudit
-from tests.axes.flights import flown
+from tests.axes.flights import calibrated, flown
 
 DAYS = ("2026-05-01", "2026-05-02", "2026-05-03")
-
-
-@functools.cache
-def calibrated() -> MotionModel:
-    return calibrate_motion([flown(seed, DAYS[seed % 3]) for seed in range(6)])
 
 
 def test_the_distance_of_healthy_windows_is_chi_square() -> None:
@@ -156,9 +151,9 @@ def test_a_log_that_is_too_short_is_left_out_and_the_others_calibrate() -> None:
 
 @pytest.mark.slow
 def test_a_flight_of_another_aircraft_is_left_out_and_named() -> None:
-    good = [flown(seed, f"2026-05-0{seed}") for seed in range(1, 5)]
-    assert calibrate_motion(good).left_out == ()
-    model = calibrate_motion([*good[:3], flown(4, "2026-05-04", aileron_share=0.5, from_s=0.0)])
+    good = [flown(seed, f"2026-05-0{seed}") for seed in range(1, 4)]
+    assert calibrated().left_out == ()
+    model = calibrate_motion([*good, flown(4, "2026-05-04", aileron_share=0.5, from_s=0.0)])
     assert model.flights == 3
     assert re.match("flight 4: roll has [45][0-9]% less effect", model.left_out[0])
 

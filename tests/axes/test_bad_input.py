@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,15 +18,10 @@ from servofd.axes.motion import Motion, motion_of_autopilot
 from servofd.axes.verdict import AxisAudit
 from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.core.types import FloatArray
-from tests.axes.flights import flown
+from tests.axes.flights import calibrated, flown
 
 OF_THE_DAY = "2026-05-09"
 MIXER = {"SERVO1_FUNCTION": 4.0, "SERVO3_FUNCTION": 70.0, "SERVO5_FUNCTION": 33.0}
-
-
-@functools.cache
-def calibrated() -> MotionModel:
-    return calibrate_motion([flown(seed, f"2026-05-0{1 + seed % 3}") for seed in range(6)])
 
 
 def roll_of(flight: Motion) -> AxisAudit:

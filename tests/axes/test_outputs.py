@@ -17,9 +17,10 @@ from servofd.core.statistics import Estimate
 from servofd.fleets.overview import overview
 from servofd.fleets.store import read_logs, read_table
 from servofd.outputs.sentence import axes_sentence
-from tests.axes.flights import flown
+from tests.axes.flights import calibrated, flown
 from tests.axes.test_axes import as_table
-from tests.axes.test_bad_input import calibrated, roll_of
+from tests.axes.test_bad_input import roll_of
+from tests.fleet.conftest import in_line
 
 
 @pytest.mark.slow
@@ -37,9 +38,10 @@ def test_an_axis_has_its_lanes_in_rerun(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_many_flights_without_feedback_are_judged_by_their_axes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In lines, overview, page, tables and exit code, as flights whose servos report positions are."""
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     plane, flights, results = tmp_path / "plane.toml", tmp_path / "flights", tmp_path / "results"
     plane.write_text(motion_to_toml(calibrated()))
     flights.mkdir()

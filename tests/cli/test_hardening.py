@@ -99,7 +99,7 @@ class TestOutputs:
     @pytest.mark.slow
     def test_a_terminated_run_leaves_nothing_half_written(self, tmp_path: Path) -> None:
         log = tmp_path / "big.csv"
-        main(["simulate", "-o", str(log), "--duration", "600"])
+        main(["simulate", "-o", str(log), "--duration", "200"])
         words = ["audit", str(log), "--servo", "hs225bb-eq31", "-o", str(tmp_path / "out")]
         process = subprocess.Popen([sys.executable, "-m", "servofd", *words])
         for _ in range(600):  # wait for the first output file, bounded

@@ -17,6 +17,8 @@ from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Document, Figures
 from servofd.outputs.figure import chart_png
 from servofd.outputs.page import html_page
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 ACTS = [*map(chr, range(8)), "\x1b", "\x7f", "\x80", "\x9b", "\u202e", "\ufeff"]
 HOSTILE = "a<script>alert(1)</script>\x9b31m\u202ex\\1\\g<2>$\\frac$'"
@@ -33,12 +35,13 @@ def flight(path: Path, surface: str) -> str:
 
 
 def lively(path: Path, surface: str, seed: int) -> str:
-    """Motion from which a servo can be identified."""
+    """Motion of a known servo, from which it can be identified."""
     rng, time_s = np.random.default_rng(seed), np.arange(1250) / 50
     walk = np.cumsum(rng.normal(size=time_s.size))
     command = np.clip(1.5 * (walk - np.convolve(walk, np.full(100, 0.01), "same")), -18.0, 18.0)
     command = np.convolve(command, np.full(5, 0.2), "same")
-    position = np.interp(time_s - 0.05, time_s, command) + 0.02 * rng.normal(size=time_s.size)
+    moved = ServoModel.of(servo_named("hs225bb-eq31")).simulate(time_s, command, time_s)
+    position = moved + 0.02 * rng.normal(size=time_s.size)
     rows = "".join(f"{t:.2f},{c:.3f},{p:.3f}\n" for t, c, p in zip(time_s, command, position, strict=True))
     path.write_text(f'time_s,"{surface}_cmd_deg","{surface}_pos_deg"\n{rows}', encoding="utf-8")
     return str(path)

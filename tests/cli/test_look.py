@@ -82,9 +82,13 @@ def test_a_folder_is_many_flights_with_a_page_each(
     assert re.match(r"fault +flight\.mat +ELEVATOR JAMMED at", lines[1])
     assert lines[2].endswith(" ELEVATOR JAMMED, IGNORES SMALL COMMANDS; RUDDER OFF")  # no room for their numbers
     assert all(len(line) <= 80 for line in lines[1:])
-    links = re.findall(r'<a href="(.*?)">', (folder / "fleet.html").read_text())
-    assert len(links) == 2
+    page = (folder / "fleet.html").read_text(encoding="utf-8")
+    links = re.findall(r'<th scope="row"><a href="([^"]+)">', page)
+    assert [link.partition(".")[0] for link in links] == ["flight", "table_three_faults"]
+    assert re.findall(r'<a href="(.*?)">', page) == links
     assert all((folder / link).is_file() for link in links)
+    assert page.count('<svg class="thumbnail') == 2
+    assert '<table class="stack sortable">' in page
     assert looked(capsys, *words)[1] == lines  # the pages are no logs
 
 
@@ -142,21 +146,3 @@ def test_the_page_is_opened_where_somebody_can_see_it(
     main([str(flight), "-s", "rudder", *words])
     capsys.readouterr()
     assert seen == [flight.with_suffix(".html").as_uri()] * opened
-
-
-@pytest.mark.slow
-def test_each_row_of_a_folder_has_a_thumbnail_and_leads_to_its_flight(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
-    logs, pages = tmp_path / "flights", tmp_path / "pages"
-    logs.mkdir()
-    for name in ("faser_stuck_flight.mat", "faser_healthy_flight.mat"):
-        (logs / name).write_bytes((SAMPLES / name).read_bytes())
-    assert main([str(logs), "--no-open", "-o", str(pages)]) == 1
-    text = (pages / "fleet.html").read_text(encoding="utf-8")
-    led_to = re.findall(r'<th scope="row"><a href="([^"]+)">', text)
-    assert [name.partition(".")[0] for name in led_to] == ["faser_stuck_flight", "faser_healthy_flight"]
-    assert all((pages / name).is_file() for name in led_to)
-    assert text.count('<svg class="thumbnail') == 2
-    assert '<table class="stack sortable">' in text

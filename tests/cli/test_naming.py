@@ -68,9 +68,10 @@ def check_promises(code: int, surfaces: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind_of_threshold", [pytest.param("constant", marks=pytest.mark.slow), "interval"])
+@pytest.mark.parametrize("kind_of_threshold", [pytest.param("constant", marks=pytest.mark.nightly), "interval"])
 @pytest.mark.parametrize("name", HIDDEN)
 def test_sample_logs_are_named(name: str, kind_of_threshold: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """By day with the interval; `tests/replay/test_sample_logs.py` judges them with the constant threshold."""
     surface, kind, hidden = HIDDEN[name]
     code, surfaces = audited(capsys, str(SAMPLES / f"{name}.mat"), "--threshold", kind_of_threshold)
     check_promises(code, surfaces)

@@ -68,6 +68,7 @@ def test_odds_of_flights(capsys: pytest.CaptureFixture[str]) -> None:
     assert surfaces["elevator"]["residual"]["std_deg"] == pytest.approx(0.0418, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_surface_at_fault_tells_nothing_and_writes_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -75,7 +75,8 @@ def test_what_was_hidden_is_named_with_its_size(name: str, tmp_path: Path, capsy
     effect = name.partition(",")[0]
     path = simulated(tmp_path, f"{effect}:{SIZES[name]}", duration_s=40.0)
     capsys.readouterr()
-    options = ["--servo", "hs225bb-eq31", "--json", "-"]
+    better = tmp_path / "better.toml"
+    options = ["--servo", "hs225bb-eq31", "--json", "-", "--save", str(better)]
     assert main(["explain", str(path), "-s", "elevator", *options]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [step["effect"] for step in document["steps"]] == [effect]
@@ -83,8 +84,6 @@ def test_what_was_hidden_is_named_with_its_size(name: str, tmp_path: Path, capsy
     for pair in SIZES[name].split(":"):
         key, _, value = pair.partition("=")
         assert parameters[key]["value"] == pytest.approx(float(value), rel=0.04)
-    better = tmp_path / "better.toml"
-    assert main(["explain", str(path), "-s", "elevator", "--servo", "hs225bb-eq31", "--save", str(better)]) == 0
     assert tomllib.loads(better.read_text())["surfaces"]["elevator"]["threshold_deg"] < 1.0  # in the air of the log
 
 

@@ -38,6 +38,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> str:
     return output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["blocked", "unpowered"])
 @pytest.mark.parametrize("rate_hz", [5.0, 50.0])
 def test_a_current_alone_tells_it_without_any_calibration(
@@ -70,6 +71,7 @@ def test_calibrated_on_good_flights(tmp_path: Path, calibrated: str, fault: str)
         assert 1.7 < found["aileron"].faults[0].parameters["times"].value < 3.5
 
 
+@pytest.mark.slow
 def test_the_sensor_is_at_fault_where_the_current_says_that_it_moves(tmp_path: Path) -> None:
     flight = flown(8, 25.0)
     frozen_deg = flight.position_deg.copy()
@@ -80,6 +82,7 @@ def test_the_sensor_is_at_fault_where_the_current_says_that_it_moves(tmp_path: P
     assert "its sensor is at fault" in found["aileron"].reason
 
 
+@pytest.mark.slow
 def test_two_witnesses_agree(tmp_path: Path) -> None:
     log = written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=True)
     alone = tmp_path / "alone.csv"
@@ -97,6 +100,7 @@ def test_two_witnesses_agree(tmp_path: Path) -> None:
     assert "confirmed by its current (blocked" in found.sentence
 
 
+@pytest.mark.slow
 def test_a_servo_without_power_is_one_fault_of_both_witnesses(tmp_path: Path) -> None:
     flight = flown(9, 25.0, "unpowered")
     held_deg = flight.position_deg
@@ -106,6 +110,7 @@ def test_a_servo_without_power_is_one_fault_of_both_witnesses(tmp_path: Path) ->
     assert (fault.kind, fault.confirmed_by.kind) == ("stuck", "unpowered")
 
 
+@pytest.mark.slow
 def test_a_position_that_follows_takes_back_what_an_unknown_current_looks_like(tmp_path: Path) -> None:
     flight = flown(9, 25.0, "blocked")
     flight.position_deg[:] = flown(9, 25.0).position_deg
@@ -147,7 +152,7 @@ def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_current_that_dies_while_the_position_follows_is_no_fault_of_the_servo(tmp_path: Path) -> None:
-    goods = [tmp_path / f"good{k}.csv" for k in range(4)]
+    goods = [tmp_path / f"good{k}.csv" for k in range(3)]
     for k, good in enumerate(goods):
         good.write_text(flown(70 + k, 10.0).csv("aileron", position=True))
     plane = servofd.calibrate(goods).save(tmp_path / "plane.toml")
@@ -230,11 +235,12 @@ def test_the_page_draws_the_current(tmp_path: Path) -> None:
     assert "Blocked at 1:40, close-up" in text
 
 
-@pytest.mark.parametrize("position", [False, True])
+@pytest.mark.slow
+@pytest.mark.parametrize("position", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_a_recording_says_what_the_audit_said(tmp_path: Path, position: bool) -> None:
     log = written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=position)
-    paths = {name: str(tmp_path / name) for name in ("flight.rrd", "audit.json", "review.json", "all")}
-    assert main(["audit", log, "--rrd", paths["flight.rrd"], "--json", paths["audit.json"], "-o", paths["all"]]) == 1
+    paths = {name: str(tmp_path / name) for name in ("flight.rrd", "audit.json", "review.json")}
+    assert main(["audit", log, "--rrd", paths["flight.rrd"], "--json", paths["audit.json"]]) == 1
     assert main(["review", paths["flight.rrd"], "--json", paths["review.json"]]) == 1
     said = [json.loads(Path(paths[name]).read_text())["logs"][0]["surfaces"] for name in ("audit.json", "review.json")]
     assert said[0] == said[1]
@@ -257,6 +263,7 @@ def together(flights: Mapping[str, Flown], volts_v: Callable[[float], float]) ->
     return "\n".join([",".join(head), *(row for _, row in sorted(rows))]) + "\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [("aileron", "elevator", "rudder"), ("elevator", "rudder"), ("elevator",)])
 def test_servos_without_power_at_once_are_one_supply_that_gave_way(tmp_path: Path, lost: tuple[str, ...]) -> None:
     flights = {
@@ -277,6 +284,7 @@ def test_servos_without_power_at_once_are_one_supply_that_gave_way(tmp_path: Pat
     assert found.sentence.startswith("SUPPLY GAVE WAY at 1:")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("again_v", [4.5, 6.0])
 def test_a_supply_that_sags_is_said_though_servos_follow(tmp_path: Path, again_v: float) -> None:
     """By a quarter for good, or to a half for two seconds in four."""
@@ -311,11 +319,13 @@ def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureF
     assert surface["verdict"] == "yes, by its current"
 
 
+@pytest.mark.slow
 def test_info_says_once_what_currents_allow(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(Path(__file__).parents[2] / "sample_logs" / "ardupilot_volz_stuck.bin")]) == 0
     assert capsys.readouterr().out.count("blocked") == 1
 
 
+@pytest.mark.slow
 def test_cycles_of_a_bench_end_in_one_table_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = []
     asked_deg = np.interp(0.04 * np.arange(325), [0.0, 5.0, 8.0, 13.0], [-20.0, 20.0, 20.0, -20.0])

@@ -42,8 +42,16 @@ def watched(log: Path, plane: str, capsys: pytest.CaptureFixture[str]) -> tuple[
     return code, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
-@pytest.mark.parametrize("fault", ["blocked", "unpowered"])
-@pytest.mark.parametrize("suffix", [".tlog", ".bin"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("suffix", "fault"),
+    [
+        (".tlog", "blocked"),
+        (".bin", "unpowered"),
+        pytest.param(".tlog", "unpowered", marks=pytest.mark.nightly),
+        pytest.param(".bin", "blocked", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_stream_with_current_and_no_position_alarms(
     tmp_path: Path, plane: str, fault: str, suffix: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,12 +73,14 @@ def test_a_stream_with_current_and_no_position_alarms(
     assert -3.0 <= alarm["time_s"] - found["alarm_s"] <= 1.0  # a monitor looks oftener, and may be sooner
 
 
+@pytest.mark.slow
 def test_good_currents_raise_nothing(tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "flight.tlog"
-    log.write_bytes(telemetry_of(flown(6, seconds=300.0)))
+    log.write_bytes(telemetry_of(flown(6, seconds=150.0)))
     assert watched(log, plane, capsys) == (0, [])
 
 
+@pytest.mark.slow
 def test_an_alarm_ends_when_it_is_over(tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "flight.tlog"
     log.write_bytes(telemetry_of(flown(7, "blocked", seconds=160.0, end_s=100.0)))
@@ -80,6 +90,7 @@ def test_an_alarm_ends_when_it_is_over(tmp_path: Path, plane: str, capsys: pytes
     assert 100.0 < events[-1]["time_s"] < 140.0
 
 
+@pytest.mark.slow
 def test_currents_that_stop_are_no_verdict(tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]) -> None:
     flight = flown(8)
     kept = flight.current_s < START_S
@@ -92,6 +103,7 @@ def test_currents_that_stop_are_no_verdict(tmp_path: Path, plane: str, capsys: p
     assert events[0]["text"].startswith("no current since ")
 
 
+@pytest.mark.slow
 def test_a_row_says_what_it_draws(tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "flight.tlog"
     log.write_bytes(telemetry_of(flown(5, "blocked")))

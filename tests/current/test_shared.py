@@ -67,6 +67,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(folder / "plane.toml")
 
 
+@pytest.mark.slow
 def test_who_is_asked_for_something_of_its_own_is_named_alone(tmp_path: Path, plane: str) -> None:
     found = servofd.audit(written(tmp_path, 3, "blocked", ("elevator",)), plane)
     assert {s.surface: s.status for s in found.surfaces} == dict(
@@ -82,7 +83,8 @@ def test_who_is_asked_for_something_of_its_own_is_named_alone(tmp_path: Path, pl
         assert current.ratio_to_good == pytest.approx(1.0, abs=0.4)
 
 
-@pytest.mark.parametrize("lost", NAMES[:2])
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", [pytest.param(NAMES[0], marks=pytest.mark.nightly), NAMES[1]])
 def test_servos_of_one_command_are_named_together(
     tmp_path: Path, plane: str, lost: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -110,6 +112,7 @@ def with_positions(folder: Path, plane: str, names: tuple[str, ...]) -> Path:
     return folder / "seen.toml"
 
 
+@pytest.mark.slow
 def test_a_sensor_that_fails_while_positions_follow_is_no_fault_of_a_servo(tmp_path: Path, plane: str) -> None:
     head, *rows = bench(11, seen=NAMES[2:]).splitlines()
     dead = [
@@ -124,7 +127,8 @@ def test_a_sensor_that_fails_while_positions_follow_is_no_fault_of_a_servo(tmp_p
     assert "its sensor reads nothing while servos move" in found["aileron_left"].reason
 
 
-@pytest.mark.parametrize("lost", NAMES[:2])
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", [NAMES[0], pytest.param(NAMES[1], marks=pytest.mark.nightly)])
 def test_a_jam_that_a_position_shows_is_what_a_wire_shows(tmp_path: Path, plane: str, lost: str) -> None:
     """And none of the servo beside it, whose position nobody knows."""
     (tmp_path / "log.csv").write_text(bench(21, "blocked", (lost,), NAMES[:2]))
@@ -133,6 +137,7 @@ def test_a_jam_that_a_position_shows_is_what_a_wire_shows(tmp_path: Path, plane:
     assert {s.surface for s in found.surfaces if s.status == "healthy"} == set(NAMES) - {lost}
 
 
+@pytest.mark.slow
 def test_a_wire_that_carries_nothing_is_a_supply_that_gave_way(tmp_path: Path, plane: str) -> None:
     found = servofd.audit(written(tmp_path, 7, "unpowered", NAMES), plane)
     (cause,) = found.common_causes
@@ -140,6 +145,7 @@ def test_a_wire_that_carries_nothing_is_a_supply_that_gave_way(tmp_path: Path, p
     assert {s.status for s in found.surfaces} == {"fault"}
 
 
+@pytest.mark.slow
 def test_good_servos_are_cleared(tmp_path: Path, plane: str) -> None:
     found = servofd.audit(written(tmp_path, 9), plane)
     assert {s.status for s in found.surfaces} == {"healthy"}

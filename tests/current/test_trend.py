@@ -38,6 +38,7 @@ def followed(folder: Path, plane: str, friction: list[float], seed: int) -> Surf
     return surface
 
 
+@pytest.mark.slow
 def test_friction_that_grows_is_seen_in_the_current_of_motion(tmp_path: Path, plane: str) -> None:
     surface = followed(tmp_path, plane, [1.0 + 0.1 * k for k in range(12)], 8000)
     ratio = surface.quantities["current_ratio"]
@@ -47,6 +48,7 @@ def test_friction_that_grows_is_seen_in_the_current_of_motion(tmp_path: Path, pl
     assert ratio.forecast.kind == "reached"
 
 
+@pytest.mark.slow
 def test_good_flights_show_no_trend_and_their_intervals_hold(tmp_path: Path, plane: str) -> None:
     surface = followed(tmp_path, plane, [1.0] * 12, 9000)
     assert set(surface.quantities) == {"current_ratio", "current_spread_a", "idle_current_a"}

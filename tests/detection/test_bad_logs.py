@@ -12,7 +12,6 @@ import pytest
 from strangers import SURFACES, fly, stranger
 
 import servofd
-from servofd.cli import main
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -174,18 +173,6 @@ def test_a_sign_is_a_convention_of_an_autopilot(tmp_path: Path) -> None:
 def test_three_rows_of_any_form_are_no_flight(form: str, tmp_path: Path) -> None:
     found = in_form(form, tmp_path, lambda f: f.until(0.12))
     assert {verdict.status for verdict in found} <= {"unknown", "no_data"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["bin", pytest.param("tlog", marks=pytest.mark.nightly)])
-def test_servos_of_an_autopilot_that_are_jammed_from_the_beginning(
-    tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = str(tmp_path / f"jammed.{suffix}")
-    jams = [word for name in ("elevator", "aileron", "rudder") for word in ("--fault", f"{name}:stuck@0")]
-    assert main(["simulate", "-o", log, "--seed", "4", "--duration", "40", *jams]) == 0
-    assert main(["audit", log]) == 2
-    assert capsys.readouterr().out.count("jammed from the beginning, or no reading of this surface") == 3
 
 
 @pytest.mark.slow

@@ -132,7 +132,7 @@ class TestTheSameStepAsOffline:
         entry, model = surface(kind)
         raw = flight(4, lost=lost, stuck_s=22.0)
         found = healthy_of(entry, model).beside(raw).found
-        monitor, events = watched(entry, model, raw)
+        monitor, events = watched(entry, model, raw, 5)
         assert [(f.kind, f.alarm_s, f.end_s) for f in monitor.faults] == [
             (f.kind, f.alarm_s, f.end_s) for f in found.faults
         ]
@@ -173,10 +173,10 @@ def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None
     measured_deg, at_fault = segment.measured_deg.copy(), (segment.measured_s >= 26.0) & (segment.measured_s < 32.0)
     measured_deg[at_fault] = measured_deg[at_fault][0] if what == "jam" else measured_deg[at_fault] + 2.0
     faulty = replace(segment, measured_deg=measured_deg)
-    told = [watched(entry, model, faulty, piece)[1] for piece in (1, 7, 50)]
+    told = [watched(entry, model, faulty, piece)[1] for piece in (1, 37)]
     seen = [[(event.time_s, event.event, event.kind) for event in events] for events in told]
     assert [event for _, event, _ in seen[0] if event != "named"] == ["alarm", "clear"]
-    assert seen[1] == seen[0] == seen[2]
+    assert seen[1] == seen[0]
 
 
 class TestNoVerdictFromNoMeasurement:
@@ -360,7 +360,7 @@ def test_a_link_that_becomes_too_thin_is_told_once_and_raises_no_alarm() -> None
     command_deg = 10.0 * np.sin(1.3 * time_s)
     measured_deg = model.simulate(time_s, command_deg, time_s) + 0.05 * rng.standard_normal(time_s.size)
     kept = (time_s < 20.0) | (rng.random(time_s.size) < 1.0 / 12.0)
-    monitor, events = watched(entry, model, Series("x", time_s, command_deg, time_s[kept], measured_deg[kept]))
+    monitor, events = watched(entry, model, Series("x", time_s, command_deg, time_s[kept], measured_deg[kept]), 5)
     assert [event.event for event in events] == ["no_data"]
     assert "positions a second arrive" in events[0].text
     assert not monitor.is_watched

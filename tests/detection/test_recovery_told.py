@@ -75,7 +75,7 @@ def told(kind: str, seed: int, calibrated: Aircraft | None = None) -> list[Event
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", some("stuck", "bias"))
+@pytest.mark.parametrize("kind", some("stuck"))
 def test_the_end_of_a_fault_is_told_within_two_seconds_and_no_name_after_it(kind: str) -> None:
     events = told(kind, 6)
     (alarm,) = [event for event in events if event.event == "alarm"]

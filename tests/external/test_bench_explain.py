@@ -118,16 +118,8 @@ def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
     assert found.notes[-1] == first.sentence
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "geared_joint_plc",
-        *(
-            pytest.param(name, marks=pytest.mark.nightly)
-            for name in ("teleop_arm_1", "teleop_arm_2", "geared_joint_multisine")
-        ),
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["geared_joint_plc", "teleop_arm_1", "teleop_arm_2", "geared_joint_multisine"])
 def test_healthy_joints(name: str) -> None:
     """No fault is claimed, nothing is left out, and a linear servo with any gain and zero never foresees more.
 

@@ -36,10 +36,14 @@ OF_RUNS = (
     "smart_servo_play",
     "vtol_surface_steps",
 )
+EVERY_TIME = {"rc_servo_steps_1khz", "teleop_arm_1", "emps_linear_drive", "smart_servo_gains", "smart_servo_play"}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*PLAIN, *OF_RUNS])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name in EVERY_TIME else pytest.mark.nightly) for name in (*PLAIN, *OF_RUNS)],
+)
 def test_no_run_is_at_fault_and_healthy_is_earned(name: str, tmp_path: Path) -> None:
     config = tmp_path / "shaft.toml"
     config.write_text(TABLE)
@@ -63,7 +67,7 @@ def test_no_run_is_at_fault_and_healthy_is_earned(name: str, tmp_path: Path) -> 
 def test_a_cycle_of_thirteen_seconds_is_healthy_and_a_jam_in_it_is_found(load: str) -> None:
     """Each cycle of a ball screw begins in motion; the jam comes after a third of it."""
     cycles = pd.read_csv(DATA / "bench" / "ram" / f"ram_normal_{load}.csv.gz").groupby("run")
-    for run, cycle in islice(cycles, 0, None, 5):
+    for run, cycle in islice(cycles, 0, None, 10):
         columns = {name: cycle[f"ram_{name}"].to_numpy(float) for name in ("cmd_deg", "pos_deg")}
         time_s = (cycle["time_s"] - cycle["time_s"].iloc[0]).to_numpy(float)
         jammed_deg = columns["pos_deg"].copy()

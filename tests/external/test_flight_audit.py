@@ -23,22 +23,23 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("suffix", "aileron", "elevator"),
+    ("suffix", "aileron", "elevator", "only"),
     [
-        ("bin", "aileron_1", "elevator_10"),
-        pytest.param("tlog", "servo_1", "servo_10", marks=pytest.mark.nightly),
+        ("bin", "aileron_1", "elevator_10", ("aileron_1", "elevator_2", "elevator_10")),
+        pytest.param("bin", "aileron_1", "elevator_10", (), marks=pytest.mark.nightly),
+        pytest.param("tlog", "servo_1", "servo_10", (), marks=pytest.mark.nightly),
     ],
 )
-def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevator: str) -> None:
-    (result,) = servofd.audit(LOGS / f"ardupilot_sitl_feedback.{suffix}")
+def test_both_jams_are_found_and_nothing_else(suffix: str, aileron: str, elevator: str, only: tuple[str, ...]) -> None:
+    (result,) = servofd.audit(LOGS / f"ardupilot_sitl_feedback.{suffix}", surfaces=only)
     verdicts = {verdict.surface: verdict for verdict in result.surfaces}
-    assert len(verdicts) == 6
+    assert len(verdicts) == (len(only) if only else 6)
     assert {name for name, verdict in verdicts.items() if verdict.status == "fault"} == {aileron, elevator}
     sound = [verdict for name, verdict in verdicts.items() if name not in (aileron, elevator)]
     # Readings that are a sample or two late at steps of the command, as in both logs, contradict no servo; where they
     # come at 25 Hz, one of four is to be looked at.
     assert {v.status for v in sound} <= {"healthy", "suspect"}
-    assert sum(v.status == "healthy" for v in sound) >= 3
+    assert sum(v.status == "healthy" for v in sound) >= 0.75 * len(sound)
     # A servo fitted to the log accuses of what no servo would do: one brisk command after the jam at 93.5 s shows it.
     assert verdicts[aileron].faults[0].start_s == pytest.approx(93.5, abs=0.3)
     assert verdicts[aileron].faults[0].alarm_s == pytest.approx(94.5, abs=1.5)

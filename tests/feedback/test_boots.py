@@ -31,7 +31,6 @@ def test_no_fault_spans_a_reboot_and_each_boot_is_judged_on_its_own(tmp_path: Pa
             assert surface.residuals.time_s[-1] - surface.residuals.time_s[0] < 41.0
     assert [s.surface for s in first.surfaces if s.status == "fault"] == ["rudder"]
     assert not second.has_fault
-    assert main(["audit", str(both), "-c", "simulated"]) == 1
 
 
 def _two_boots(folder: Path, *, first: list[str], second: list[str]) -> Path:
@@ -62,6 +61,7 @@ def test_an_aircraft_is_drafted_from_the_longest_flight_of_a_log(
         assert abs(gain - other) < 3.0 * spread
 
 
+@pytest.mark.slow
 def test_each_boot_is_a_sweep_of_its_own_and_one_that_is_no_go_counts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -111,12 +111,10 @@ def test_a_bus_that_is_late_for_a_fifth_of_a_second_makes_nothing_suspicious() -
     seed = 4
     command_deg = commands(seed)
     position_deg = read(AT_FIRST.simulate(TIME_S, command_deg, TIME_S), seed)
-    usual = fitted_verdict(command_deg, position_deg)
     held = position_deg.copy()
     for first in np.random.default_rng(seed).integers(100, TIME_S.size - 100, 12).tolist():
         held[first : first + 10] = held[first]
-    late = fitted_verdict(command_deg, held)
-    assert (usual.status, late.status) == ("healthy", "healthy")
+    assert fitted_verdict(command_deg, held).status == "healthy"
 
 
 @pytest.mark.slow

@@ -46,6 +46,16 @@ def results(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def of_may(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What an audit of the two flights of May leaves; only read or copied."""
+    folder = tmp_path_factory.mktemp("may") / "r"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("servofd.fleets.run.run_local", in_line)
+        assert main(["audit", str(logs / "may"), "--servo", "hs225bb-eq31", "-o", str(folder)]) == 1
+    return folder
+
+
 def in_line(task: Callable[[Any], Any], items: Sequence[Any], _workers: int | None) -> Iterator[tuple[Any, Any]]:
     """The work of other processes, in this one, which knows servofd already."""
     for item in items:

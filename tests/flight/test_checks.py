@@ -18,6 +18,7 @@ from servofd.flight.columns import Flight, Output, flight_of
 from servofd.simulation.airframe import airframe_log, fly_airframe
 from servofd.simulation.dataflash_writer import pulses, words
 from tests.axes.flights import flown
+from tests.fleet.conftest import in_line
 
 NAMES = ["surface_check", "saturation", "trim", "travel", "limit_cycle", "asymmetry", "supply", "axis_change"]
 TIME_S = np.arange(0.0, 200.0, 0.04)
@@ -151,9 +152,11 @@ def test_a_short_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_folder_of_crash_logs_has_an_answer_and_a_page_for_each(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     for seed in ("3", "9"):
         words = ["simulate", "-o", str(tmp_path / f"flight{seed}.bin"), "--airframe", "plain", "--seed", seed]
         assert main([*words, "--duration", "90"]) == 0

@@ -117,28 +117,18 @@ def check_judged(audits: dict[str, SurfaceAudit]) -> None:
 
 
 @pytest.mark.slow
-@given(flight=flights, order=st.permutations(SURFACES))
+@given(
+    flight=flights, order=st.permutations(SURFACES), shift_s=st.floats(0.0, 1e6), command=CHANNELS, measured=CHANNELS
+)
 @few
-def test_the_order_of_the_surfaces_does_not_matter(flight: SimulatedFlight, order: list[str]) -> None:
+def test_order_origin_units_signs_and_zero_points_do_not_matter(
+    flight: SimulatedFlight, order: list[str], shift_s: float, command: Channel, measured: Channel
+) -> None:
+    """Of the surfaces, of the time, and of what was logged: all of them at once."""
     first = audited(flight)
     check_judged(first)
-    check_alike(first, audited(flight, order=tuple(order)))
-
-
-@pytest.mark.slow
-@given(flight=flights, shift_s=st.floats(0.0, 1e6))
-@few
-def test_the_origin_of_the_time_does_not_matter(flight: SimulatedFlight, shift_s: float) -> None:
-    check_alike(audited(flight), audited(flight, shift_s=shift_s), shift_s)
-
-
-@pytest.mark.slow
-@given(flight=flights, command=CHANNELS, measured=CHANNELS)
-@few
-def test_units_signs_and_zero_points_do_not_matter(
-    flight: SimulatedFlight, command: Channel, measured: Channel
-) -> None:
-    check_alike(audited(flight), audited(flight, command=command, measured=measured))
+    changed = audited(flight, order=tuple(order), shift_s=shift_s, command=command, measured=measured)
+    check_alike(first, changed, shift_s)
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def events(draw: st.DrawFn) -> list[Event]:
 
 
 @given(events(), st.integers(0, 30))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_each_alarm_begins_and_ends_once(seen: list[Event], boots_after: int) -> None:
     """Names and clears carry the id of an alarm that stands, and a clear its name; a boot leaves none standing."""
     alarms, open_, ids, names = Alarms(1), {}, set(), {}

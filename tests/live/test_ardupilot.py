@@ -69,7 +69,7 @@ TROUBLES: dict[str, tuple[Trouble, ...]] = {
     "a trim and a direction": (Edit(18.0, "SERVO2_TRIM", 1560.0), Edit(21.0, "SERVO4_REVERSED", 1.0)),
     "travel": (Edit(18.0, "SERVO1_MIN", 1200.0), Edit(19.0, "SERVO1_MAX", 1800.0)),
 }
-OFTEN = ("none", "a frozen bus")
+OFTEN = ("a frozen bus",)
 
 
 @pytest.mark.slow
@@ -109,7 +109,9 @@ def test_a_restart_is_told_and_watched_on(aircraft: Aircraft) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("edit", [Edit(15.0), Edit(15.0, "SERVO2_TRIM", 1560.0)])
+@pytest.mark.parametrize(
+    "edit", [pytest.param(Edit(15.0), marks=pytest.mark.nightly), Edit(15.0, "SERVO2_TRIM", 1560.0)]
+)
 def test_what_a_parameter_changes_is_told_and_no_fault(aircraft: Aircraft, edit: Edit) -> None:
     session, events = watched(aircraft, edit, stuck_s=None, duration_s=25.0)
     assert kinds(events, "alarm") == []

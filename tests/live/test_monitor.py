@@ -132,6 +132,7 @@ class TestAsAnAudit:
         assert np.nanmax(np.abs(expected_deg)) > 1.0, "the load has to matter"
         assert np.nanmax(np.abs(residual_deg - expected_deg)) < 0.1
 
+    @pytest.mark.slow
     def test_what_it_stores_is_the_log(self, log: bytes, aircraft: Aircraft) -> None:
         stored = bytearray()
         session = Session(Codec(0, 191), {0: aircraft}, store=stored.extend)
@@ -168,7 +169,7 @@ class TestBadLinks:
         ("link", "most_lost"),
         [
             pytest.param(BadLink(loss=0.05, seed=1), 0.1, marks=pytest.mark.nightly),
-            (BadLink(loss=0.3, seed=2), 0.4),
+            pytest.param(BadLink(loss=0.3, seed=2), 0.4, marks=pytest.mark.nightly),
             pytest.param(BadLink(duplicate=0.2, reorder=0.1, seed=3), 0.05, marks=pytest.mark.nightly),
             pytest.param(BadLink(corrupt=0.05, seed=4), 0.1, marks=pytest.mark.nightly),
         ],
@@ -195,7 +196,8 @@ class TestBadLinks:
         assert found == audited(stored, aircraft)
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("outage_s", [*(pytest.param(s, marks=pytest.mark.nightly) for s in (1.0, 4.0)), 20.0])
+    @pytest.mark.nightly
+    @pytest.mark.parametrize("outage_s", [1.0, 4.0, 20.0])
     def test_silence_is_a_lost_link_and_no_fault(self, healthy: bytes, aircraft: Aircraft, outage_s: float) -> None:
         all_frames = list(replayed(healthy))
         begin_s = all_frames[0][0] + 15.0
@@ -205,7 +207,7 @@ class TestBadLinks:
         assert [event.event for event in events if event.event in ("alarm", "link_lost", "link_restored")] == expected
         assert all(monitor.is_watched for _, monitor in session.watched)
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_a_vehicle_that_restarts_is_watched_anew(self, healthy: bytes, aircraft: Aircraft) -> None:
         whole = list(replayed(healthy))
         first = [(at_s, frame) for at_s, frame in whole if at_s < whole[0][0] + 15.0]

@@ -112,7 +112,7 @@ def test_it_goes_on_after_the_vehicle_has_started_again(aircraft: Aircraft) -> N
 def test_what_was_stored_is_what_the_card_holds(aircraft: Aircraft) -> None:
     """But for rows at the edge of lost blocks, which are left out."""
     field, stored = watching(aircraft, down=BadLink(loss=0.05, seed=7))
-    flight = lively(duration_s=20.0)
+    flight = lively(duration_s=12.0)
     field.fly(vehicle(flight))
     live = logparsers.read(io.BytesIO(bytes(stored)))
     card = logparsers.read(io.BytesIO(dataflash_log(flight, PLANE)))
@@ -131,7 +131,7 @@ def test_a_log_that_stops_in_the_middle_of_a_block_is_judged_until_there(
 ) -> None:
     """The telemetry log that the monitor kept, replayed and audited, and the blocks themselves as a log of the card."""
     field, stored = watching(aircraft_of_the_card(tmp_path))
-    field.fly(vehicle(lively(duration_s=18.0, stuck_s=12.0)))
+    field.fly(vehicle(lively(duration_s=14.0, stuck_s=9.0)))
     ((_, alarm_s),) = kinds(field.end(), "alarm")
     reader, blocks, ends, at = Codec(0, 191), {}, [], 0
     for _, frame in replayed(bytes(stored)):

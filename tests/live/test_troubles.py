@@ -130,7 +130,7 @@ def some(*often: str) -> list[Any]:
 @pytest.mark.parametrize("trouble", some("everything"))
 def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=1), up=BadLink(seed=2))
-    field.fly(vehicle(lively(stuck_s=15.0)))
+    field.fly(vehicle(lively(duration_s=20.0, stuck_s=15.0)))
     events = field.end()
     assert {surface for surface, _ in kinds(events, "alarm")} == {"elevator"}
     assert kinds(events, "alarm")[0][1] == pytest.approx(15.5, abs=1.0)
@@ -141,33 +141,33 @@ def test_a_fault_is_found_and_nothing_else_through_a_bad_link(aircraft: Aircraft
 @pytest.mark.parametrize("trouble", some("everything"))
 def test_a_healthy_flight_stays_quiet_through_a_bad_link(aircraft: Aircraft, trouble: str) -> None:
     field = Field.of({0: aircraft}, down=BadLink(**TROUBLES[trouble], seed=3), up=BadLink(seed=4))
-    field.fly(vehicle(flown(duration_s=30.0)))
+    field.fly(vehicle(flown(duration_s=20.0)))
     assert {event.event for event in field.end()} <= QUIET
 
 
 @pytest.mark.slow
 def test_silence_is_a_lost_link_and_no_servo(aircraft: Aircraft) -> None:
-    field = Field.of({0: aircraft}, down=BadLink(outages_s=((8.0, 18.0),)))
-    field.fly(vehicle(lively(duration_s=32.0, stuck_s=25.0)))
+    field = Field.of({0: aircraft}, down=BadLink(outages_s=((8.0, 14.0),)))
+    field.fly(vehicle(lively(duration_s=25.0, stuck_s=20.0)))
     events = field.end()
     (lost,), (restored,) = kinds(events, "link_lost"), kinds(events, "link_restored")
     assert lost[1] == pytest.approx(8.0, abs=2.5)
     assert restored[1] >= lost[1]
     assert [surface for surface, _ in kinds(events, "alarm")] == ["elevator"]
-    assert kinds(events, "alarm")[0][1] > 25.0
+    assert kinds(events, "alarm")[0][1] > 20.0
 
 
 @pytest.mark.slow
 def test_a_vehicle_that_starts_again_is_watched_again(aircraft: Aircraft) -> None:
     """Clock back to zero, rates back to the usual ones: the monitor asks again, and tells times of the new boot."""
     field = Field.of({0: aircraft})
-    field.fly(vehicle(lively(duration_s=10.0)))
+    field.fly(vehicle(lively(duration_s=8.0)))
     field.wait(5.0)
-    field.fly(vehicle(lively(duration_s=20.0, stuck_s=15.0, seed=4)))
+    field.fly(vehicle(lively(duration_s=15.0, stuck_s=10.0, seed=4)))
     events = field.end()
     assert [e.text for e in events if e.event == "no_data"] == ["vehicle 1 has restarted; the monitor begins anew"]
     assert [surface for surface, _ in kinds(events, "alarm")] == ["elevator"]
-    assert kinds(events, "alarm")[0][1] == pytest.approx(15.2, abs=1.0)
+    assert kinds(events, "alarm")[0][1] == pytest.approx(10.2, abs=1.0)
     rate_hz = next(monitor.rate_hz for _, monitor in field.session.watched if monitor.name == "elevator")
     assert rate_hz == pytest.approx(40.0, abs=4.0)
 
@@ -186,7 +186,7 @@ def test_the_wrap_of_the_clock_is_no_event(aircraft: Aircraft) -> None:
 def test_two_vehicles_with_the_same_messages_are_kept_apart(aircraft: Aircraft) -> None:
     field = Field.of({1: aircraft, 2: aircraft})
     field.fly(
-        vehicle(lively(duration_s=20.0), system=1), vehicle(lively(duration_s=20.0, stuck_s=12.0, seed=5), system=2)
+        vehicle(lively(duration_s=14.0), system=1), vehicle(lively(duration_s=14.0, stuck_s=9.0, seed=5), system=2)
     )
     field.end()
     found = {
@@ -203,7 +203,7 @@ def test_unsigned_frames_are_not_believed_when_there_is_a_key(aircraft: Aircraft
     field.fly(vehicle(lively(duration_s=5.0)))
     assert not field.session.vehicles
     field.codec = Codec(1, 1, signature=key)
-    field.fly(vehicle(lively(duration_s=18.0, stuck_s=12.0)))
+    field.fly(vehicle(lively(duration_s=14.0, stuck_s=9.0)))
     assert {surface for surface, _ in kinds(field.end(), "alarm")} == {"elevator"}
 
 

@@ -59,7 +59,7 @@ def test_what_is_no_number_of_a_servo_is_dropped_counted_and_told_once(value: fl
 def test_two_monitors_on_one_network_both_see(aircraft: Aircraft) -> None:
     """The other one's health, heartbeats and stamps, which run ahead, change nothing for this one."""
     field, other = Field.of({0: aircraft}), Codec(1, 191)
-    plane = vehicle(lively(duration_s=18.0, stuck_s=12.0))
+    plane = vehicle(lively(duration_s=14.0, stuck_s=9.0))
     turn = plane.turn
 
     def beside(index: int) -> list[Any]:
@@ -80,7 +80,7 @@ def test_two_monitors_on_one_network_both_see(aircraft: Aircraft) -> None:
 
 @pytest.mark.slow
 def test_a_second_sender_of_positions_raises_no_alarm_and_is_named(aircraft: Aircraft) -> None:
-    field, stray, plane = Field.of({0: aircraft}), Codec(1, 158), vehicle(lively(duration_s=20.0))
+    field, stray, plane = Field.of({0: aircraft}), Codec(1, 158), vehicle(lively(duration_s=12.0))
     turn = plane.turn
 
     def beside(index: int) -> list[Any]:
@@ -100,7 +100,7 @@ def test_a_foreign_heartbeat_captures_nothing(aircraft: Aircraft) -> None:
     beat = other.encode("HEARTBEAT", {"type": 1, "autopilot": 3, "mavlink_version": 3})
     field.session.take(field.now_s, beat)
     assert list(field.session.vehicles) == [7], "nobody else has spoken yet"
-    field.fly(vehicle(lively(duration_s=20.0, stuck_s=12.0)))
+    field.fly(vehicle(lively(duration_s=14.0, stuck_s=9.0)))
     field.session.take(field.now_s, beat)
     assert list(field.session.vehicles) == [1]
     assert {surface for surface, _ in kinds(field.end(), "alarm")} == {"elevator"}
@@ -110,12 +110,12 @@ def test_a_foreign_heartbeat_captures_nothing(aircraft: Aircraft) -> None:
 @pytest.mark.slow
 def test_a_vehicle_whose_number_changes_in_flight_is_watched_on(aircraft: Aircraft) -> None:
     """The operator set its system id in flight; a servo jams 8 s later."""
-    field, plane = Field.of({0: aircraft}), vehicle(lively(duration_s=28.0, stuck_s=20.0))
+    field, plane = Field.of({0: aircraft}), vehicle(lively(duration_s=20.0, stuck_s=15.0))
     speakers, monitor, asked = {1: Codec(1, 1), 7: Codec(7, 1)}, Codec(1, 191), set()
     begin_s = field.now_s - 1e-6 * int(plane.time_us[0])
     for turn, now_us in enumerate(plane.time_us.tolist()):
         field.now_s = begin_s + 1e-6 * now_us
-        plane.system = 7 if field.now_s >= begin_s + 12.0 else 1
+        plane.system = 7 if field.now_s >= begin_s + 7.0 else 1
         for message in plane.turn(turn):
             field.events += field.session.take(field.now_s, speakers[plane.system].encode(*message))
         for name, fields in field.sent:
@@ -128,7 +128,7 @@ def test_a_vehicle_whose_number_changes_in_flight_is_watched_on(aircraft: Aircra
             field.events += field.session.step(field.now_s)
     events = field.end()
     assert {surface for surface, _ in kinds(events, "alarm")} == {"elevator"}
-    assert kinds(events, "alarm")[0][1] == pytest.approx(20.5, abs=1.0)
+    assert kinds(events, "alarm")[0][1] == pytest.approx(15.5, abs=1.0)
     assert kinds(events, "link_lost") == []
     assert (7, 7) in asked
     assert list(field.session.vehicles) == [1]
@@ -140,7 +140,7 @@ def test_a_vehicle_whose_number_changes_in_flight_is_watched_on(aircraft: Aircra
 @pytest.mark.slow
 def test_another_aircraft_on_the_port_is_named_and_not_watched(aircraft: Aircraft) -> None:
     field = Field.of({0: aircraft})
-    field.fly(vehicle(lively(duration_s=20.0)), vehicle(lively(duration_s=20.0, stuck_s=12.0, seed=5), system=2))
+    field.fly(vehicle(lively(duration_s=14.0)), vehicle(lively(duration_s=14.0, stuck_s=9.0, seed=5), system=2))
     assert kinds(field.end(), "alarm") == []
     assert list(field.session.vehicles) == [1]
     assert [note for note in field.session.notes if note.startswith("vehicle 2")] == [

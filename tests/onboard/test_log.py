@@ -70,6 +70,6 @@ def test_a_recording_shows_what_was_seen_on_board(folder: Path) -> None:
     from rerun.chunk import RrdReader
 
     target = folder / "flight.rrd"
-    assert main(["audit", str(folder / "flight.bin"), "--rrd", str(target)]) == 1
+    assert main(["audit", str(folder / "flight.bin"), "-c", "simulated", "--rrd", str(target)]) == 1
     seen = {chunk.entity_path for chunk in RrdReader(str(target)).stream()}
     assert {f"/surfaces/{name}/onboard" for name in ("aileron", "elevator", "rudder")} <= seen

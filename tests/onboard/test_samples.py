@@ -34,7 +34,7 @@ NAMES = {
 """What the script may call each fault; empty where it only says that the surface is off."""
 
 
-QUICK = ("ardupilot_dronecan_healthy.bin", "faser_slow_flight.mat")
+QUICK = ("faser_slow_flight.mat",)
 
 
 LATER_S = 4.0

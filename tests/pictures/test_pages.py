@@ -74,14 +74,16 @@ def audited(audits: list[LogAudit]) -> str:
     )
 
 
-def slow_servo(limit_deg_s: float | None) -> Explanation:
-    """Doublets that a rate limit distorts, or not."""
-    time_s = np.arange(0.0, 30.0, 0.01)
+def slow_servo(limit_deg_s: float | None, surface: str = "elevator", jams_s: float = np.inf) -> Explanation:
+    """Doublets that a rate limit distorts, or not, and maybe a jam ends."""
+    time_s = np.arange(0.0, 30.0, 0.02)
     command_deg = 8.0 * np.sign(np.sin(0.15 * time_s**1.5))
     known = ServoModel.of(servo_named("hs225bb-eq31"))
     true = known if limit_deg_s is None else known + RateLimit(limit_deg_s)
-    measured_deg = true.simulate(time_s, command_deg, time_s) + 0.1 * np.random.default_rng(0).standard_normal(3000)
-    return explain_gap(Series("elevator", time_s, command_deg, time_s, measured_deg), known)
+    moved_deg = true.simulate(time_s, command_deg, time_s)
+    moved_deg[time_s >= jams_s] = moved_deg[np.searchsorted(time_s, min(jams_s, time_s[-1]))]
+    measured_deg = moved_deg + 0.1 * np.random.default_rng(0).standard_normal(time_s.size)
+    return explain_gap(Series(surface, time_s, command_deg, time_s, measured_deg), known)
 
 
 @pytest.fixture(scope="module")
@@ -239,9 +241,7 @@ def test_an_hour_of_eight_surfaces_stays_small(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_of_several_surfaces_the_one_that_is_explained_worst_heads_the_page() -> None:
-    log = SAMPLES / "table_three_faults.csv"
-    found = [servofd.explain(log, surface=name).explanation for name in ("aileron", "elevator")]
-    report = explain_report(found, log.name)
+    report = explain_report([slow_servo(None, "aileron"), slow_servo(None, "elevator", jams_s=18.0)], "flight.csv")
     assert (report.status, report.sentence) == ("fault", "Unexplained: elevator; nothing missing: aileron.")
     page = html_page(report)
     assert '<header class="banner fault">' in page

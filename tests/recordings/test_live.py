@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,16 @@ from servofd.outputs.recording.verdicts import live_verdicts
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 
 
+@cache
+def three_faults() -> servofd.Audit:
+    (found,) = servofd.audit(SAMPLES / "table_three_faults.csv", servo="hs225bb-eq31")
+    assert isinstance(found, servofd.Audit)
+    return found
+
+
 @pytest.mark.slow
 def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (audit,) = servofd.audit(SAMPLES / "table_three_faults.csv", servo="hs225bb-eq31")
+    audit = three_faults()
     names = [s.surface for s in audit.surfaces]
     path = tmp_path / "live.rrd"
     live = LiveRecording("x", names, path=path, properties=live_verdicts(audit.aircraft, names, "live"))
@@ -90,7 +98,7 @@ def test_commands_are_recorded_as_they_came(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.slow
 def test_nothing_recorded_is_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (audit,) = servofd.audit(SAMPLES / "table_three_faults.csv", servo="hs225bb-eq31")
+    audit = three_faults()
     names = [s.surface for s in audit.surfaces]
     path = tmp_path / "live.rrd"
     LiveRecording("x", names, path=path, properties=live_verdicts(audit.aircraft, names, "live")).close()

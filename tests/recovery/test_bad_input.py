@@ -71,7 +71,7 @@ def is_friction(found: dict[str, Any]) -> None:
     assert found["final"]["held_out_rms_deg"] < 0.051
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_run_only(tmp_path: Path) -> None:
     is_friction(said(table(tmp_path / "log.csv", runs=3000)))
 

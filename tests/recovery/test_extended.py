@@ -364,7 +364,7 @@ def test_wrong_effects_are_refused_at_the_door(effects: str, reason: str, tmp_pa
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "effects",
-    [{"backlash": {"width_deg": 0.8}}, pytest.param({"pwm_frame": {"period_s": 0.02}}, marks=pytest.mark.slow)],
+    [{"backlash": {"width_deg": 0.8}}, pytest.param({"pwm_frame": {"period_s": 0.02}}, marks=pytest.mark.nightly)],
     ids=str,
 )
 def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[str, float]]) -> None:

@@ -61,7 +61,7 @@ KNOWN = ("--servo", "hs225bb-eq31")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("column", ["elevator_load_nm", "disturbance"])
+@pytest.mark.parametrize("column", ["elevator_load_nm", pytest.param("disturbance", marks=pytest.mark.nightly)])
 def test_a_load_that_was_logged_is_found_with_its_size(column: str, tmp_path: Path) -> None:
     time_s, command, position, load_nm = pushed_servo(0.0, 1)
     columns = {"time_s": time_s, "elevator_cmd_deg": command, "elevator_pos_deg": position, column: load_nm}

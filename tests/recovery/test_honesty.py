@@ -79,7 +79,11 @@ def _deviations(effect: type[Effect], values: list[float], command: str) -> Floa
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "values", "command"),
-    [(CurrentLimit, [3.0], "gusty"), (Backlash, [1.0], "chirp"), (Delay, [0.02], "chirp")],
+    [
+        (CurrentLimit, [3.0], "gusty"),
+        (Backlash, [1.0], "chirp"),
+        pytest.param(Delay, [0.02], "chirp", marks=pytest.mark.nightly),
+    ],
 )
 def test_intervals_hold_the_truth(effect: type[Effect], values: list[float], command: str) -> None:
     away = _deviations(effect, values, command)
@@ -88,15 +92,23 @@ def test_intervals_hold_the_truth(effect: type[Effect], values: list[float], com
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("period_s", [pytest.param(0.033, marks=pytest.mark.nightly), 0.05])
-def test_frames_are_found_whatever_their_phase(period_s: float) -> None:
-    for seed, phase in ((2, 0.41), (3, 0.93)):
-        record = flown((), [], seed)
-        framed = record.plant.neutral._replace(frame_s=period_s, frame_phase=phase)
-        noise = 0.1 * np.random.default_rng(seed).standard_normal(record.time_s.size)
-        record = replace(record, measured_deg=simulate(record, framed) + noise)
-        found = best_frame(record, record.plant.neutral)
-        assert found[0] == pytest.approx(period_s, rel=2e-4)
+@pytest.mark.parametrize(
+    ("period_s", "seed", "phase"),
+    [
+        (0.05, 3, 0.93),
+        *(
+            pytest.param(*each, marks=pytest.mark.nightly)
+            for each in ((0.05, 2, 0.41), (0.033, 2, 0.41), (0.033, 3, 0.93))
+        ),
+    ],
+)
+def test_frames_are_found_whatever_their_phase(period_s: float, seed: int, phase: float) -> None:
+    record = flown((), [], seed)
+    framed = record.plant.neutral._replace(frame_s=period_s, frame_phase=phase)
+    noise = 0.1 * np.random.default_rng(seed).standard_normal(record.time_s.size)
+    record = replace(record, measured_deg=simulate(record, framed) + noise)
+    found = best_frame(record, record.plant.neutral)
+    assert found[0] == pytest.approx(period_s, rel=2e-4)
 
 
 def left(record: Record, physics: Physics) -> tuple[str, ...]:
@@ -137,8 +149,8 @@ def test_a_servo_off_by_as_much_as_its_type_differs_lacks_nothing() -> None:
     assert found.final.held_out < found.nominal.held_out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("place", [BEFORE, pytest.param(AFTER, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("place", [BEFORE, AFTER])
 def test_the_place_of_the_slow_pole_decides_which_effect_it_is(place: float) -> None:
     """A dead band behind a slow filter, or ahead of one, is friction to a model that has its poles in the loop."""
     record = flown((), [], 3, duration_s=50.0)

@@ -60,8 +60,18 @@ def errors(result: Identification, servo: Servo) -> tuple[float, float, float, f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("quality", TARGETS, ids=["fine", "coarse"])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(1, 20))])
+@pytest.mark.parametrize(
+    ("quality", "seed"),
+    [
+        (FINE, 0),
+        *(
+            pytest.param(quality, seed, marks=pytest.mark.nightly)
+            for quality in TARGETS
+            for seed in range(20)
+            if (quality, seed) != (FINE, 0)
+        ),
+    ],
+)
 def test_the_servo_of_eq_3_1_from_its_chirp(quality: tuple[float, int], seed: int) -> None:
     result = found(quality, seed)
     assert result.servo.linear.order == 3
@@ -83,17 +93,18 @@ def test_intervals_hold_the_truth_in_nine_of_ten_runs(quality: tuple[float, int]
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["s3151", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("s9254", "s9256"))]
+    ("name", "seed"),
+    [
+        ("9360th", 0),
+        *(
+            pytest.param(name, seed, marks=pytest.mark.nightly)
+            for name in ("9360th", "hs225bb-fig310", "s3151", "s9254", "s9256")
+            for seed in range(3)
+            if (name, seed) != ("9360th", 0)
+        ),
+    ],
 )
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_what_is_identifiable_of_the_thesis_servos(name: str, seed: int) -> None:
-    check_invariants(name, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["9360th", pytest.param("hs225bb-fig310", marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
-def test_what_is_identifiable_of_the_slow_thesis_servos(name: str, seed: int) -> None:
     check_invariants(name, seed)
 
 

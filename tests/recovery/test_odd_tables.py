@@ -39,13 +39,13 @@ def test_positions_held_between_updates_are_judged_once(tmp_path: Path) -> None:
     assert any("refreshed every 0.05 s" in note and "600 of 3000 rows" in note for note in found.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("words", "more", "size"),
     [
         (",load_g,servo_current_a", ",200,0.5", 8.0),
-        pytest.param(",load_g", ",heavy", 8.0, marks=pytest.mark.nightly),
-        pytest.param("", "", 80.0, marks=pytest.mark.nightly),
+        (",load_g", ",heavy", 8.0),
+        ("", "", 80.0),
     ],
     ids=["constant", "words", "units of 100"],
 )
@@ -55,6 +55,7 @@ def test_columns_that_say_nothing_change_nothing(tmp_path: Path, words: str, mor
     assert "FAULT" not in found.answer
 
 
+@pytest.mark.slow
 def test_a_servo_whose_commands_were_not_logged_for_a_while_has_no_fault(tmp_path: Path) -> None:
     """It moves on meanwhile, by commands that nobody knows: those 2 s are no part of the comparison."""
     path = written(tmp_path / "log.csv")

@@ -46,7 +46,7 @@ def test_a_limit_in_steps_of_one_size_may_be_slow_poles() -> None:
     assert any("all steps are of one size" in note for note in found.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steps_of_two_sizes_tell() -> None:
     found = explained(_TWO, 60.0)
     assert found.selection.final.names[0] == "rate_limit"

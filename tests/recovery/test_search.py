@@ -84,7 +84,7 @@ def test_an_effect_near_the_lower_end_of_decades_is_an_answer() -> None:
     assert limit.at_bound(2.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_knee_of_one_degree_is_found(tmp_path: Path) -> None:
     effects: Effects = {"current_limit": {"knee_deg": 1.05}}
     log = write(hidden(301, effects, "sweep", NOISE_DEG), tmp_path / "log.csv")

@@ -62,7 +62,7 @@ def test_what_does_not_go_with_the_value_is_not_told() -> None:
     assert varying(explained(conditions).selection, conditions) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_limit_for_all_runs_goes_with_nothing() -> None:
     found = explained({"load_g": LOAD_G}, 0.0)
     assert found.selection.final.names == ("rate_limit",)

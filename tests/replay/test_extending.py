@@ -131,9 +131,9 @@ good, log, plane, found = (sys.argv[1] + name for name in ("/good.csv", "/log.cs
 effect = ["--effect", "elevator:one_sided:more=0.2"]
 codes = [
     main(["simulate", "-o", good, "--duration", "150", "--seed", "1", *effect]),
-    main(["calibrate", good, "-o", plane]),
+    main(["calibrate", good, "-s", "elevator", "-s", "rudder", "-o", plane]),
     main(["simulate", "-o", log, "--duration", "60", "--seed", "2", *effect]),
-    main(["audit", log, "-c", plane]),
+    main(["audit", log, "-s", "elevator", "-c", plane]),
     main(["explain", log, "--servo", "hs225bb-eq31", "-s", "elevator", "--json", found]),
 ]
 table = runpy.run_path(sys.argv[2])["table"]()
