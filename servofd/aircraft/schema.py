@@ -323,6 +323,14 @@ class Aircraft(_Entry):
             update={"surfaces": {**self.surfaces, **changed}, "servos": {**self.servos, **other.servos}}
         )
 
+    def of_no_log(self) -> Self:
+        """Return the same aircraft, whose fitted servos name no part of the log that they are to judge."""
+        surfaces = {}
+        for name, surface in self.surfaces.items():
+            model = surface.model.model_copy(update={"fitted_between_s": None})
+            surfaces[name] = surface.model_copy(update={"model": model})
+        return self.model_copy(update={"surfaces": surfaces})
+
     def model(self, surface: str) -> ServoModel:
         """Healthy model of a surface: its servo, the stops of its linkage, and its effects.
 
@@ -430,7 +438,7 @@ def load_aircraft(path: str | Path) -> Aircraft:
     >>> load_aircraft("faser").servo("elevator").title
     'Hitec HS-225BB (thesis Eq. 3.1)'
     """
-    return _validated(read_toml(_find(path), str(path), "aircraft file"), str(path))
+    return _validated(read_toml(_find(path), str(path), "aircraft file"), str(path)).of_no_log()
 
 
 def _find(path: str | Path) -> Path | Traversable:

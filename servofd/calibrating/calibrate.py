@@ -322,7 +322,7 @@ def _with(aircraft: Aircraft, found: Sequence[CalibratedSurface]) -> Aircraft:
     servos |= {name: servo for name, servo in aircraft.servos.items() if name in used and name not in servos}
     return Aircraft.model_validate(
         {"name": aircraft.name, "table": aircraft.table, "surfaces": surfaces, "servos": servos}
-    )
+    ).of_no_log()
 
 
 def _entry(surface: Surface, one: CalibratedSurface, servo: str) -> Surface:

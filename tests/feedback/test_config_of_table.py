@@ -25,6 +25,8 @@ def test_the_drafted_file_gives_the_verdicts_of_the_fit(tmp_path: Path, capsys: 
     for own, without in zip(drafted.surfaces, fitted.surfaces, strict=True):
         assert (own.surface, own.status) == (without.surface, without.status)
         assert own.model.origin == without.model.origin == "fitted"
+        assert own.model.fitted_between_s is None, "a part of the log of the file is none of the log that is judged"
+        assert "of this log" not in own.reason
         assert [fault.kind for fault in own.faults] == [fault.kind for fault in without.faults]
         assert [f.start_s for f in own.faults] == pytest.approx([f.start_s for f in without.faults], abs=0.01)
 
