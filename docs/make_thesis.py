@@ -17,7 +17,7 @@ from servofd.identification.identify import identify
 from servofd.outputs.figure import chart_png, save_figure
 from servofd.outputs.identify_report import identify_charts
 from servofd.servo.effects.commands import Delay
-from servofd.servo.faults import DeadBand, Fault, Stuck
+from servofd.servo.faults import DeadBand, Failure, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
@@ -238,7 +238,7 @@ So the delay that Eq. 4.9 drops accounts for a good part of the thesis' variance
 
 
 def detection_times() -> str:
-    rows: list[tuple[str, str, Fault]] = [
+    rows: list[tuple[str, str, Failure]] = [
         ("stuck (Fig. 4.7: 2.97 s to 3.05 s)", "0.08", Stuck(5.0)),
         ("increased dead band (Fig. 4.5: 7.98 s to 8.05 s)", "0.07", DeadBand(0.0, width_deg=8.0)),
     ]
@@ -264,7 +264,7 @@ def detection_times() -> str:
     )
 
 
-def _delay(fault: Fault, size_deg: float, rate_deg_s: float) -> float:
+def _delay(fault: Failure, size_deg: float, rate_deg_s: float) -> float:
     """Seconds from the start of a ramp to the first sample over the threshold."""
     time_s, begin_s = np.arange(1200) / RATE_HZ, 8.0
     command_deg = np.clip((time_s - begin_s + 1e-9) * rate_deg_s, 0.0, size_deg)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from servofd.aircraft.schema import Aircraft, load_aircraft, plain_aircraft
-from servofd.servo.faults import Fault
+from servofd.servo.faults import Failure
 from servofd.servo.faults import Bias, DeadBand, Floating, HardOver, LossOfEffectiveness, Oscillation, Slow, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
@@ -17,18 +17,18 @@ FLIGHT_S, CHIRP_S = 40.0, 120.0
 RATE_HZ = 100.0
 NOISE_DEG = 0.1
 
-FLIGHTS: dict[str, dict[str, Fault]] = {
+FLIGHTS: dict[str, dict[str, Failure]] = {
     "faser_healthy_flight": {},
     "faser_deadband_flight": {"aileron_right": DeadBand(start_s=0.0, width_deg=6.0)},
     "faser_stuck_flight": {"elevator": Stuck(start_s=5.0)},
 }
-CHIRPS: dict[str, dict[str, Fault]] = {
+CHIRPS: dict[str, dict[str, Failure]] = {
     "faser_healthy_chirp": {},
     "faser_deadband_chirp": {"aileron_right": DeadBand(start_s=0.0, width_deg=6.0)},
     "faser_stuck_chirp": {"aileron_right": Stuck(start_s=0.0)},
 }
 # The other failure modes, on surfaces whose positions FASER measured.
-FAILURES: dict[str, dict[str, Fault]] = {
+FAILURES: dict[str, dict[str, Failure]] = {
     "faser_bias_flight": {"rudder": Bias(start_s=12.0, bias_deg=3.0)},
     "faser_hardover_flight": {"elevator": HardOver(start_s=20.0, position_deg=-20.0)},
     "faser_floating_flight": {"aileron_left": Floating(start_s=12.0, amplitude_deg=4.0)},
@@ -37,7 +37,7 @@ FAILURES: dict[str, dict[str, Fault]] = {
     "faser_loss_flight": {"rudder": LossOfEffectiveness(start_s=12.0, gain=0.4)},
 }
 # Plain table, flown by hand: file, sample rate [Hz], what is hidden in it.
-TABLES: dict[str, tuple[float, dict[str, Sequence[Fault]]]] = {
+TABLES: dict[str, tuple[float, dict[str, Sequence[Failure]]]] = {
     "table_three_faults.csv": (
         40.0,
         {
@@ -47,7 +47,7 @@ TABLES: dict[str, tuple[float, dict[str, Sequence[Fault]]]] = {
     ),
 }
 # File, generation of servo telemetry, sample rate [Hz], what is hidden in it.
-AUTOPILOTS: dict[str, tuple[str | None, float, dict[str, Fault]]] = {
+AUTOPILOTS: dict[str, tuple[str | None, float, dict[str, Failure]]] = {
     "ardupilot_volz_stuck.bin": ("volz", 40.0, {"elevator": Stuck(start_s=20.0)}),
     "ardupilot_dronecan_healthy.bin": ("dronecan", 40.0, {}),
     "telemetry_stuck.tlog": (None, 40.0, {"elevator": Stuck(start_s=20.0)}),

@@ -29,7 +29,7 @@ _LARGEST = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class Failure:
     """A way a servo can fail from `start_s` on, until `end_s` if it passes; itself, nothing fails."""
 
     kind: ClassVar[str]
@@ -80,7 +80,7 @@ def _check_seed(kind: str, seed: float) -> None:
         raise ConfigError(f"{kind}: seed must be a whole number of zero or more, not {seed}")
 
 
-def in_order(faults: Iterable[Fault]) -> tuple[Fault, ...]:
+def in_order(faults: Iterable[Failure]) -> tuple[Failure, ...]:
     """Faults of one surface by their start."""
     ordered = tuple(sorted(faults, key=lambda fault: fault.start_s))
     for one, two in pairwise(ordered):
@@ -94,7 +94,7 @@ def in_order(faults: Iterable[Fault]) -> tuple[Fault, ...]:
 
 def failing_deflection(
     model: ServoModel,
-    faults: Iterable[Fault],
+    faults: Iterable[Failure],
     command_s: FloatArray,
     command_deg: FloatArray,
     at_s: FloatArray,
@@ -104,7 +104,7 @@ def failing_deflection(
 
     Parameters
     ----------
-    faults : iterable of Fault
+    faults : iterable of Failure
         What fails, and when; the intervals [start_s, end_s) do not overlap.
     command_s, command_deg : ndarray, shape (n,)
         When each command was given [s] and what it asked for [deg]; it holds until the next.
@@ -145,7 +145,7 @@ def failing_deflection(
     return deflection_deg
 
 
-def _during(fault: Fault, motion: Motion, at_s: FloatArray, *, passes: bool) -> FloatArray:
+def _during(fault: Failure, motion: Motion, at_s: FloatArray, *, passes: bool) -> FloatArray:
     """Deflection while a fault lasts; afterwards the servo is as before, wherever the fault has left it."""
     healthy = motion.servo
     motion.at(np.array([fault.start_s]))
@@ -161,7 +161,7 @@ def _during(fault: Fault, motion: Motion, at_s: FloatArray, *, passes: bool) -> 
 
 
 def as_received(
-    faults: Iterable[Fault], command_s: FloatArray, command_deg: FloatArray
+    faults: Iterable[Failure], command_s: FloatArray, command_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """What a servo makes of its commands while faults last: times [s] and values [deg], in order.
 
@@ -176,7 +176,7 @@ def as_received(
     return command_s, command_deg
 
 
-def _received(fault: Fault, command_s: FloatArray, command_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _received(fault: Failure, command_s: FloatArray, command_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Commands as the servo receives them; the one in force when the fault comes or goes is received anew."""
     for cut_s in (fault.start_s, fault.end_s):
         k = int(np.searchsorted(command_s, cut_s))
@@ -200,7 +200,7 @@ _TONES = 32
 
 
 @dataclass(frozen=True, slots=True)
-class Stuck(Fault):
+class Stuck(Failure):
     """The shaft jams (thesis 4.2.2): where it happens to be, or at `position_deg` once it is there.
 
     Examples
@@ -225,7 +225,7 @@ class Stuck(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class Bias(Fault):
+class Bias(Failure):
     """Constant offset (a linkage that slipped, a trim that was lost): the servo moves to it as to any command.
 
     Examples
@@ -243,7 +243,7 @@ class Bias(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class HardOver(Fault):
+class HardOver(Failure):
     """The servo runs away: at its rate limit to `position_deg`, but no further than to its stop, and stays there.
 
     Without `position_deg` it goes to the upper stop; the sign of `position_deg` gives the direction.
@@ -264,7 +264,7 @@ class HardOver(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class Floating(Fault):
+class Floating(Failure):
     """The linkage is off: the wind moves the surface about `mean_deg`, smoothly, whatever the command.
 
     Tones of random phase between nothing and `bandwidth_hz`; `amplitude_deg` is that of a sine of the same power, so
@@ -281,7 +281,7 @@ class Floating(Fault):
     seed: float = 0
 
     def __post_init__(self) -> None:
-        Fault.__post_init__(self)
+        Failure.__post_init__(self)
         _check_seed(self.kind, self.seed)
 
     def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -298,7 +298,7 @@ class Floating(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class Oscillation(Fault):
+class Oscillation(Failure):
     """The servo swings: on top of its motion ("liquid"), or in place of it about where it was ("solid")."""
 
     kind: ClassVar[str] = "oscillation"
@@ -308,7 +308,7 @@ class Oscillation(Fault):
     replaces: bool = False
 
     def __post_init__(self) -> None:
-        Fault.__post_init__(self)
+        Failure.__post_init__(self)
         if self.replaces not in (0, 1):
             raise ConfigError(f"oscillation: replaces must be 0 (on top of the motion) or 1, not {self.replaces}")
 
@@ -320,7 +320,7 @@ class Oscillation(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class DeadBand(Fault):
+class DeadBand(Failure):
     """Increased dead band or stiction (thesis 4.2.1): the servo rests until it is `width_deg` / 2 off its command."""
 
     kind: ClassVar[str] = "deadband"
@@ -333,7 +333,7 @@ class DeadBand(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class Slow(Fault):
+class Slow(Failure):
     """The servo has become slower: every pole times `bandwidth_scale`, its rate limit (if any) times `rate_scale`.
 
     Left out, `bandwidth_scale` is 0.5; or 1 if a `rate_scale` below 1 says that the rate limit is what has changed.
@@ -349,7 +349,7 @@ class Slow(Fault):
     def __post_init__(self) -> None:
         if self.bandwidth_scale is None:
             object.__setattr__(self, "bandwidth_scale", 1.0 if self.rate_scale < 1.0 else 0.5)
-        Fault.__post_init__(self)
+        Failure.__post_init__(self)
         for name in self.positive:
             if getattr(self, name) > 1.0:
                 raise ConfigError(f"slow: {name} must be at most 1, not {getattr(self, name)}")
@@ -360,14 +360,14 @@ class Slow(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class LossOfEffectiveness(Fault):
+class LossOfEffectiveness(Failure):
     """The surface moves only `gain` times what is asked, about its neutral position."""
 
     kind: ClassVar[str] = "loss_of_effectiveness"
     gain: float = 0.6
 
     def __post_init__(self) -> None:
-        Fault.__post_init__(self)
+        Failure.__post_init__(self)
         if not 0.0 <= self.gain < 1.0:
             raise ConfigError(f"loss_of_effectiveness: gain must be at least 0 and below 1, not {self.gain}")
 
@@ -377,7 +377,7 @@ class LossOfEffectiveness(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class Intermittent(Fault):
+class Intermittent(Failure):
     """A contact that comes and goes: for about `outage_s` no command arrives, and then they do for `apart_s`.
 
     The servo holds the last command that arrived. Lengths are drawn at random, outages within 40 % of `outage_s`.
@@ -390,7 +390,7 @@ class Intermittent(Fault):
     seed: float = 0
 
     def __post_init__(self) -> None:
-        Fault.__post_init__(self)
+        Failure.__post_init__(self)
         _check_seed(self.kind, self.seed)
 
     def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
@@ -407,5 +407,5 @@ class Intermittent(Fault):
 
 
 _KINDS = (Stuck, Bias, HardOver, Floating, Oscillation, DeadBand, Slow, LossOfEffectiveness, Intermittent)
-FAULTS: dict[str, Callable[..., Fault]] = {fault.kind: fault for fault in _KINDS}
+FAULTS: dict[str, Callable[..., Failure]] = {fault.kind: fault for fault in _KINDS}
 """Faults that a user can ask for by name."""

@@ -10,7 +10,7 @@ import numpy as np
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.series import latest
 from servofd.servo.context import NO_CONTEXT, Context
-from servofd.servo.faults import Fault, as_received, failing_deflection, in_order
+from servofd.servo.faults import Failure, as_received, failing_deflection, in_order
 from servofd.simulation.commands import COMMANDS, FORMER_NAMES
 from servofd.simulation.surroundings import acting, current_a
 
@@ -54,7 +54,7 @@ def simulate_flight(
     duration_s: float = 60.0,
     rate_hz: float = 100.0,
     seed: int = 0,
-    faults: Mapping[str, Fault | Sequence[Fault]] | None = None,
+    faults: Mapping[str, Failure | Sequence[Failure]] | None = None,
     effects: Mapping[str, Sequence[Effect]] | None = None,
     noise_deg: float = 0.1,
     outputs: Sequence[Output] = (),
@@ -110,7 +110,7 @@ def simulate_flight(
         )
     if outputs and [output.surface for output in outputs] != list(aircraft.surfaces):
         raise ConfigError(f"outputs of {', '.join(o.surface for o in outputs)}: give one for each surface, in order")
-    failing = {name: in_order([what] if isinstance(what, Fault) else what) for name, what in (faults or {}).items()}
+    failing = {name: in_order([what] if isinstance(what, Failure) else what) for name, what in (faults or {}).items()}
     samples = np.arange(round(duration_s * rate_hz))
     # An autopilot stamps with 0 what it does not know the time of: its first sample is one period after it booted.
     time_s = np.round((samples + 1) / rate_hz, 6) if outputs else np.round(samples / rate_hz, 9)
@@ -150,7 +150,7 @@ def simulate_flight(
 
 
 def _meant_deg(
-    faults: Sequence[Fault], time_s: FloatArray, received_deg: FloatArray, moved_deg: FloatArray
+    faults: Sequence[Failure], time_s: FloatArray, received_deg: FloatArray, moved_deg: FloatArray
 ) -> FloatArray:
     """Where the motor of a servo wants to be: as it takes its command, or wherever it is where nothing holds it."""
     meant_deg = latest(*as_received(faults, time_s, received_deg), time_s)

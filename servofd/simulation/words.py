@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from servofd.servo.effect import Effect
-    from servofd.servo.faults import Fault
+    from servofd.servo.faults import Failure
 
 _Made = TypeVar("_Made")
 
@@ -34,7 +34,7 @@ def effects_of(texts: Sequence[str]) -> dict[str, list[Effect]]:
     return effects
 
 
-def faults_of(texts: Sequence[str], duration_s: float) -> dict[str, tuple[Fault, ...]]:
+def faults_of(texts: Sequence[str], duration_s: float) -> dict[str, tuple[Failure, ...]]:
     """Faults of each surface, within the flight and one at a time, from ``SURFACE:KIND@START[:KEY=VALUE...]``.
 
     Examples
@@ -42,7 +42,7 @@ def faults_of(texts: Sequence[str], duration_s: float) -> dict[str, tuple[Fault,
     >>> faults_of(["elevator:stuck@20"], 60.0)
     {'elevator': (Stuck(start_s=20.0, end_s=inf, position_deg=None),)}
     """
-    faults: dict[str, tuple[Fault, ...]] = {}
+    faults: dict[str, tuple[Failure, ...]] = {}
     for text in texts:
         surface, fault = _fault(text)
         if not 0.0 <= fault.start_s < duration_s:
@@ -56,7 +56,7 @@ def faults_of(texts: Sequence[str], duration_s: float) -> dict[str, tuple[Fault,
     return faults
 
 
-def _fault(text: str) -> tuple[str, Fault]:
+def _fault(text: str) -> tuple[str, Failure]:
     """Read ``surface:kind@start:key=value``."""
     surface, _, rest = text.partition(":")
     what, *pairs = rest.split(":")
@@ -68,7 +68,7 @@ def _fault(text: str) -> tuple[str, Fault]:
     if any(pair.startswith("start_s=") for pair in pairs):
         raise ConfigError(f"--fault {text}: the time stands after the @, not in start_s")
     values = numbers_of(f"--fault {text}", [f"start_s={start}", *pairs])
-    fault: Fault = _made(FAULTS[kind], values, f"--fault {text}")
+    fault: Failure = _made(FAULTS[kind], values, f"--fault {text}")
     return surface, fault
 
 

@@ -13,7 +13,7 @@ from servofd.detection.wiring import wiring_problem
 from servofd.servo.faults import (
     Bias,
     DeadBand,
-    Fault,
+    Failure,
     Floating,
     HardOver,
     LossOfEffectiveness,
@@ -25,7 +25,7 @@ from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 from tests.detection.windows import NOISE_DEG, command, flown, judged, residuals_of
 
-GROSS: dict[str, Fault] = {
+GROSS: dict[str, Failure] = {
     "bias": Bias(2.0, bias_deg=2.0),
     "stuck": Stuck(2.0, position_deg=1.0),
     "hardover": HardOver(2.0, position_deg=30.0),

@@ -10,7 +10,7 @@ from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.detection.seen import healthy_of
 from servofd.detection.verdict import Fault as Found
-from servofd.servo.faults import DeadBand, Fault, Stuck
+from servofd.servo.faults import DeadBand, Failure, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 
@@ -26,7 +26,7 @@ def faults(command_deg: FloatArray, measured_deg: FloatArray) -> tuple[Found, ..
     return healthy_of(surface, MODEL).beside(segment).found.faults
 
 
-def delay_to_alarm(command_deg: FloatArray, fault: Fault) -> float:
+def delay_to_alarm(command_deg: FloatArray, fault: Failure) -> float:
     first, *_ = faults(command_deg, fault.deflection(MODEL, TIME_S, command_deg, TIME_S))
     return first.alarm_s - MANOEUVRE_S
 

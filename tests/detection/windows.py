@@ -11,7 +11,7 @@ from servofd.core.types import FloatArray
 from servofd.detection.faults import Found
 from servofd.detection.residual import ResidualGenerator, Residuals, ThresholdKind
 from servofd.detection.seen import healthy_of
-from servofd.servo.faults import Fault
+from servofd.servo.faults import Failure
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS
@@ -28,7 +28,7 @@ def command(seed: int, time_s: FloatArray) -> FloatArray:
     return COMMANDS["hand_flown"](time_s, np.random.default_rng(seed))
 
 
-def flown(seed: int, fault: Fault | None, time_s: FloatArray) -> FloatArray:
+def flown(seed: int, fault: Failure | None, time_s: FloatArray) -> FloatArray:
     """Measured deflection under that command [deg], shape (n,)."""
     command_deg = command(seed, time_s)
     faultless = MODEL.simulate(time_s, command_deg, time_s)

@@ -16,7 +16,7 @@ from servofd.servo.faults import (
     FAULTS,
     Bias,
     DeadBand,
-    Fault,
+    Failure,
     Floating,
     HardOver,
     LossOfEffectiveness,
@@ -227,7 +227,7 @@ def test_a_floating_surface_moves_within_its_band() -> None:
         (LossOfEffectiveness, {"gain": 1.0}, "below 1"),
     ],
 )
-def test_what_no_fault_can_be_is_refused(kind: type[Fault], parameters: dict[str, Any], expected: str) -> None:
+def test_what_no_fault_can_be_is_refused(kind: type[Failure], parameters: dict[str, Any], expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):
         kind(START_S, **parameters)
 

@@ -19,12 +19,17 @@ import servofd
 from servofd.aircraft.schema import plain_aircraft
 from servofd.core.types import FloatArray
 from servofd.detection.verdict import SurfaceAudit
-from servofd.servo.faults import Bias, Fault, HardOver, LossOfEffectiveness, Stuck
+from servofd.servo.faults import Bias, Failure, HardOver, LossOfEffectiveness, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
 
 SURFACES = ("aileron", "elevator", "rudder")
 DURATION_S, RATE_HZ = 45.0, 50.0
-FAULTS: tuple[Fault, ...] = (Stuck(28.0), Bias(28.0, bias_deg=4.0), HardOver(28.0), LossOfEffectiveness(28.0, gain=0.3))
+FAULTS: tuple[Failure, ...] = (
+    Stuck(28.0),
+    Bias(28.0, bias_deg=4.0),
+    HardOver(28.0),
+    LossOfEffectiveness(28.0, gain=0.3),
+)
 ONSET_S = 28.0
 ALIKE_S = 1e-3
 """Onsets are found by descent, which ends where its steps are small."""

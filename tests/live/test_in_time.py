@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
     from servofd.detection.event import Event
     from servofd.detection.stream import Piece
-    from servofd.servo.faults import Fault
+    from servofd.servo.faults import Failure
 
 EPOCH_S = 1.7e9
 BEGUN_S, OVER_S = 9.0, 20.0
 NAMED_S = 2.0
 CLEARED_S = 2.0
-FAULTS: tuple[Fault, ...] = (
+FAULTS: tuple[Failure, ...] = (
     Stuck(BEGUN_S, end_s=OVER_S),
     HardOver(BEGUN_S, end_s=OVER_S),
     Bias(BEGUN_S, bias_deg=4.0, end_s=OVER_S),
@@ -47,7 +47,7 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
 
 
 def told(
-    aircraft: Aircraft, *faults: Fault, loud_s: list[float] | None = None
+    aircraft: Aircraft, *faults: Failure, loud_s: list[float] | None = None
 ) -> tuple[list[Event], list[tuple[float, str]]]:
     """Events of a flight in which the elevator fails for a while, and the texts that were sent, each with its time.
 
@@ -82,7 +82,7 @@ def told(
 class Flown:
     """The same flight twice: the fault ends, and it goes on."""
 
-    fault: Fault
+    fault: Failure
     events: list[Event]
     texts: list[tuple[float, str]]
     standing: list[Event]

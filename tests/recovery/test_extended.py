@@ -21,7 +21,7 @@ from servofd.detection.verdict import SurfaceAudit
 from servofd.discrepancy.record import record_of, simulate
 from servofd.servo.catalogue import effects_installed, installed, table_of
 from servofd.servo.context import Context
-from servofd.servo.faults import Bias, Fault, HardOver, LossOfEffectiveness, Slow, Stuck
+from servofd.servo.faults import Bias, Failure, HardOver, LossOfEffectiveness, Slow, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.loop import Scales, loop_of, scaled
 from servofd.servo.motion import AnyServo, Motion, machine_of
@@ -284,7 +284,7 @@ def broken(log: Hidden, position_deg: FloatArray) -> Hidden:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Fault, kind: str) -> None:
+def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Failure, kind: str) -> None:
     entry = {
         "servo": "hs225bb-eq31",
         "command": {"channel": "c", "unit": "deg"},

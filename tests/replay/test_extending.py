@@ -21,7 +21,7 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
 from servofd.discrepancy.own import load_own_effect
 from servofd.servo.catalogue import effects_installed
-from servofd.servo.faults import FAULTS, Fault, Stuck
+from servofd.servo.faults import FAULTS, Failure, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.registry import catalogue, including
 from servofd.servo.servo_model import ServoModel, plant_of
@@ -162,7 +162,7 @@ def test_every_verb_knows_an_effect_by_its_class_alone(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kind = example("A fault")["Reversed"]
-    assert issubclass(kind, Fault)
+    assert issubclass(kind, Failure)
     monkeypatch.setitem(FAULTS, kind.kind, kind)
     path = str(tmp_path / "flight.csv")
     assert main(["simulate", "-o", path, "--fault", "elevator:reversed@20:share=0.8", "--duration", "40"]) == 0
