@@ -17,7 +17,7 @@ from servofd.core.files import write_whole
 from servofd.jobs.simulating import aircraft_to_fly, simulate
 from servofd.live.threads import signature_of
 from servofd.simulation.airframe import AirframeFault, airframe_log, fly_airframe
-from servofd.simulation.pulses import rate_hz as rate_of
+from servofd.simulation.ardupilot import rate_hz as rate_of
 from servofd.simulation.vehicle.fly import fly, legs
 from servofd.simulation.vehicle.troubles import TROUBLES, Air
 from servofd.simulation.vehicle.vehicle import Settings

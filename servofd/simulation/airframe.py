@@ -20,8 +20,9 @@ from logparsers.dataflash.encode import encode
 from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.servo.context import AIR_KG_M3
+from servofd.simulation.ardupilot import banner
 from servofd.simulation.dataflash_writer import pulses, rows, words
-from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, banner, functions_of
+from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray

@@ -9,7 +9,8 @@ import numpy as np
 
 from logparsers.dataflash.encode import Message, encode
 from servofd.servo.context import AIR_KG_M3
-from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US, banner, outputs_needed, parameters
+from servofd.simulation.ardupilot import banner, outputs_needed, parameters
+from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, servo_state, sparse, surroundings
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ import numpy as np
 
 from logparsers.protocol import Autopilot, Kind, ParameterType, State
 from logparsers.telemetry.encode import Message, encode
-from servofd.simulation.pulses import THROTTLE, THROTTLE_US, banner, outputs_needed, parameters
+from servofd.simulation.ardupilot import banner, outputs_needed, parameters
+from servofd.simulation.pulses import THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from logparsers.records import Text
 from logparsers.ulog.encode import Topic, encode
 from servofd.aircraft.outputs import PX4_TYPES, SURFACE_FUNCTIONS
 from servofd.core.errors import ConfigError
-from servofd.simulation.pulses import THROTTLE, THROTTLE_US, outputs_needed
+from servofd.simulation.ardupilot import outputs_needed
+from servofd.simulation.pulses import THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from logparsers.mavlink import message_name
 from logparsers.protocol import LONGEST_TEXT, NO_INDEX, Capability, Command, Component, ParameterType, Result, Severity
 from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, suggest
+from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
-from servofd.simulation.pulses import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.surroundings import microseconds
 from servofd.simulation.telemetry_writer import FEEDBACK, VERSION, air_rows, beats, servo_rows
 from servofd.simulation.vehicle.remote_log import RemoteLog, Send
