@@ -112,11 +112,9 @@ def _outcome(result: Callable[[], _Result]) -> _Result | Exception:
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Some processes with one thread each for linear algebra; left early, they are ended at once."""
     before = set(multiprocessing.active_children())
-    known = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(
-        dict.fromkeys(_THREADS, "1")
-    )  # before the processes start: libraries read it when they are loaded
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    known = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # before processes start: libraries read it when they are loaded
     try:
         yield pool
     except BaseException:

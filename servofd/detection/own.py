@@ -77,11 +77,6 @@ _WINDOW_S: Final = 5.0
 """What one stretch leaves unexplained is no better for the others that are at rest."""
 _CONTRADICT: Final = 4.0
 """Standard deviations between two parts of which one servo is no account."""
-_LATE_S, _LOOSE_DEG = 0.006, 0.25
-"""Lateness, and noise at rest, from which on a servo may be the mean of two. One that became slow after a third of its
-log, or lost a sixth of its travel, is wrong by 12 to 26 ms of its motion, those that stay as they are by 2 to 4; with a
-dead band of 1.9 deg, or an offset of 1.5 deg, from the middle on, by 0.42 and 0.62 deg at rest, those by 0.04 to 0.19
-(aircraft of even seed of `benchmarks/jsbsim_flights.py` and `benchmarks/strangers.py`)."""
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
 """What sound servos are like whose command and position are in one unit: standard deviations of their gain and offset,
 width of dead band, friction and play together, and the speed below which they are slow, with its logarithm's."""
@@ -138,8 +133,6 @@ class _Part:
     time_s: FloatArray
     """Of the whole log, shape (m,)."""
     is_whole: bool
-    is_throughout: bool
-    """Whether it shows no fault in the whole log, and leaves no more than noise."""
 
 
 def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigin:
@@ -180,18 +173,14 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             if fitted.explained_share >= _least_share(count, fitted):
                 one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []
-        if found and _is_settled(_best(found), whole, count):
+        if count > 1 and found and _is_settled(_best(found), whole):
             break
     return _own(_best(found), found, source) if found else ModelOrigin(origin="none", explained_share=share)
 
 
-def _is_settled(best: _Part, whole: Record, count: int) -> bool:
-    """Whether no shorter part need be tried: it is like a sound servo, from the log's beginning on.
-
-    Of the whole log alone it must be no mean of two servos either.
-    """
-    is_early = best.between_s[0] - whole.time_s[0] < _TELLING_S
-    return best.apart < _SOUND_ENOUGH and is_early and (count > 1 or best.is_throughout)
+def _is_settled(best: _Part, whole: Record) -> bool:
+    """Whether no shorter part need be tried: it is like a sound servo, from the log's beginning on."""
+    return best.apart < _SOUND_ENOUGH and best.between_s[0] - whole.time_s[0] < _TELLING_S
 
 
 def _best(found: list[_Part]) -> _Part:
@@ -272,11 +261,10 @@ def _judged(
         return None
     at_first = any(fault.start_s < whole.time_s[0] + _TELLING_S for fault in mended)
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * at_first
-    is_throughout = not seen and fitted.noise.lag_s < _LATE_S and fitted.noise.still_deg < _LOOSE_DEG
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
     if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None
-    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole, is_throughout)
+    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole)
 
 
 def _times_as_wide(seconds: float) -> float:

@@ -30,8 +30,6 @@ _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 """Delays at which descents begin [s]: between them the misfit may have another valley."""
 _FIRST_STEPS, _STEPS = 2, 30
 """Steps of the descents that are compared, and of the one that is continued."""
-_RIVAL_STEPS, _FAR = 4, 2.0
-"""Steps of a servo that moves much like the best one, and times the least misfit from which it is not continued."""
 _KEPT, _KEPT_ROWS = 16, 2_000_000
 """Servos whose errors and slopes are kept, of those that descents begin with or end at; and rows of them at most, which
 take 256 MB: of two hours at 100 Hz sixteen would take 1.5 GB."""
@@ -180,11 +178,8 @@ def fit(
     theta = _best(flights.problem(_rough_sigma(flights, first.x)), [first.x]).x
     error, speed = flights.left(theta)
     problem = flights.problem(_noise(error, speed, records).sigma_deg(speed))
-    found = _best(problem, [theta])
-    rivals = [_best(problem, [each], _RIVAL_STEPS) for each in (_alike(theta) if start is None else begins)]
-    least = min(each.misfit for each in (found, *rivals))
-    close = [each for each in rivals if each.misfit < _FAR * least]
-    return _finished(flights, [found, *(_best(problem, [each.x]) for each in close)])
+    again = [theta, *_alike(theta)] if start is None else [theta, begins[0]]
+    return _finished(flights, [_best(problem, [each]) for each in again])
 
 
 def reach_of(records: Sequence[Record]) -> tuple[float, float]:
