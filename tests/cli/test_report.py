@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 import servofd
+from logparsers.records import Text
 from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
 from servofd.cli.terminal import check_targets, print_document, print_table
+from servofd.detection.audit import audit_log
 from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, meaning, next_step
-from servofd.feedback.flown import one_log
+from servofd.feedback.flown import flown_aircraft, one_log
 from servofd.outputs.audit_report import audit_report
+from servofd.outputs.page import html_page
 from servofd.outputs.sentence import answers, sentence
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
@@ -31,6 +35,15 @@ def test_audit_writes_a_page_and_names_no_folder(tmp_path: Path, capsys: pytest.
     assert "ELEVATOR JAMMED at 0:05 (-0.2 deg). Do not fly." in text
     assert str(SAMPLES) not in text
     assert str(tmp_path) not in text
+
+
+def test_a_page_shows_what_the_autopilot_said_but_not_where_it_flew() -> None:
+    said = Text(3.0, "Throttle armed"), Text(4.0, "Home -35.36326 149.16523"), Text(5.0, "Pixhawk 0039002A 3334510B")
+    log = replace(one_log(SAMPLES / "ardupilot_volz_stuck.bin"), texts=said)
+    text = html_page(audit_report([audit_log(log, flown_aircraft(log))]))
+    assert "Throttle armed" in text
+    assert "149.16523" not in text
+    assert "0039002A" not in text
 
 
 @pytest.mark.parametrize("verb", [["audit"], ["explain", "-s", "elevator"], ["identify"]])
