@@ -238,7 +238,7 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
             break
         fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s, names=names)
         fault = _weighed(fault, ratio, is_far=is_far)
-        if guess is not None and fault.kind != "healthy":
+        if guess is not None and fault.kind != "healthy" and (fault.kind == guess.kind or guess.kind != "oscillation"):
             there = Window(flight, fault.start_s, float(time_s[-1]) if fault.end_s is None else fault.end_s)
             explained = 1.0 / SWINGS if guess.kind == "oscillation" else 1.0
             left_deg[there.rows][there.used] = explained * unexplained_deg(there, guess)[there.used]
