@@ -433,7 +433,9 @@ def _spikes(rows: Rows, why: Marks) -> int:
         taken = max(taken, int(np.searchsorted(time_s, time_s[rows.decided - 1] - _SPIKE_S - TINY_DEG)))
     first = max(taken - 1, 0)
     times, deg, last = time_s.tolist(), position_deg.tolist(), time_s.size - 1
-    for k in (first + 1 + np.flatnonzero(jump_deg[first:] > least_deg[first:])).tolist():
+    away = jump_deg > least_deg
+    away[:first] = False
+    for k in _thrown_back(time_s, position_deg, away, _SPIKE_S + TINY_DEG):
         if k < taken:
             continue
         until = max(bisect_right(times, times[k] + _SPIKE_S + TINY_DEG) - 1, k + 1)
@@ -458,6 +460,21 @@ def _spikes(rows: Rows, why: Marks) -> int:
         why[k:back] = Why.SPIKE
         taken = back + 1
     return undecided
+
+
+def _thrown_back(time_s: FloatArray, values_deg: FloatArray, away: BoolArray, within_s: float) -> list[int]:
+    """Rows that jump away, of those marked (n - 1,), and are back, or may still be back, within a time [s]."""
+    rows = 1 + np.flatnonzero(away)
+    until = np.searchsorted(time_s, time_s[rows] + within_s, side="right")
+    jump_deg = values_deg[rows] - values_deg[rows - 1]
+    back = until >= time_s.size  # what follows is not known
+    for later in range(1, int((until - rows).max(initial=0)) + 1):
+        there = np.minimum(rows + later, time_s.size - 1)
+        back |= (later <= np.maximum(until - rows - 1, 1)) & (
+            (values_deg[there] - values_deg[rows - 1]) / jump_deg <= _BACK
+        )
+    found: list[int] = rows[back].tolist()
+    return found
 
 
 def _is_thrown(times: list[float], deg: list[float], first: int, back: int) -> bool:
@@ -524,8 +541,11 @@ def _is_unasked(rows: Rows) -> BoolArray:
     """Readings that jump out of a rest, though no command of the last half second asked for it, or as no servo can."""
     moved_deg = np.where(np.isfinite(rows.position_deg), moved(rows.position_deg), 0.0)
     unasked = np.zeros(moved_deg.size, dtype=bool)
-    for k in np.flatnonzero((moved_deg > ASKED_DEG) & np.isfinite(moved_deg)).tolist():
-        begin = int(np.searchsorted(rows.time_s, rows.time_s[k] - _ASKED_BEFORE_S))
+    begun = np.searchsorted(rows.time_s, rows.time_s - _ASKED_BEFORE_S)
+    onset = (moved_deg > ASKED_DEG) & np.isfinite(moved_deg)
+    onset[1:] &= (moved_deg[1:] > _STEPS * moved_deg[:-1]) | (begun[1:] == np.arange(1, begun.size))
+    for k in np.flatnonzero(onset).tolist():
+        begin = int(begun[k])
         lately_deg = max(float(moved_deg[begin:k].max(initial=0.0)), ASKED_DEG / _STEPS)
         rested = begin > 0 and moved_deg[k] > _STEPS * lately_deg
         at_once = 4.0 * moved_deg[k] > _SHARPEST_DEG_S2 * (rows.time_s[k] - rows.time_s[k - 1]) ** 2
@@ -559,7 +579,8 @@ def unanswered(command_s: FloatArray, command_deg: FloatArray, rows: Rows) -> Bo
     if command_s.size < 3 or rows.time_s.size < 2:
         return found
     jump_deg = np.diff(command_deg)
-    for k in (1 + np.flatnonzero(np.abs(jump_deg) > _LEAST_COMMAND_SPIKE_DEG)).tolist():
+    away = np.abs(jump_deg) > _LEAST_COMMAND_SPIKE_DEG
+    for k in _thrown_back(command_s, command_deg, away, _COMMAND_SPIKE_S):
         until = int(np.searchsorted(command_s, command_s[k] + _COMMAND_SPIKE_S, side="right"))
         side = np.sign(jump_deg[k - 1])
         away_deg = (command_deg[k:until] - command_deg[k - 1]) * side
