@@ -30,7 +30,7 @@ def run(options: Options) -> int:
         return _run_axes(options)
     else:
         try:
-            aircraft = drafted_aircraft(options.logs)
+            aircraft = drafted_aircraft(options.logs, tuple(options.between))
         except NoMeasurement:  # no log tells where a surface was
             return _run_axes(options)
     if not aircraft.surfaces:

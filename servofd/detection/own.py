@@ -65,12 +65,14 @@ _PUSHED: Final = 0.5
 """Share of what the usual air does to a servo by which its parts may differ, where no airspeed was logged."""
 _APART: Final = 0.5
 """Parts of one flight differ by so much of what flights differ by: one supply, one day, one zero of the sensor."""
+_HELD_OUT_S, _MOST_SIGMAS = 30.0, 6.0
+"""Shortest part of which samples are held out (they are in stretches of 20 s), and deviations that an error counts."""
 _SOUND_ENOUGH: Final = 2.5
 """Nats below which no shorter part is tried: one fault of a servo that is one deviation from a sound one."""
 _EACH_FAULT: Final = 2.0
 """Nats: one surface in some has a fault."""
-_MENDED: Final = 12.0
-"""Nats: servos break and stay so; none is at fault from the first second and mends itself in flight."""
+_MENDED, _MOVES_DEG = 20.0, 1.0
+"""Nats: servos break and stay so; none is at fault from its first motion on, by so much [deg], and mends itself."""
 _MOST_MISFIT: Final = 25.0
 """Squared standard deviations that one reading counts for, as where a fault is timed."""
 _WINDOW_S: Final = 5.0
@@ -132,6 +134,9 @@ class _Part:
     """Half of the squared deviations from a sound servo, and what its faults cost [nats]."""
     time_s: FloatArray
     """Of the whole log, shape (m,)."""
+    fitted_s: FloatArray
+    """Times of the samples that were fitted, shape (n,)."""
+    period_s: float
     is_whole: bool
 
 
@@ -162,8 +167,7 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
     start: FloatArray | None = None
     for count in _PARTS:
         for between_s, part in parts_of(segment, count):
-            pieces = [Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES)]
-            records = [record for record in pieces if record.usable.any()]
+            records = _records(part, usual)
             if not records:
                 continue
             fitted = fit(records, start=start, reach_deg=reach_deg)
@@ -176,6 +180,19 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
         if count > 1 and found and _is_settled(_best(found), whole):
             break
     return _own(_best(found), found, source) if found else ModelOrigin(origin="none", explained_share=share)
+
+
+def fitted_to(segment: Series) -> Fit | None:
+    """The servo that explains the busiest minute of a log; None where no sample of it counts."""
+    usual = usual_supply_v(segment.context), usual_airspeed_m_s([segment.context])
+    records = _records(segment.coarser(), usual)
+    return fit(records) if records else None
+
+
+def _records(part: Series, usual: tuple[float, float]) -> list[Record]:
+    """What is fitted of a part of a log."""
+    pieces = (Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES))
+    return [record for record in pieces if record.usable.any()]
 
 
 def _is_settled(best: _Part, whole: Record) -> bool:
@@ -195,9 +212,26 @@ def _best(found: list[_Part]) -> _Part:
         count = np.diff(first, append=window.size)
         misfit = np.maximum(np.add.reduceat(squares[known], first) / count, 1.0) if first.size else np.zeros(0)
         unknown = 0.5 * float(np.log(np.nanmean(part.sigma_deg**2) / np.nanmean(sharpest.sigma_deg**2)))
-        return 0.5 * _WINDOW_S / _ALIKE_S * float(np.log(misfit).sum()) + part.apart + unknown
+        two = sum(_better(other, part) for other in found) if part.is_whole else 0.0
+        return 0.5 * _WINDOW_S / _ALIKE_S * float(np.log(misfit).sum()) + part.apart + unknown + two
 
     return min(found, key=cost)
+
+
+def _better(part: _Part, whole: _Part) -> float:
+    """By how much a part predicts itself, held out, better than the whole does [nats]: the mean of two servos is none.
+
+    A part that is too short to be held out tells nothing.
+    """
+    if part.is_whole or part.between_s[1] - part.between_s[0] < _HELD_OUT_S:
+        return 0.0
+    rows = np.searchsorted(whole.time_s, part.fitted_s)
+    held_out_deg = np.concatenate([each[np.isfinite(each)] for each in part.fitted.held_out_deg])
+    errors_deg = np.stack([whole.left_deg[rows], held_out_deg])[:, np.isfinite(whole.left_deg[rows])]
+    most_deg = _MOST_SIGMAS * float(np.median(part.fitted.sigma_deg))
+    squares = np.mean(np.minimum(np.abs(errors_deg), most_deg) ** 2, axis=1)
+    alike = part.fitted_s.size * part.period_s / _ALIKE_S
+    return max(0.5 * alike * float(np.log(squares[0] / squares[1])), 0.0)
 
 
 def _least_share(count: int, fitted: Fit) -> float:
@@ -259,12 +293,16 @@ def _judged(
     mended = [fault for fault in story.faults if fault.end_s is not None]
     if mended and is_short:
         return None
-    at_first = any(fault.start_s < whole.time_s[0] + _TELLING_S for fault in mended)
+    moved = np.abs(whole.measured_deg - whole.measured_deg[0]) > _MOVES_DEG
+    at_first = any(fault.start_s < whole.time_s[np.argmax(moved)] + _TELLING_S for fault in mended)
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * at_first
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
     if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None
-    return _Part(between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, is_whole)
+    fitted_s = np.concatenate([record.time_s[record.usable] for record in records])
+    return _Part(
+        between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, fitted_s, whole.period_s, is_whole
+    )
 
 
 def _times_as_wide(seconds: float) -> float:

@@ -27,7 +27,7 @@ from servofd.detection.known import Line
 from servofd.feedback.fitted import Found, at_once, found_in, with_own_servo
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from logparsers.records import FlightLog
     from servofd.core.types import Marks
@@ -109,21 +109,45 @@ class Draft:
         )
 
 
-def draft_aircraft(log: FlightLog) -> Draft:
+def draft_aircraft(log: FlightLog, only: Collection[str] = ()) -> Draft:
     """Find the servos with feedback in an autopilot's log and fit each one to it.
 
     Outputs are paired with positions through the autopilot's parameters; pulses become degrees by the firmware's
-    formula, or by a straight line fitted to the position where the servo itself does not repeat its command.
+    formula, or by a straight line fitted to the position where the servo itself does not repeat its command. `only`
+    those surfaces are fitted; all if empty.
     """
+    pairs, plain, by_current = _described(log)
+    bus = bus_of(log, plain)
+
+    def drafted(pair: Pair) -> DraftedSurface:
+        if only and pair.surface not in only:
+            return DraftedSurface(pair, plain.surfaces[pair.surface], {})
+        return _draft(log, pair, plain, bus)
+
+    return Draft(log, tuple(at_once(drafted, pairs)), by_current)
+
+
+def described_aircraft(log: FlightLog) -> tuple[Aircraft, frozenset[str]]:
+    """Surfaces of an autopilot's log, of whose servos nothing is said; and those whose commands have no known scale."""
+    pairs, plain, by_current = _described(log)
+    surfaces = plain.surfaces | by_current
+    free = frozenset(pair.surface for pair in pairs if _has_free_scale(pair))
+    return plain.model_copy(update={"name": log.vehicle or log.format, "surfaces": surfaces}), free
+
+
+def _has_free_scale(pair: Pair) -> bool:
+    """Whether the servo does not repeat its command in degrees."""
+    return pair.command != pair.position.command
+
+
+def _described(log: FlightLog) -> tuple[Sequence[Pair], Aircraft, dict[str, Surface]]:
+    """Pairs of command and position, their surfaces, and those whose servos tell what they draw alone."""
     pairs = find_pairs(log)
     by_current = _by_current(log, pairs)
-    if not pairs and by_current:
-        return Draft(log, (), by_current)
-    if not pairs:
+    if not pairs and not by_current:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
     plain = Aircraft.model_validate({"surfaces": {pair.surface: surface_entry(log, pair) for pair in pairs}})
-    bus = bus_of(log, plain)
-    return Draft(log, tuple(at_once(lambda pair: _draft(log, pair, plain, bus), pairs)), by_current)
+    return pairs, plain, by_current
 
 
 def _by_current(log: FlightLog, pairs: Sequence[Pair]) -> dict[str, Surface]:
@@ -148,12 +172,21 @@ def _by_current(log: FlightLog, pairs: Sequence[Pair]) -> dict[str, Surface]:
 
 
 def _draft(log: FlightLog, pair: Pair, plain: Aircraft, bus: Mapping[str, Marks]) -> DraftedSurface:
-    found = found_in(log, pair.surface, plain, bus, free_scale=pair.command != pair.position.command)
-    surface = plain.surfaces[pair.surface]
-    if found.line.gain != 1.0:
-        command = _rescaled(surface.command.model_dump(exclude_none=True), found.line)
-        surface = Surface.model_validate({**surface.model_dump(exclude_defaults=True), "command": command})
+    found = found_in(log, pair.surface, plain, bus, free_scale=_has_free_scale(pair))
+    surface = with_line(plain.surfaces[pair.surface], found.line)
     return DraftedSurface(pair, *with_own_servo(surface, pair.surface, Found(Line(), found.servo)))
+
+
+def with_line(surface: Surface, line: Line) -> Surface:
+    """The same surface with a command that a straight line turns into degrees of its position."""
+    if line == Line():
+        return surface
+    entry = surface.command.model_dump(exclude_none=True)
+    if entry["unit"] not in ("us", "norm"):
+        corrected = surface.command.corrected(line.gain, line.offset_deg)
+        return surface.model_copy(update={"command": corrected})
+    command = _rescaled(entry, line)
+    return Surface.model_validate({**surface.model_dump(exclude_defaults=True), "command": command})
 
 
 def surface_entry(log: FlightLog, pair: Pair) -> dict[str, Any]:

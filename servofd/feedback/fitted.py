@@ -11,8 +11,9 @@ from servofd.aircraft.series import bus_of, cut
 from servofd.core.errors import NoMeasurement
 from servofd.core.evidence import ModelOrigin
 from servofd.detection.causes import before_it_fell
+from servofd.detection.flights import cropped
 from servofd.detection.known import Line, crude_line
-from servofd.detection.own import OwnServo, own_servo, parts_of
+from servofd.detection.own import OwnServo, fitted_to, own_servo, parts_of
 from servofd.estimate.record import Record
 from servofd.servo.library import ORDINARY, Servo
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft, Surface
     from servofd.aircraft.series import Series
     from servofd.core.types import Marks
+    from servofd.detection.flights import Span
 
 _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 1e-4, 0.2
 """Sample periods between which a servo is fitted [s]."""
@@ -91,6 +93,37 @@ def found_in(
     what = "sign" if line.gain < 0.0 else "scale"
     doubt = f"its position is {line.gain:.2f}x the command throughout: check the {what} of the calibration"
     return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt})))
+
+
+def good_line(
+    log: FlightLog,
+    name: str,
+    aircraft: Aircraft,
+    bus: Mapping[str, Marks],
+    spans: tuple[Span, ...],
+    *,
+    is_free: bool,
+) -> Line:
+    """How the position goes with the command in parts of a log that are known to be good [s]; in all of it without.
+
+    Where its scale is known, only a line that is no servo's counts, if no servo explains the position as well.
+    """
+    try:
+        segment = cropped(cut(log, name, aircraft, bus), spans)
+    except NoMeasurement:
+        return Line()
+    if segment.command_s.size < 2 or segment.measured_s.size < 2:
+        return Line()
+    line = _line_of(segment, is_free=is_free)
+    if line is None or (not is_free and _is_usual(line)):
+        return Line()
+    fitted = fitted_to(segment.with_commands(line.gain, line.offset_deg) if is_free else segment)
+    if not is_free:
+        return line if fitted is None or fitted.explained_share < line.correlation**2 else Line()
+    if fitted is None:
+        return line
+    gain = float(fitted.theta[0])
+    return Line(gain * line.gain, gain * line.offset_deg + fitted.offset_deg)
 
 
 def _line_of(segment: Series, *, is_free: bool) -> Line | None:

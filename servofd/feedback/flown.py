@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from logparsers import FlightLog, LogFile
+    from servofd.detection.flights import Span
 
     Log = LogFile | TextIO | pd.DataFrame | Mapping[str, Any]
 
@@ -126,7 +127,7 @@ def flown_aircraft(
     """
     own = known is not None and bool(known.surfaces)
     try:
-        flown = surfaces_of(log, known)
+        flown = surfaces_of(log, known) if own or not log.is_of_autopilot else _drafted(log, only)
     except NoMeasurement:
         if known is None or own:
             raise
@@ -144,10 +145,41 @@ def flown_aircraft(
     return fitted_aircraft(log, flown, unnamed)
 
 
+def _drafted(log: FlightLog, only: Collection[str]) -> Aircraft:
+    from servofd.feedback.draft import draft_aircraft
+
+    return draft_aircraft(log, only).aircraft()
+
+
+def scaled_aircraft(log: FlightLog, known: Aircraft | None = None, only: Collection[str] = ()) -> Aircraft:
+    """Surfaces of a known aircraft, or as the log names them; an autopilot's with servos and scales fitted to it.
+
+    `only` those surfaces are fitted; all if empty.
+    """
+    is_known = known is not None and bool(known.surfaces)
+    return surfaces_of(log, known) if is_known or not log.is_of_autopilot else _drafted(log, only)
+
+
+def good_aircraft(log: FlightLog, spans: tuple[Span, ...] = ()) -> Aircraft:
+    """Surfaces of a log that is known to be good, with the scales of their commands, and nothing of their servos.
+
+    It is good in some spans [s]; everywhere if there are none.
+    """
+    from servofd.aircraft.series import bus_of
+    from servofd.feedback.draft import described_aircraft, with_line
+    from servofd.feedback.fitted import at_once, good_line
+
+    flown, free = described_aircraft(log) if log.is_of_autopilot else (surfaces_of(log), frozenset())
+    names, bus = [name for name, surface in flown.surfaces.items() if not surface.names_servo], bus_of(log, flown)
+    lines = at_once(lambda name: good_line(log, name, flown, bus, spans, is_free=name in free), names)
+    scaled = {name: with_line(flown.surfaces[name], line) for name, line in zip(names, lines, strict=True)}
+    return flown.model_copy(update={"surfaces": flown.surfaces | scaled})
+
+
 def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
     """Surfaces of a known aircraft, or as the channels name them, in the channels of this log.
 
-    Nothing is said of the servos of a plain table.
+    Nothing is said of the servos of a plain table or of an autopilot's log, nor of the scale of its pulses.
 
     Examples
     --------
@@ -168,9 +200,9 @@ def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
             "per surface is needed (de_pos, dr_pos, da_l_pos, ...), or an aircraft file (-c) that names other channels"
         )
     if log.is_of_autopilot:
-        from servofd.feedback.draft import draft_aircraft
+        from servofd.feedback.draft import described_aircraft
 
-        return draft_aircraft(log).aircraft()
+        return described_aircraft(log)[0]
     if set(_BENCH) <= set(log.channels):
         return load_aircraft("bench")
     names = dict.fromkeys(

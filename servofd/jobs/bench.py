@@ -11,7 +11,7 @@ import numpy as np
 
 from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, NoMeasurement
-from servofd.feedback.flown import log_files, logs_of, surfaces_of
+from servofd.feedback.flown import log_files, logs_of, scaled_aircraft
 from servofd.identification.identify import identify as identify_records
 
 if TYPE_CHECKING:
@@ -51,7 +51,8 @@ def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | 
             found.append(_chirp_script(log))
             continue
         try:
-            found.append(_of_surface(log, surfaces_of(log, aircraft), surface))
+            only = () if surface is None else (surface,)
+            found.append(_of_surface(log, scaled_aircraft(log, aircraft, only), surface))
         except NoMeasurement as error:
             if len(logs) == 1:
                 raise

@@ -18,7 +18,7 @@ from servofd.discrepancy.known import A_TYPE, NOTHING
 from servofd.discrepancy.own import load_own_effect
 from servofd.discrepancy.validity import Undriven, undriven
 from servofd.discrepancy.varying import varying
-from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
+from servofd.feedback.flown import known_aircraft, logs_of, scaled_aircraft, surfaces_of
 from servofd.jobs.bench import label_of
 from servofd.servo.library import Servo
 from servofd.servo.loop import scaled
@@ -115,7 +115,7 @@ def explain_logs(
     """
     if own is not None:
         include(load_own_effect(own) if isinstance(own, str | Path) else own)
-    flown = _opened(paths, aircraft, servo)
+    flown = _opened(paths, aircraft, servo, surfaces)
     for name in surfaces:
         if name not in flown.aircraft.surfaces:
             raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
@@ -162,11 +162,13 @@ class _Flown:
         return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
 
 
-def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
+def _opened(
+    paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None, only: Sequence[str]
+) -> _Flown:
     known = known_aircraft(aircraft)
     logs = tuple(logs_of(paths, known))
     # The servo of a plain table is fitted along with what it may lack.
-    flown = surfaces_of(logs[0], known)
+    flown = scaled_aircraft(logs[0], known, only)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
     unnamed = frozenset(n for n, s in flown.surfaces.items() if servo == UNKNOWN or not s.names_servo)

@@ -15,7 +15,7 @@ from servofd.core.errors import CalibrationError, NoMeasurement, ServofdError, U
 from servofd.current.audit import healthy_currents, with_currents
 from servofd.detection.audit import audit_log
 from servofd.detection.kinds import STANDS_STILL
-from servofd.feedback.flown import each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
+from servofd.feedback.flown import each_once, flown_aircraft, good_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -215,7 +215,7 @@ def calibrate(
     from servofd.calibrating.calibrate import calibrate_aircraft
     from servofd.calibrating.result import Calibration
 
-    known = known_aircraft(aircraft) or drafted_aircraft(logs)
+    known = known_aircraft(aircraft) or drafted_aircraft(logs, spans)
     known.check_names(surfaces)
     try:
         flights = flights_of(logs, known, surfaces=surfaces, spans=spans, runs=runs)
@@ -230,8 +230,11 @@ def calibrate(
     return found.with_currents(currents)
 
 
-def drafted_aircraft(paths: Log | Sequence[Log]) -> Aircraft:
-    """The aircraft as the first log describes it that tells of servos and of what they turn; else of servos alone."""
+def drafted_aircraft(paths: Log | Sequence[Log], spans: tuple[Span, ...] = ()) -> Aircraft:
+    """The aircraft as the first good log describes it that tells of servos and of what they turn; else of servos alone.
+
+    The logs are good in some spans [s]; everywhere if there are none.
+    """
     reason, first = "", None
     for log in logs_of(paths):
         try:
@@ -240,11 +243,11 @@ def drafted_aircraft(paths: Log | Sequence[Log]) -> Aircraft:
             reason = str(error)
             continue
         if not all(is_numbered(name) for name in found.surfaces):
-            return flown_aircraft(log)
+            return good_aircraft(log, spans)
         first = first or log
     if first is None:
         raise NoMeasurement(reason)
-    return flown_aircraft(first)
+    return good_aircraft(first, spans)
 
 
 def flights_of(
