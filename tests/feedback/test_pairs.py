@@ -16,7 +16,9 @@ from servofd import audit
 from servofd.aircraft.outputs import find_pairs, find_positions
 from servofd.aircraft.schema import load_aircraft
 from servofd.core.errors import NoMeasurement
+from servofd.detection.audit import audit_log
 from servofd.feedback.draft import draft_aircraft, draft_to_toml, what_to_log
+from servofd.feedback.flown import flown_aircraft, good_aircraft
 from servofd.servo.faults import Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -203,3 +205,31 @@ def test_a_multirotor_is_called_one() -> None:
     wing = what_to_log(FlightLog(Path("a.bin"), "dataflash", {}, vehicle="fixed wing"))
     assert wing.startswith("healthy flights of four days show what each axis loses: `servofd calibrate")
     assert "CSRV" in wing
+
+
+@pytest.mark.parametrize(("scale", "what"), [(-1.0, "sign"), (8.0, "scale")])
+def test_a_position_that_moves_against_its_command_in_degrees_or_by_many_times_as_much_is_suspected(
+    scale: float, what: str
+) -> None:
+    log = log_of([0, 1], base=0, command_field=True)
+    wrong = {"CSRV[0].Pos": dataclasses.replace(log["CSRV[0].Pos"], values=scale * log["CSRV[0].Pos"].values)}
+    log = dataclasses.replace(log, channels=log.channels | wrong)
+    sound, other = audit_log(log, flown_aircraft(log)).surfaces[::-1]
+    assert sound.status == "healthy"
+    assert other.status == "suspect"
+    assert f"check the {what} of the calibration" in other.reason
+
+
+def test_a_good_log_tells_the_scale_of_its_pulses_by_the_part_that_is_good_and_nothing_of_servos() -> None:
+    log = log_of([0, 1], base=0)
+    name, still = log["CSRV[0].Pos"].name, TIME_S > 40.0
+    held = {name: dataclasses.replace(log[name], values=np.where(still, 15.0, 0.5 * log[name].values))}
+    log = dataclasses.replace(log, channels=log.channels | held)
+    found = good_aircraft(log, ((0.0, 40.0),))
+    assert not any(surface.names_servo for surface in found.surfaces.values())
+    halved, whole = found.surfaces.values()
+    pulses_us = np.array([1500.0, 1600.0])
+    for surface, slope in ((halved, 0.05), (whole, 0.1)):
+        low_deg, high_deg = surface.command.to_deg(pulses_us)
+        assert abs((high_deg - low_deg) / 100.0 / slope - 1.0) < 0.02
+        assert abs(low_deg) < 0.2
