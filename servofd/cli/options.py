@@ -158,7 +158,14 @@ def _explain(parser: Parser) -> None:
     parser.config()
     parser.servo("servo: of the library, FILE.toml, or unknown (fitted)")
     parser.file("--effect", "try an effect of your own as well (docs/explain.md)", "FILE.py")
-    parser.value("--also", "judge the model on these flights, too, fitting nothing", "FILE", nargs="+", default=[])
+    parser.value(
+        "--also",
+        "judge the model on these flights, too, fitting nothing",
+        "FILE",
+        nargs="+",
+        action="extend",
+        default=[],
+    )
     parser.json(instead="text")
     parser.file("--save", "write the aircraft with the better model, for audit -c", "MODEL.toml")
     parser.file("--rrd", "write a Rerun recording of both simulations (of one surface)")

@@ -40,7 +40,7 @@ def test_the_core_judges_a_flight_a_folder_and_a_table(tmp_path: Path) -> None:
     (tmp_path / "flights").mkdir()
     assert core(tmp_path, "simulate", "-o", "flights/a.csv", "--duration", "12").returncode == 0
     run = core(tmp_path, "flights", "--workers", "1")
-    assert "flights/servofd/fleets.html" in run.stdout
+    assert "flights/servofd/fleet.html" in run.stdout
     assert "Traceback" not in run.stderr
 
 
