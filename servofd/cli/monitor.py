@@ -171,10 +171,14 @@ def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
             raise ConfigError(f"-c {name}: given twice; two vehicles of one file are {by_id}")
         loaded.append(aircraft)
         unnamed = [key for key, one in aircraft.surfaces.items() if not one.names_servo and not one.is_told_by_current]
-        if unnamed:  # an audit fits them to its log; in flight there is none yet
+        watched = {key: one for key, one in aircraft.surfaces.items() if key not in unnamed}
+        if unnamed and not watched:  # an audit fits them to its log; in flight there is none yet
             raise ConfigError(
                 f"{path or name}: {', '.join(unnamed)}: no servo is named; name one (servo = ...), or let "
                 "'servofd calibrate' make the file from a good flight"
             )
+        if unnamed:
+            complain(f"{', '.join(unnamed)}: not watched: no servo is named; calibrate them on a good flight, too")
+            aircraft = aircraft.model_copy(update={"surfaces": watched})
         known[system] = streamed(aircraft, has_card=has_card)
     return known

@@ -47,3 +47,16 @@ def test_a_monitor_assumes_no_servo(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["monitor", str(TABLE), "-c", str(config), "--plain"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "rudder: no servo is named" in line
+
+
+def test_a_monitor_watches_the_surfaces_of_which_a_servo_is_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, plane = str(tmp_path / "flight.tlog"), str(tmp_path / "plane.toml")
+    assert main(["simulate", "-o", log, "--duration", "30", "--seed", "5"]) == 0
+    assert main(["calibrate", log, "-s", "elevator", "-o", plane]) == 0
+    capsys.readouterr()
+    assert main(["monitor", log, "-c", plane, "--speed", "0", "--plain"]) == 0
+    shown = capsys.readouterr()
+    assert "aileron, rudder: not watched: no servo is named" in shown.err
+    assert "elevator: no alarm" in shown.out
