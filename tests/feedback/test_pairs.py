@@ -213,7 +213,7 @@ def test_a_position_that_moves_against_its_command_in_degrees_or_by_many_times_a
 ) -> None:
     log = log_of([0, 1], base=0, command_field=True)
     wrong = {"CSRV[0].Pos": dataclasses.replace(log["CSRV[0].Pos"], values=scale * log["CSRV[0].Pos"].values)}
-    log = dataclasses.replace(log, channels=log.channels | wrong)
+    log = dataclasses.replace(log, channels={**log.channels, **wrong})
     sound, other = audit_log(log, flown_aircraft(log)).surfaces[::-1]
     assert sound.status == "healthy"
     assert other.status == "suspect"
@@ -224,7 +224,7 @@ def test_a_good_log_tells_the_scale_of_its_pulses_by_the_part_that_is_good_and_n
     log = log_of([0, 1], base=0)
     name, still = log["CSRV[0].Pos"].name, TIME_S > 40.0
     held = {name: dataclasses.replace(log[name], values=np.where(still, 15.0, 0.5 * log[name].values))}
-    log = dataclasses.replace(log, channels=log.channels | held)
+    log = dataclasses.replace(log, channels={**log.channels, **held})
     found = good_aircraft(log, ((0.0, 40.0),))
     assert not any(surface.names_servo for surface in found.surfaces.values())
     halved, whole = found.surfaces.values()
