@@ -154,7 +154,7 @@ def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
 def test_a_current_that_dies_while_the_position_follows_is_no_fault_of_the_servo(tmp_path: Path) -> None:
     goods = [tmp_path / f"good{k}.csv" for k in range(3)]
     for k, good in enumerate(goods):
-        good.write_text(flown(70 + k, 10.0).csv("aileron", position=True))
+        good.write_text(flown(70 + k, 10.0, seconds=100.0).csv("aileron", position=True))
     plane = servofd.calibrate(goods).save(tmp_path / "plane.toml")
     head, *rows = flown(5, 10.0).csv("aileron", position=True).splitlines()
     read = [row.split(",") for row in rows]

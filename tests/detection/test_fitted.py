@@ -67,7 +67,9 @@ def test_a_sound_aircraft_has_no_fault_however_short_its_log(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["stuck", pytest.param("hardover", marks=pytest.mark.nightly), "floating"])
+@pytest.mark.parametrize(
+    "kind", ["stuck", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("hardover", "floating"))]
+)
 def test_what_no_longer_follows_is_a_fault_and_nothing_else_is(kind: str, tmp_path: Path) -> None:
     failure = Failure(kind, "rudder", 25.0)
     flown = fly(stranger(5), 1, "aerobatics", duration_s=60.0, failure=failure)

@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPMessage
@@ -50,9 +51,13 @@ def one_surface() -> bytes:
 
 
 @contextmanager
-def flights_of(folder: Path, *, most_bytes: int = LARGEST) -> Iterator[Flights]:
-    with Flights(folder, Job(), most_bytes=most_bytes, workers=1) as flights:
-        yield flights
+def flights_of(folder: Path, *, most_bytes: int = LARGEST, apart: bool = False) -> Iterator[Flights]:
+    """Flights of a folder, judged by a thread that knows servofd already; apart, by a process, as the program does."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not apart:
+            patch.setattr("servofd.serve.flights.processes", ThreadPoolExecutor)
+        with Flights(folder, Job(), most_bytes=most_bytes, workers=1) as flights:
+            yield flights
 
 
 @dataclass
@@ -136,7 +141,7 @@ def done(flights: Flights, flight_id: str) -> Flight:
 
 @pytest.mark.slow
 def test_a_dropped_log_gets_its_verdict_page_json_and_recording(tmp_path: Path) -> None:
-    with flights_of(tmp_path / "club") as flights, client_of(flights) as client:
+    with flights_of(tmp_path / "club", apart=True) as flights, client_of(flights) as client:
         answer = client.put("/flights?name=../../my%20flight.mat", STUCK.read_bytes())
         assert answer.status == 201
         taken = answer.json()
@@ -294,7 +299,7 @@ def test_a_flight_that_no_browser_could_show_gets_no_recording(tmp_path: Path, m
 
 @pytest.mark.slow
 def test_a_process_that_dies_takes_only_its_flight_with_it(tmp_path: Path) -> None:
-    with flights_of(tmp_path) as flights:
+    with flights_of(tmp_path, apart=True) as flights:
         upload = flights.upload("good.mat", 0)
         upload.write(STUCK.read_bytes())
         first = taken(upload)
@@ -522,7 +527,7 @@ def test_good_flights_are_calibrated_followed_and_explained_at_a_click(tmp_path:
 
     logs = [tmp_path / f"good{k}.csv" for k in range(2)]
     for k, log in enumerate(logs):
-        assert main(["simulate", "-o", str(log), "--rate-hz", "50", "--duration", "60", "--seed", str(k)]) == 0
+        assert main(["simulate", "-o", str(log), "--rate-hz", "50", "--duration", "40", "--seed", str(k)]) == 0
         flight = pd.read_csv(log)  # one surface shows it
         flight[["time_s", "elevator_cmd_deg", "elevator_pos_deg"]].to_csv(log, index=False)
     with flights_of(tmp_path / "club") as flights, client_of(flights) as client:
@@ -697,7 +702,7 @@ def test_a_log_of_one_gigabyte_is_judged_and_keeps_nobody_waiting(megabytes: int
 
     answers: list[Answer] = []
     longest_s = 0.0
-    with flights_of(tmp_path, most_bytes=2_000_000_000) as flights, client_of(flights) as client:
+    with flights_of(tmp_path, most_bytes=2_000_000_000, apart=True) as flights, client_of(flights) as client:
         first = threading.Thread(target=lambda: answers.append(client.put("/flights?name=long.bin", content())))
         first.start()
         while first.is_alive() or flights.all()[0].state != "done":
