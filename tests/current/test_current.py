@@ -236,7 +236,7 @@ def test_the_page_draws_the_current(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("position", [pytest.param(False, marks=pytest.mark.nightly), True])
+@pytest.mark.parametrize("position", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_a_recording_says_what_the_audit_said(tmp_path: Path, position: bool) -> None:
     log = written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=position)
     paths = {name: str(tmp_path / name) for name in ("flight.rrd", "audit.json", "review.json")}

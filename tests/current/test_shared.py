@@ -112,7 +112,7 @@ def with_positions(folder: Path, plane: str, names: tuple[str, ...]) -> Path:
     return folder / "seen.toml"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sensor_that_fails_while_positions_follow_is_no_fault_of_a_servo(tmp_path: Path, plane: str) -> None:
     head, *rows = bench(11, seen=NAMES[2:]).splitlines()
     dead = [

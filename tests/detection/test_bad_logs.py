@@ -176,11 +176,8 @@ def test_three_rows_of_any_form_are_no_flight(form: str, tmp_path: Path) -> None
     assert {verdict.status for verdict in found} <= {"unknown", "no_data"}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("rate_hz", "seeds"),
-    [(9.99, (200,)), *(pytest.param(each, (200, 206, 218, 220), marks=pytest.mark.nightly) for each in (9.99, 10.0))],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("rate_hz", "seeds"), [(each, (200, 206, 218, 220)) for each in (9.99, 10.0)])
 def test_rows_of_ten_hertz_that_come_unevenly_are_judged_and_their_servos_not_accused(
     rate_hz: float, seeds: tuple[int, ...]
 ) -> None:

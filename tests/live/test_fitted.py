@@ -29,12 +29,12 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "plane.toml"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("failure", "kinds"),
     [
-        pytest.param(None, [], marks=pytest.mark.nightly),
-        pytest.param(Failure("bias", "rudder", 36.0, 4.0), ["bias"], marks=pytest.mark.nightly),
+        (None, []),
+        (Failure("bias", "rudder", 36.0, 4.0), ["bias"]),
         (Failure("stuck", "rudder", 36.0), ["stuck"]),
     ],
     ids=["healthy", "bias", "stuck"],

@@ -82,7 +82,7 @@ def test_a_rate_limit_is_the_largest_speed() -> None:
     assert moved[-1] == pytest.approx(40.0, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_rate_limit_is_named_in_a_chirp() -> None:
     found = explained(hide(FineServo(rate_deg_s=50.0), "chirp"), context=False)
     assert_named(found, "rate_limit", 50.0, 1.0)

@@ -50,9 +50,9 @@ GUARDED = (ast.Try, ast.If, ast.IfExp, ast.With)
 
 
 def audited(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """`servofd audit` of a table in a process of its own."""
+    """`servofd audit` of a surface of a table in a process of its own."""
     return subprocess.run(
-        [sys.executable, *words, "-m", "servofd", "audit", str(SAMPLE), "--servo", "hs225bb-eq31"],
+        [sys.executable, *words, "-m", "servofd", "audit", str(SAMPLE), "-s", "elevator", "--servo", "hs225bb-eq31"],
         env={**os.environ, "PYTHONIOENCODING": "", **environment},
         capture_output=True,
         text=True,

@@ -612,9 +612,8 @@ def asked(address: str, method: str = "GET", data: bytes | None = None) -> Any:
         return json.load(answer)
 
 
-@pytest.mark.parametrize(
-    "each", [pytest.param(2, marks=pytest.mark.nightly), pytest.param(100, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("each", [2, 100])
 def test_two_users_with_many_logs_at_once_lose_nothing(each: int, tmp_path: Path) -> None:
     rows = (SAMPLES / "table_three_faults.csv").read_bytes().splitlines(keepends=True)
     table = b"".join(rows[:1200])
@@ -685,9 +684,8 @@ def test_a_second_user_gets_a_verdict_while_the_log_of_the_first_still_comes(tmp
         assert summary.status == "fault"
 
 
-@pytest.mark.parametrize(
-    "megabytes", [pytest.param(20, marks=pytest.mark.slow), pytest.param(1000, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("megabytes", [20, 1000])
 def test_a_log_of_one_gigabyte_is_judged_and_keeps_nobody_waiting(megabytes: int, tmp_path: Path) -> None:
     """A flight, and raw samples of its gyroscopes, which are what makes logs long."""
     shape = struct.pack("<3sBB4s16s64s", b"\xa3\x95\x80", 250, 203, b"RAWG", b"Qaaa", b"TimeUS,x,y,z")

@@ -275,7 +275,7 @@ def test_growing_dead_band_is_measured_and_forecast() -> None:
 @pytest.mark.slow
 def test_a_swap_is_recognised_and_is_no_wear() -> None:
     grown = [0.02 * number for number in range(1, 26)]
-    seen = widths_trend(0, [*grown, *grown[:10]], swap=26)
+    seen = widths_trend(0, [*grown, *grown[:10]], swap=26, duration_s=30.0)
     assert [(event.kind, event.first) for event in seen.surfaces[0].events] == [("swap", 26)]
 
 
