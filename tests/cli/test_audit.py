@@ -81,6 +81,7 @@ def test_what_simulate_writes_audit_reads(
     assert {s["status"] for s in document["logs"][0]["surfaces"].values()} <= {"healthy", "no_data"}
 
 
+@pytest.mark.slow
 def test_a_noise_free_table_comes_back_to_the_nanodegree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "clean.csv"
     main(["simulate", "-o", str(path), "--noise-deg", "0", "--command", "doublets"])

@@ -196,6 +196,7 @@ def swept(faults: dict[str, Stuck] | None = None) -> SimulatedFlight:
     return flown(command="steps", duration_s=15.0, faults=faults)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_a_go_or_a_no_go(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", "--sweep", logged(tmp_path, "ground.csv", swept()), "-c", config]) == 0
     assert " go " in capsys.readouterr().out
@@ -203,6 +204,7 @@ def test_a_sweep_is_a_go_or_a_no_go(tmp_path: Path, config: str, capsys: pytest.
     assert "NO-GO" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_surface_that_was_not_moved_cannot_be_judged(
     tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

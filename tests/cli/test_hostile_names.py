@@ -97,6 +97,7 @@ def test_every_other_page_of_a_hostile_name(
         assert tomllib.loads(written.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_picture_of_a_hostile_name(name: str) -> None:
     curve = Curve(name, "measured", np.array([0.0, 1.0]), np.array([0.0, 1.0]))

@@ -95,6 +95,7 @@ def test_every_fault_has_what_the_contract_promises(name: str, capsys: pytest.Ca
     check_promises(*audited(capsys, str(path), *some))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["faser_healthy_flight", "faser_healthy_chirp"])
 def test_healthy_logs_raise_nothing(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, surfaces = audited(capsys, str(SAMPLES / f"{name}.mat"), "--threshold", "interval")

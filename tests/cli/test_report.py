@@ -37,6 +37,7 @@ def test_audit_writes_a_page_and_names_no_folder(tmp_path: Path, capsys: pytest.
     assert str(tmp_path) not in text
 
 
+@pytest.mark.slow
 def test_a_page_shows_what_the_autopilot_said_but_not_where_it_flew() -> None:
     said = Text(3.0, "Throttle armed"), Text(4.0, "Home -35.36326 149.16523"), Text(5.0, "Pixhawk 0039002A 3334510B")
     log = replace(one_log(SAMPLES / "ardupilot_volz_stuck.bin"), texts=said)

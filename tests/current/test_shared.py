@@ -158,6 +158,7 @@ def test_who_draws_what_is_not_guessed(tmp_path: Path) -> None:
     assert "calibrate all of them" in found["elevator"].reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "channel", "unit"),
     [

@@ -127,6 +127,7 @@ def test_good_flights_have_no_alarm_and_jams_are_found() -> None:
         assert 60.0 < fault.alarm_s < 66.0
 
 
+@pytest.mark.slow
 def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     segment = flown(3, duration_s=40.0)
     whole = watched(KNOWN, Record.of(segment))

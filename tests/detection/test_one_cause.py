@@ -66,6 +66,7 @@ def test_a_frozen_bus_accuses_nobody(others: str) -> None:
     assert "their positions stand still" in verdicts["aileron"].reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("silent_s", [(0.0, 10.0), (15.0, 40.0), (np.inf, np.inf)])
 def test_a_jam_is_its_own_whatever_the_others_do(silent_s: tuple[float, float]) -> None:
     others = dict.fromkeys(NAMES[1:], (silent_s[0] <= TIME_S) & (silent_s[1] > TIME_S))

@@ -77,6 +77,7 @@ def test_an_aircraft_drafted_from_one_kind_of_log_judges_the_others(
     assert next(iter(faults)).startswith("elevator")
 
 
+@pytest.mark.slow
 def test_an_output_is_enough(tmp_path: Path) -> None:
     path = str(tmp_path / "flown.bin")
     assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "40"]) == 0

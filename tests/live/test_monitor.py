@@ -327,6 +327,7 @@ class TestOnSockets:
             main(["monitor", f"udpin:{free_port()}", "-c", str(config), option, value])
         assert f"argument {option}: must be" in capsys.readouterr().err
 
+    @pytest.mark.slow
     def test_nobody_there(self, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["monitor", f"udpin:{free_port()}", "-c", str(config), "--duration", "0.2", "--plain"]) == 2
         assert "waiting for the first byte" in capsys.readouterr().err

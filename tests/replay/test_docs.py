@@ -183,6 +183,7 @@ def test_the_page_on_simulation_shows_what_its_commands_print(
         assert re.fullmatch(re.escape(output).replace(r"\.\.\.", ".*"), capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_the_example_of_trends_runs_and_its_aircraft_file_is_valid(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -247,6 +247,7 @@ def test_an_error_of_the_page_shows_no_traceback(tmp_path: Path, monkeypatch: py
     assert "This did not work" in answer.text
 
 
+@pytest.mark.slow
 def test_other_sites_get_nothing(tmp_path: Path) -> None:
     with client_of(Flights(tmp_path, Job(), most_bytes=LARGEST)) as client:
         assert client.get("/").status == 200
@@ -265,6 +266,7 @@ def test_other_sites_get_nothing(tmp_path: Path) -> None:
     assert "http" not in policy
 
 
+@pytest.mark.slow
 def test_what_is_at_work_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST, workers=1)  # whose processes were not begun
     upload = flights.upload("long.csv", 0)
@@ -376,6 +378,7 @@ def test_every_file_that_is_dropped_is_a_row_or_a_notice(tmp_path: Path) -> None
         assert {one.name: one.summary and one.summary.status for one in flights.all()} == rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ['a"b.csv', "a'b.csv", "../../etc/x.csv", "\\\\host\\x.csv", "🛩️.csv", "x" * 300 + ".csv", ".csv", "<b>.csv"]
 )
@@ -389,6 +392,7 @@ def test_a_name_leads_nowhere_and_breaks_no_page(name: str, tmp_path: Path) -> N
     assert "<b>.csv" not in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 7, 100_000])
 def test_a_browser_without_script_sends_a_form(size: int, tmp_path: Path) -> None:
     files = {"one.csv": b"time_s\r\n--x", "two.csv": b"\r\n--xy" * 40, "three.csv": b"", "four.csv": b"time_s\r\n--x"}
@@ -414,6 +418,7 @@ def test_a_browser_without_script_sends_a_form(size: int, tmp_path: Path) -> Non
     assert not uploads(tmp_path)
 
 
+@pytest.mark.slow
 def test_what_two_browsers_delete_is_in_the_bin_once(tmp_path: Path) -> None:
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
     with client_of(flights) as client:
@@ -468,6 +473,7 @@ def test_a_disk_that_fills_is_said_and_leaves_nothing(tmp_path: Path) -> None:
     assert flights.all() == []
 
 
+@pytest.mark.slow
 def test_the_page_of_an_earlier_choice_is_not_shown_for_a_later_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -593,6 +599,7 @@ def test_two_flights_lie_over_each_other_from_their_take_offs_on(tmp_path: Path)
         assert float(first) == pytest.approx(-20.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_the_list_is_searched_and_two_flights_are_asked_for(tmp_path: Path) -> None:
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
     with client_of(flights) as client:
