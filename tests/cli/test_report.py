@@ -135,6 +135,7 @@ def test_other_tables_are_lists_on_a_narrow_terminal(
         assert re.search(r"elevator +fault +-0.145 +8.158 +stuck at", shown)
 
 
+@pytest.mark.slow
 def test_colours_only_where_they_are_wanted(
     stuck: LogAudit, terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

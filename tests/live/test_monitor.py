@@ -221,6 +221,7 @@ class TestBadLinks:
         assert vehicle.now_s == pytest.approx(gap_s - 1.0, abs=1.0), "seconds of its second boot"
         assert vehicle.began_s == [0.0, pytest.approx(gap_s - 1.0, abs=1.0)]
 
+    @pytest.mark.slow
     def test_with_a_key_unsigned_frames_say_nothing(self, healthy: bytes, aircraft: Aircraft) -> None:
         session, events = heard(replayed(healthy), aircraft, Codec(0, 191, signature=Signature(bytes(32), 1.7e9)))
         assert (session.frames, events) == (0, [])

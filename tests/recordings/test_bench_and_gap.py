@@ -76,6 +76,7 @@ def test_an_audit_keeps_names_that_the_viewer_cannot_draw(tmp_path: Path, capsys
     assert "升降舵: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_every_recording_has_the_colours_of_the_palette(gap: Path, tmp_path: Path) -> None:
     LiveRecording("x", ["rudder"], path=tmp_path / "live.rrd").close()
     wanted = str([rgba(name) for name in ("command", "simulated", "measured")])
