@@ -102,7 +102,7 @@ def test_two_witnesses_agree(tmp_path: Path) -> None:
     assert "confirmed by its current (blocked" in found.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_servo_without_power_is_one_fault_of_both_witnesses(tmp_path: Path) -> None:
     flight = flown(9, 25.0, "unpowered")
     held_deg = flight.position_deg

@@ -166,8 +166,8 @@ def watched(entry: Surface, model: ServoModel, segment: Series, piece: int = 1) 
     return monitor, events + monitor.finish()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["jam", pytest.param("offset", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("what", ["jam", "offset"])
 def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None:
     entry, model = surface()
     segment = flight(3)
