@@ -26,8 +26,35 @@ settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 
+_SLOW_EXAMPLES = {
+    "servofd.calibrating.calibrate.calibrate_aircraft",
+    "servofd.cli.main",
+    "servofd.detection.audit.audit_log",
+    "servofd.detection.monitor.SurfaceMonitor",
+    "servofd.detection.own.own_servo",
+    "servofd.discrepancy.explanation.explain_gap",
+    "servofd.feedback.draft.fitted_to_toml",
+    "servofd.fleets.run.audit_fleet",
+    "servofd.identification.identify.identify",
+    "servofd.jobs.bench.identify",
+    "servofd.jobs.workflow.calibrate",
+    "servofd.results.audits.audit",
+    "servofd.results.audits.compare",
+    "servofd.results.audits.fleet",
+    "servofd.results.models.explain",
+    "servofd.servo.transfer.TransferFunction.to_control",
+    "servofd.wear.trend.trend_document",
+    "servofd.wear.trend.trend_logs",
+}
+"""Examples in docstrings that fit, search or start processes: as slow as the tests that do."""
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Campaigns, leaks and pictures run when they are asked for: ``pytest -m nightly``."""
+    for item in items:
+        if item.name in _SLOW_EXAMPLES:
+            item.add_marker(pytest.mark.slow)
     if "nightly" in config.option.markexpr:
         return
     nightly = [item for item in items if item.get_closest_marker("nightly")]

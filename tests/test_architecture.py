@@ -143,6 +143,7 @@ def test_heavy_packages_have_one_home(package: str) -> None:
     assert users == ONLY_IN[package]
 
 
+@pytest.mark.slow
 def test_every_module_can_be_imported_and_has_what_it_lists() -> None:
     pytest.importorskip("starlette")  # an extra
     for path in MODULES:

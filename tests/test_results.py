@@ -37,6 +37,7 @@ def test_the_page_on_python_runs_and_prints_what_it_shows(tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
     monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     page = (ROOT / "docs" / "api.md").read_text()
     known: dict[str, object] = {}
     for code, shown in re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", page, re.DOTALL):
@@ -46,6 +47,7 @@ def test_the_page_on_python_runs_and_prints_what_it_shows(tmp_path: Path, monkey
         assert output.getvalue() == shown
 
 
+@pytest.mark.slow
 def test_a_result_is_short_and_a_loop_over_it_gives_itself(stuck: servofd.Audit) -> None:
     assert [one for one in stuck] == [stuck]  # noqa: C416 - as people write it
     assert stuck[0] is stuck
@@ -238,6 +240,7 @@ def test_surfaces_are_attributes_that_draw_themselves(stuck: servofd.Audit) -> N
     assert series.command_deg.iloc[-1] == asked.command_deg[at]
 
 
+@pytest.mark.slow
 def test_results_are_kept_and_compared(stuck: servofd.Audit) -> None:
     again = pickle.loads(pickle.dumps(stuck))  # noqa: S301 - our own
     assert again == stuck
@@ -305,6 +308,7 @@ def test_a_table_is_a_log_for_every_verb_of_one_flight(tmp_path: Path) -> None:
         servofd.calibrate([])
 
 
+@pytest.mark.slow
 def test_a_trend_draws_one_surface() -> None:
     seen = servofd.trend(ROOT / "sample_logs" / "faser_healthy_flight.mat", "faser", surfaces=("rudder",), workers=0)
     assert len(seen.plot().axes) == len(seen.to_pandas())
@@ -312,7 +316,7 @@ def test_a_trend_draws_one_surface() -> None:
         seen.plot("flap")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_calibration_tells_what_it_would_show(tmp_path: Path) -> None:
     good = tmp_path / "good.bin"
     assert main(["simulate", "-o", str(good), "--duration", "60"]) == 0

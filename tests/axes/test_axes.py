@@ -130,6 +130,7 @@ def test_the_verdict_is_causal() -> None:
     assert cut.score == pytest.approx(whole.score[: cut.score.size])
 
 
+@pytest.mark.slow
 def test_a_flight_without_motion_is_not_called_healthy() -> None:
     calm = flown(53, "2026-05-09")
     calm.commands_us["roll"][:] = 0.0
@@ -213,6 +214,7 @@ def test_a_pitot_that_reads_zero_is_no_airspeed(tmp_path: Path) -> None:
         motion_of_table(logparsers.read(table(tmp_path, speed=0.0)))
 
 
+@pytest.mark.slow
 def test_a_file_of_motion_alone_is_an_aircraft(tmp_path: Path) -> None:
     path = tmp_path / "plane.toml"
     path.write_text(motion_to_toml(calibrated()))

@@ -38,12 +38,14 @@ def test_gusts_twice_as_strong_are_no_fault() -> None:
     assert [event for event in roll_of(flown(60, OF_THE_DAY, gusts=12.0)).events if event.is_own] == []
 
 
+@pytest.mark.slow
 def test_more_effect_after_a_payload_was_dropped_is_no_loss() -> None:
     audit = roll_of(flown(61, OF_THE_DAY, aileron_share=1.25, from_s=60.0))
     assert all(event.lost_share.low <= 0.0 for event in audit.events)
     assert audit.status != "fault"
 
 
+@pytest.mark.slow
 def test_a_trim_that_changes_is_an_offset_and_no_loss() -> None:
     audit = roll_of(flown(62, OF_THE_DAY, trim_step_us=60.0, from_s=60.0))
     (event, *_) = audit.events
@@ -53,6 +55,7 @@ def test_a_trim_that_changes_is_an_offset_and_no_loss() -> None:
     assert "acted as if" in audit.reason
 
 
+@pytest.mark.slow
 def test_another_aircraft_is_said_to_differ_from_the_beginning() -> None:
     audit = roll_of(flown(63, OF_THE_DAY, aileron_share=0.5, from_s=0.0))
     assert audit.events[0].from_start
@@ -61,6 +64,7 @@ def test_another_aircraft_is_said_to_differ_from_the_beginning() -> None:
     assert not any(event.is_own for event in audit.events)
 
 
+@pytest.mark.slow
 def test_a_failure_of_another_aircraft_is_no_more_than_suspect() -> None:
     flight = flown(80, OF_THE_DAY, aileron_share=0.0, from_s=60.0)
     assert roll_of(flight).status == "fault"
@@ -70,6 +74,7 @@ def test_a_failure_of_another_aircraft_is_no_more_than_suspect() -> None:
     assert audit.status == "suspect"
 
 
+@pytest.mark.slow
 def test_nothing_is_judged_in_a_stall() -> None:
     flight = flown(64, OF_THE_DAY)
     audit = roll_of(replace(flight, accelerations_m_s2=flight.accelerations_m_s2 * np.array([[1.0], [1.0], [3.0]])))
@@ -78,6 +83,7 @@ def test_nothing_is_judged_in_a_stall() -> None:
     assert "nearer to the stall" in audit.reason
 
 
+@pytest.mark.slow
 def test_a_flight_slower_than_any_of_the_calibration_is_not_judged() -> None:
     flight = flown(66, OF_THE_DAY)
     audit = roll_of(replace(flight, airspeed_m_s=0.7 * flight.airspeed_m_s))
@@ -137,6 +143,7 @@ def test_commands_at_3_hz_are_judged_by_a_calibration_of_their_kind() -> None:
     assert lost.lost_share.low < 1.0 < lost.lost_share.high
 
 
+@pytest.mark.slow
 def test_commands_at_3_hz_are_not_judged_by_a_faster_calibration() -> None:
     with pytest.raises(NoMeasurement, match=r"come at 3\.12 Hz, those of the calibration at 25 Hz"):
         rolls_of(calibrated(), flown(65, OF_THE_DAY), command_every=8)
@@ -152,6 +159,7 @@ def test_a_glider_has_no_engine_and_is_judged() -> None:
     assert lost.since_s == pytest.approx(60.0, abs=2.0)
 
 
+@pytest.mark.slow
 def test_vtol_transitions_are_left_out_and_it_is_said() -> None:
     flight = flown(67, OF_THE_DAY)
     hovers = (flight.time_s < 20.0) | (flight.time_s > 100.0)
@@ -182,6 +190,7 @@ def test_a_pitot_that_reads_0_is_no_airspeed() -> None:
     assert motion_of_autopilot(replace(blocked, channels=estimated)).airspeed_source == "the autopilot's estimate"
 
 
+@pytest.mark.slow
 def test_an_aircraft_with_other_surfaces_is_one_line() -> None:
     without = replace(flown(50, OF_THE_DAY), commands_us={})
     with pytest.raises(NoMeasurement, match="no output commands roll"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from tests.axes.flights import flown
 MIXER = {"SERVO1_FUNCTION": 4.0, "SERVO1_TRIM": 1500.0, "SERVO3_FUNCTION": 70.0, "SERVO3_MIN": 1000.0}
 
 
+@cache
 def model() -> MotionModel:
     days = ("2026-05-01", "2026-05-02", "2026-05-03")
     found = calibrate_motion([flown(seed, days[seed % 3]) for seed in range(3)])

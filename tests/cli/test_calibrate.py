@@ -146,11 +146,10 @@ def test_a_rate_of_false_alarms_is_told_and_none_is_promised_that_was_not_measur
     told = servofd.calibrate(good)
     assert f"about {told.false_alarms_per_hour:.2g} false alarms an hour" in told._repr_html_()
     command = ["calibrate", good, "-o", str(tmp_path / "plane.toml")]
-    for wanted, is_refused in (("1", False), ("0.001", True)):
-        assert main([*command, "--false-alarms-per-hour", wanted]) == 0
-        line = next(line for line in capsys.readouterr().out.splitlines() if "false alarms to expect:" in line)
-        assert f"about {told.false_alarms_per_hour:.2g} an hour of this surface" in line
-        assert line.endswith("0.001 cannot be promised") == is_refused
+    assert main([*command, "--false-alarms-per-hour", "0.001"]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if "false alarms to expect:" in line)
+    assert f"about {told.false_alarms_per_hour:.2g} an hour of this surface" in line
+    assert line.endswith("0.001 cannot be promised")
 
 
 @pytest.mark.slow
@@ -197,6 +196,7 @@ def swept(faults: dict[str, Stuck] | None = None) -> SimulatedFlight:
     return flown(command="steps", duration_s=15.0, faults=faults)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_a_go_or_a_no_go(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", "--sweep", logged(tmp_path, "ground.csv", swept()), "-c", config]) == 0
     assert " go " in capsys.readouterr().out
@@ -204,6 +204,7 @@ def test_a_sweep_is_a_go_or_a_no_go(tmp_path: Path, config: str, capsys: pytest.
     assert "NO-GO" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_surface_that_was_not_moved_cannot_be_judged(
     tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

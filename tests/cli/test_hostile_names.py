@@ -19,6 +19,7 @@ from servofd.outputs.figure import chart_png
 from servofd.outputs.page import html_page
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
+from tests.fleet.conftest import in_line
 
 ACTS = [*map(chr, range(8)), "\x1b", "\x7f", "\x80", "\x9b", "\u202e", "\ufeff"]
 HOSTILE = "a<script>alert(1)</script>\x9b31m\u202ex\\1\\g<2>$\\frac$'"
@@ -48,7 +49,10 @@ def lively(path: Path, surface: str, seed: int) -> str:
 
 
 @pytest.mark.slow
-def test_an_audit_of_a_hostile_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_audit_of_a_hostile_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("servofd.fleets.run.run_local", in_line)
     surface = HOSTILE
     bad = b"\xff" if sys.platform == "linux" else b""  # elsewhere no file has such a name
     log = flight(tmp_path / os.fsdecode(b"fl" + bad + b"\x1b[2Jight.csv"), surface)
@@ -63,7 +67,11 @@ def test_an_audit_of_a_hostile_name(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.slow
-def test_every_other_page_of_a_hostile_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_other_page_of_a_hostile_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for runs in ("servofd.fleets.run", "servofd.wear.trend"):
+        monkeypatch.setattr(f"{runs}.run_local", in_line)
     surface, plane = HOSTILE, tmp_path / "plane.toml"
     logs = [lively(tmp_path / f"flight{number}.csv", surface, number) for number in range(2)]
     assert main(["config", logs[0]]) == 0
@@ -89,6 +97,7 @@ def test_every_other_page_of_a_hostile_name(tmp_path: Path, capsys: pytest.Captu
         assert tomllib.loads(written.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_picture_of_a_hostile_name(name: str) -> None:
     curve = Curve(name, "measured", np.array([0.0, 1.0]), np.array([0.0, 1.0]))

@@ -48,6 +48,7 @@ def test_it_is_the_audit_with_all_its_options(flight: Path, capsys: pytest.Captu
     assert (code, json.loads("\n".join(lines))) == (1, audited)
 
 
+@pytest.mark.slow
 def test_a_page_of_something_else_is_never_written_over(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = flight.with_suffix(".html")
     other.write_text("my notes on this flight")

@@ -63,11 +63,10 @@ def test_every_effect_shows_in_the_surface_that_has_it(name: str, size: str, tmp
 @pytest.mark.parametrize(
     "name",
     [
-        "rate_limit, asymmetric",
         "airload",
         *(
             pytest.param(name, marks=pytest.mark.nightly)
-            for name in ("voltage_rate", "supply_coupling", "external_load")
+            for name in ("rate_limit, asymmetric", "voltage_rate", "supply_coupling", "external_load")
         ),
     ],
 )

@@ -55,6 +55,7 @@ def test_a_current_alone_tells_it_without_any_calibration(
     assert "by its current" in found["sentence"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0])
 def test_a_good_one_is_cleared(tmp_path: Path, rate_hz: float) -> None:
     found = servofd.audit(written(tmp_path / "flight.csv", flown(6, rate_hz)))
@@ -62,6 +63,7 @@ def test_a_good_one_is_cleared(tmp_path: Path, rate_hz: float) -> None:
     assert found.sentence == "Aileron drew the current of a healthy servo."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["binding", "blocked", "unpowered", ""])
 def test_calibrated_on_good_flights(tmp_path: Path, calibrated: str, fault: str) -> None:
     found = servofd.audit(written(tmp_path / "flight.csv", flown(7, 10.0, fault)), calibrated)
@@ -100,7 +102,7 @@ def test_two_witnesses_agree(tmp_path: Path) -> None:
     assert "confirmed by its current (blocked" in found.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_servo_without_power_is_one_fault_of_both_witnesses(tmp_path: Path) -> None:
     flight = flown(9, 25.0, "unpowered")
     held_deg = flight.position_deg
@@ -144,6 +146,7 @@ def test_bad_currents_end_in_one_line(tmp_path: Path, change: object, said: str)
     assert found["aileron"].status in ("no_data", "unknown")
 
 
+@pytest.mark.slow
 def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
     path = tmp_path / "flight.csv"
     path.write_text(_current(flown(5, 10.0, "blocked").csv("aileron"), lambda value: min(value, 0.3)))
@@ -154,7 +157,7 @@ def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
 def test_a_current_that_dies_while_the_position_follows_is_no_fault_of_the_servo(tmp_path: Path) -> None:
     goods = [tmp_path / f"good{k}.csv" for k in range(3)]
     for k, good in enumerate(goods):
-        good.write_text(flown(70 + k, 10.0).csv("aileron", position=True))
+        good.write_text(flown(70 + k, 10.0, seconds=100.0).csv("aileron", position=True))
     plane = servofd.calibrate(goods).save(tmp_path / "plane.toml")
     head, *rows = flown(5, 10.0).csv("aileron", position=True).splitlines()
     read = [row.split(",") for row in rows]
@@ -166,6 +169,7 @@ def test_a_current_that_dies_while_the_position_follows_is_no_fault_of_the_servo
     assert "the sensor of the current is at fault" in found.current.reason
 
 
+@pytest.mark.slow
 def test_a_current_that_ends_in_the_first_half_of_a_flight_clears_nobody(tmp_path: Path) -> None:
     """The servo blocks after that."""
     log = written(tmp_path / "flight.csv", flown(5, 10.0, "blocked"))
@@ -179,6 +183,7 @@ def test_a_current_that_ends_in_the_first_half_of_a_flight_clears_nobody(tmp_pat
     assert found.reason.startswith("judged for too little of the log")
 
 
+@pytest.mark.slow
 def test_a_current_that_begins_in_mid_flight_is_judged_from_there(tmp_path: Path) -> None:
     log = written(tmp_path / "flight.csv", flown(5, 10.0, "blocked"))
     head, *rows = _lines(log)
@@ -218,6 +223,7 @@ def _current(text: str, change: object) -> str:
     return "\n".join([head, *told]) + "\n"
 
 
+@pytest.mark.slow
 def test_milliamperes_are_asked_for_by_name(tmp_path: Path) -> None:
     text = flown(5, 10.0, "blocked").csv("aileron")
     path = tmp_path / "flight.csv"
@@ -227,6 +233,7 @@ def test_milliamperes_are_asked_for_by_name(tmp_path: Path) -> None:
     assert 1.0 < fault.parameters["current_a"].value < 4.0
 
 
+@pytest.mark.slow
 def test_the_page_draws_the_current(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     main(["audit", written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")), "--html", str(page)])
@@ -236,7 +243,7 @@ def test_the_page_draws_the_current(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("position", [pytest.param(False, marks=pytest.mark.nightly), True])
+@pytest.mark.parametrize("position", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_a_recording_says_what_the_audit_said(tmp_path: Path, position: bool) -> None:
     log = written(tmp_path / "flight.csv", flown(9, 25.0, "blocked"), position=position)
     paths = {name: str(tmp_path / name) for name in ("flight.rrd", "audit.json", "review.json")}
@@ -246,6 +253,7 @@ def test_a_recording_says_what_the_audit_said(tmp_path: Path, position: bool) ->
     assert said[0] == said[1]
 
 
+@pytest.mark.slow
 def test_it_is_drawn_in_a_notebook(tmp_path: Path) -> None:
     found = servofd.audit(written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")))
     assert [axes.get_ylabel() for axes in found.plot().axes] == ["deflection [deg]", "current [A]"]
@@ -303,6 +311,7 @@ def test_a_supply_that_sags_is_said_though_servos_follow(tmp_path: Path, again_v
     assert {s.status for s in found.surfaces} == {"healthy"}
 
 
+@pytest.mark.slow
 def test_a_battery_that_empties_is_no_supply_that_gives_way(tmp_path: Path) -> None:
     flights = {name: flown(30 + k, 10.0) for k, name in enumerate(("aileron", "elevator"))}
     path = tmp_path / "flight.csv"

@@ -112,7 +112,7 @@ def with_positions(folder: Path, plane: str, names: tuple[str, ...]) -> Path:
     return folder / "seen.toml"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sensor_that_fails_while_positions_follow_is_no_fault_of_a_servo(tmp_path: Path, plane: str) -> None:
     head, *rows = bench(11, seen=NAMES[2:]).splitlines()
     dead = [
@@ -127,8 +127,8 @@ def test_a_sensor_that_fails_while_positions_follow_is_no_fault_of_a_servo(tmp_p
     assert "its sensor reads nothing while servos move" in found["aileron_left"].reason
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("lost", [NAMES[0], pytest.param(NAMES[1], marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("lost", NAMES[:2])
 def test_a_jam_that_a_position_shows_is_what_a_wire_shows(tmp_path: Path, plane: str, lost: str) -> None:
     """And none of the servo beside it, whose position nobody knows."""
     (tmp_path / "log.csv").write_text(bench(21, "blocked", (lost,), NAMES[:2]))
@@ -158,6 +158,7 @@ def test_who_draws_what_is_not_guessed(tmp_path: Path) -> None:
     assert "calibrate all of them" in found["elevator"].reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "channel", "unit"),
     [

@@ -134,13 +134,14 @@ def in_form(form: str, folder: Path, change: Callable[[Flight], Flight], rate_hz
 def test_an_autopilots_log_or_table_that_tells_nothing_says_why(
     form: str, change: Callable[[Flight], Flight], told: str, tmp_path: Path
 ) -> None:
-    found = in_form(form, tmp_path, change)
-    assert len(found) == len(TWO)
-    assert all(verdict.status == "unknown" and told in verdict.reason for verdict in found)
+    (verdict,) = in_form(form, tmp_path, lambda flight: change(flight.only(TWO[0])))
+    assert verdict.status == "unknown"
+    assert told in verdict.reason
 
 
 def _wanders(flight: Flight) -> FloatArray:
-    return np.repeat(20.0 * np.sin(0.01 * np.arange(flight.position_s.size))[:, None], len(TWO), axis=1)
+    wandering_deg: FloatArray = 20.0 * np.sin(0.01 * np.arange(flight.position_s.size, dtype=np.float64))[:, None]
+    return wandering_deg
 
 
 @pytest.mark.slow
@@ -175,11 +176,8 @@ def test_three_rows_of_any_form_are_no_flight(form: str, tmp_path: Path) -> None
     assert {verdict.status for verdict in found} <= {"unknown", "no_data"}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("rate_hz", "seeds"),
-    [(9.99, (200,)), *(pytest.param(each, (200, 206, 218, 220), marks=pytest.mark.nightly) for each in (9.99, 10.0))],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("rate_hz", "seeds"), [(each, (200, 206, 218, 220)) for each in (9.99, 10.0)])
 def test_rows_of_ten_hertz_that_come_unevenly_are_judged_and_their_servos_not_accused(
     rate_hz: float, seeds: tuple[int, ...]
 ) -> None:

@@ -38,6 +38,7 @@ GROSS: dict[str, Failure] = {
 TIME_S = np.arange(6000) / 100.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", GROSS)
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_a_gross_fault_gets_its_name(kind: str, seed: int) -> None:
@@ -52,6 +53,7 @@ def test_a_healthy_servo_is_healthy(seed: int) -> None:
     assert (found.faults, found.suspicions) == ((), ())
 
 
+@pytest.mark.slow
 def test_what_nothing_explains_is_unknown() -> None:
     rng = np.random.default_rng(5)
     wild = flown(1, None, TIME_S) + 8.0 * np.sign(rng.standard_normal(TIME_S.size)) * (TIME_S > 20.0)
@@ -60,6 +62,7 @@ def test_what_nothing_explains_is_unknown() -> None:
 
 
 class TestSmallButLasting:
+    @pytest.mark.slow
     @pytest.mark.parametrize("bias_deg", [-0.9, 1.1])
     def test_a_bias_below_the_constant_threshold_is_suspect(self, bias_deg: float) -> None:
         command_deg = COMMANDS["calm"](TIME_S, np.random.default_rng(2))
@@ -94,6 +97,7 @@ def only(time_s: FloatArray, command_deg: FloatArray, measured_deg: FloatArray) 
 
 
 class TestFlights:
+    @pytest.mark.slow
     def test_positions_that_are_lost_in_bursts_change_no_name(self) -> None:
         measured_deg = flown(1, LossOfEffectiveness(20.0, gain=0.5), TIME_S)
         for begin in range(500, 6000, 700):
@@ -102,6 +106,7 @@ class TestFlights:
         assert fault.kind == "loss_of_effectiveness"
         assert fault.parameters["gain"].value == pytest.approx(0.5, abs=0.03)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("kind", ["stuck", "bias", "loss_of_effectiveness"])
     def test_a_log_that_is_one_long_fault(self, kind: str) -> None:
         since_ever = replace(GROSS[kind], start_s=0.0)
@@ -143,6 +148,7 @@ class TestFlights:
         assert 19.0 < bias.end_s < 23.0
         assert 40.0 <= jam.start_s <= jam.alarm_s < 45.0
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.nightly)])
     def test_a_small_lasting_loss_is_one_fault_by_the_interval_threshold(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -151,6 +157,7 @@ class TestFlights:
         measured_deg += NOISE_DEG * rng.standard_normal(TIME_S.size)
         assert len(judged(TIME_S, command_deg, measured_deg, "interval").faults) == 1
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("kind", ["bias", "stuck", "hardover", "loss_of_effectiveness"])
     def test_ten_hertz_are_enough(self, kind: str) -> None:
         time_s = np.arange(900) / 10.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from bound import KNOWN_ONSET, Health, log_likelihood_ratio
 
@@ -25,6 +26,7 @@ def test_running_sums_agree_with_the_dense_normal_densities() -> None:
         np.testing.assert_allclose(ratio[k], expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_health_reaches_the_limit_no_more_often_than_wald_allows() -> None:
     flights, limit = 4000, np.log(20.0)
     habits = RNG.normal(size=(flights, 2)) * SPREAD

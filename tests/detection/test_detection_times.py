@@ -39,15 +39,18 @@ def step(size_deg: float) -> FloatArray:
     return np.where(TIME_S >= MANOEUVRE_S - 1e-9, size_deg, 0.0)
 
 
+@pytest.mark.slow
 def test_a_stuck_servo_is_found_within_80_ms_of_a_4_deg_step() -> None:
     assert delay_to_alarm(step(4.0), Stuck(5.0)) <= 0.08 + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size_deg", "rate_deg_s"), [(6.0, 140.0), (12.0, 140.0), (4.0, 200.0)])
 def test_a_stuck_servo_is_found_within_80_ms_of_a_brisk_ramp(size_deg: float, rate_deg_s: float) -> None:
     assert delay_to_alarm(ramp(size_deg, rate_deg_s), Stuck(5.0)) <= 0.08 + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_deg_s", "expected_s"), [(50.0, 0.102), (30.0, 0.126), (20.0, 0.154)])
 def test_slower_manoeuvres_take_as_long_as_the_filter_needs(rate_deg_s: float, expected_s: float) -> None:
     found_s = delay_to_alarm(ramp(12.0, rate_deg_s), Stuck(5.0))
@@ -55,6 +58,7 @@ def test_slower_manoeuvres_take_as_long_as_the_filter_needs(rate_deg_s: float, e
     assert expected_s < found_s < expected_s + 0.025
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_deg_s", [175.0, 205.0])
 def test_an_increased_dead_band_is_found_within_80_ms_of_a_brisk_manoeuvre(rate_deg_s: float) -> None:
     assert delay_to_alarm(ramp(12.0, rate_deg_s), DeadBand(0.0, width_deg=8.0)) <= 0.08 + 1e-9
@@ -65,12 +69,14 @@ def test_a_stuck_servo_that_is_asked_for_less_than_the_threshold_is_no_fault() -
     assert faults(command_deg, Stuck(5.0).deflection(MODEL, TIME_S, command_deg, TIME_S)) == ()
 
 
+@pytest.mark.slow
 def test_a_fault_between_two_manoeuvres_stays_one_fault() -> None:
     command_deg = step(6.0) - np.where(TIME_S > 10.0, 6.0, 0.0) + np.where(TIME_S > 15.0, 8.0, 0.0)
     (fault,) = faults(command_deg, Stuck(5.0).deflection(MODEL, TIME_S, command_deg, TIME_S))
     assert fault.end_s is None
 
 
+@pytest.mark.slow
 def test_a_fault_ends_when_the_surface_has_proved_to_be_well() -> None:
     command_deg = 8.0 * np.sin(2.0 * np.pi * 0.8 * TIME_S)
     measured_deg = MODEL.simulate(TIME_S, command_deg, TIME_S)
@@ -84,6 +90,7 @@ def test_a_fault_ends_when_the_surface_has_proved_to_be_well() -> None:
     assert second.end_s == pytest.approx(16.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_alarms_use_no_later_sample() -> None:
     command_deg = 8.0 * np.sin(2.0 * np.pi * 0.8 * TIME_S)
     measured_deg = MODEL.simulate(TIME_S, command_deg, TIME_S)

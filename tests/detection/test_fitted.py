@@ -67,7 +67,9 @@ def test_a_sound_aircraft_has_no_fault_however_short_its_log(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["stuck", pytest.param("hardover", marks=pytest.mark.nightly), "floating"])
+@pytest.mark.parametrize(
+    "kind", ["stuck", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("hardover", "floating"))]
+)
 def test_what_no_longer_follows_is_a_fault_and_nothing_else_is(kind: str, tmp_path: Path) -> None:
     failure = Failure(kind, "rudder", 25.0)
     flown = fly(stranger(5), 1, "aerobatics", duration_s=60.0, failure=failure)
@@ -275,6 +277,7 @@ def test_a_bench_at_1_khz_and_a_servo_far_from_zero_are_judged_as_any_other(
     assert not verdict.faults or abs(verdict.faults[0].start_s - 25.0) < 1.5
 
 
+@pytest.mark.slow
 def test_a_servo_far_from_zero_is_known_as_well_as_one_about_it() -> None:
     near, far = (servofd.audit(bench(50.0, about_deg))[0].surfaces[0] for about_deg in (0.0, 180.0))
     assert far.threshold_deg == pytest.approx(near.threshold_deg, rel=0.4)

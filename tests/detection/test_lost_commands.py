@@ -127,6 +127,7 @@ def test_good_flights_have_no_alarm_and_jams_are_found() -> None:
         assert 60.0 < fault.alarm_s < 66.0
 
 
+@pytest.mark.slow
 def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     segment = flown(3, duration_s=40.0)
     whole = watched(KNOWN, Record.of(segment))
@@ -168,7 +169,3 @@ def test_what_a_servo_was_asked_between_rare_commands_accuses_nobody(servo: str)
     (found,) = servofd.audit(log)
     assert all(surface.status in ("healthy", "unknown") for surface in found.surfaces)
     assert any("commands come at 6.2 Hz" in surface.reason for surface in found.surfaces)
-    # A servo with all that it was asked is cleared.
-    log |= {"a_cmd_deg": flown.command_deg[:, 0]}
-    (found,) = servofd.audit(log, surfaces=("a",))
-    assert found["a"].status == "healthy"

@@ -112,6 +112,7 @@ class TestTheSameStepAsOffline:
         raw = replace(flight(1, servo=servo, lost=lost, stuck_s=30.0), command_period_s=period_s)
         assert_same_as_offline(model, raw, entry)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("servo", ["hs225bb-eq31", "s9254", "s3151"])
     def test_in_twelve_seconds_of_all_that_can_happen(self, servo: str) -> None:
         entry, model = surface(servo=servo)
@@ -165,8 +166,8 @@ def watched(entry: Surface, model: ServoModel, segment: Series, piece: int = 1) 
     return monitor, events + monitor.finish()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["jam", pytest.param("offset", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("what", ["jam", "offset"])
 def test_pieces_of_any_length_tell_the_same_at_the_same_times(what: str) -> None:
     entry, model = surface()
     segment = flight(3)
@@ -199,6 +200,7 @@ class TestNoVerdictFromNoMeasurement:
         ]
         assert not monitor.was_judged
 
+    @pytest.mark.slow
     def test_slow_positions_are_refused(self) -> None:
         entry, model = surface()
         slow = flight(6)

@@ -66,6 +66,7 @@ def test_a_frozen_bus_accuses_nobody(others: str) -> None:
     assert "their positions stand still" in verdicts["aileron"].reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("silent_s", [(0.0, 10.0), (15.0, 40.0), (np.inf, np.inf)])
 def test_a_jam_is_its_own_whatever_the_others_do(silent_s: tuple[float, float]) -> None:
     others = dict.fromkeys(NAMES[1:], (silent_s[0] <= TIME_S) & (silent_s[1] > TIME_S))
@@ -91,7 +92,7 @@ def test_servos_that_become_slow_at_once_are_at_fault_of_one_supply(share: float
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sags", [False, True])
+@pytest.mark.parametrize("sags", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_two_that_become_slow_with_their_supply_are_at_fault_of_it(sags: bool) -> None:
     """A model that knows the supply explains why they are slow, and does not make them well."""
     table = slowed(2, 0.5)
@@ -180,8 +181,8 @@ def test_an_offset_that_looked_like_a_jam_at_rest_has_its_name_as_it_moves(tmp_p
     assert alarm.fault.parameters["bias_deg"].value == pytest.approx(10.0, abs=0.5)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("column", [pytest.param("servo_voltage_v", marks=pytest.mark.nightly), "servo1_voltage_v"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("column", ["servo_voltage_v", "servo1_voltage_v"])
 def test_a_supply_that_dies_little_by_little_makes_no_servo_well(column: str) -> None:
     """Down to 2.4 of 6 V within a minute, which is no battery that empties."""
     time_s = np.arange(0.0, 150.0, 0.02)

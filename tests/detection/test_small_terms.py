@@ -68,6 +68,7 @@ def test_the_odds_of_a_log_are_those_of_its_colour_offset_and_healthy_part(colou
     assert found != pytest.approx(Noise(float(np.std(counted)), alike, 0.02).false_alarms_per_hour(1.5), rel=0.5)
 
 
+@pytest.mark.slow
 def test_what_comes_too_slowly_for_long_fills_no_memory_and_delays_nothing() -> None:
     """Five minutes at 5 Hz, then 50 Hz: it is watched once the slow ones are no longer most of what a pace needs."""
     monitor, now_s, told = SurfaceMonitor("x", *surface(servo="hs225bb-eq31")), 0.0, []

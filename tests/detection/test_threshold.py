@@ -80,6 +80,7 @@ def test_the_level_rises_with_motion_and_falls_after_it() -> None:
     assert after < 0.5 * np.max(level_deg)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(command_deg=commands, cut=st.integers(300, 1999))
 def test_no_level_knows_what_comes_later(command_deg: FloatArray, cut: int) -> None:

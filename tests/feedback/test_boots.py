@@ -47,7 +47,7 @@ def _two_boots(folder: Path, *, first: list[str], second: list[str]) -> Path:
 def test_an_aircraft_is_drafted_from_the_longest_flight_of_a_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    both = _two_boots(tmp_path, first=["--duration", "20", "--seed", "3"], second=["--duration", "40"])
+    both = _two_boots(tmp_path, first=["--duration", "20", "--seed", "3"], second=["--duration", "30"])
     drafts = []
     for path in (both, tmp_path / "second.bin"):
         capsys.readouterr()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.detection.verdict import SurfaceAudit
 
-TIME_S = np.arange(0.0, 120.0, 0.02)
+TIME_S = np.arange(0.0, 90.0, 0.02)
 
 
 def servo(bandwidth_hz: float, damping: float = 0.8, delay_s: float = 0.03) -> ServoModel:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from logparsers import Channel, FlightLog
 from servofd.aircraft.schema import Aircraft
@@ -61,6 +62,7 @@ def test_a_live_servo_is_healthy() -> None:
     assert audited(NEVER, NEVER).status == "healthy"
 
 
+@pytest.mark.slow
 def test_a_jam_is_a_fault() -> None:
     verdict = audited(NEVER, between(20.0, 60.0))
     assert verdict.status == "fault"
@@ -81,5 +83,6 @@ def test_telemetry_that_dies_for_good_is_no_data() -> None:
     assert "froze" in verdict.reason
 
 
+@pytest.mark.slow
 def test_a_fault_before_the_telemetry_dies_stays_a_fault() -> None:
     assert audited(between(40.0, 61.0), between(20.0, 61.0)).status == "fault"

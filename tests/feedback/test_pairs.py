@@ -90,7 +90,7 @@ def test_what_the_servo_says_it_was_told_comes_first() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("unit", ["deg", pytest.param("rad", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("unit", [pytest.param("deg", marks=pytest.mark.nightly), "rad"])
 def test_the_scale_of_pulses_is_found(unit: str) -> None:
     draft = draft_aircraft(log_of([0, 1, 3], base=0, unit=unit))
     for surface in draft.surfaces:

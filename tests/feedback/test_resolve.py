@@ -12,6 +12,7 @@ from servofd.aircraft.outputs import resolved, streamed
 from servofd.aircraft.schema import Surface, load_aircraft
 from servofd.aircraft.series import cut
 from servofd.cli import main
+from tests.fleet.conftest import in_line
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,8 +34,9 @@ def test_the_shipped_aircraft_judges_every_log_that_it_flies_alike(suffix: str, 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [pytest.param("csv", marks=pytest.mark.nightly), "bin"])
 def test_every_verb_reads_a_log_with_the_file_of_its_aircraft(
-    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("servofd.wear.trend.run_local", in_line)
     path = str(tmp_path / f"flown.{suffix}")
     assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "40"]) == 0
     with_file = [path, "-c", "simulated"]
@@ -56,11 +58,8 @@ def test_the_log_of_an_autopilot_tells_airspeed_and_supply(suffix: str, supply: 
     assert bool(context.voltage_v.size) is supply
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("drafted", "judged"),
-    [("tlog", "bin"), *(pytest.param("bin", suffix, marks=pytest.mark.nightly) for suffix in ("tlog", "ulg"))],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("drafted", "judged"), [("tlog", "bin"), ("bin", "ulg")])
 def test_an_aircraft_drafted_from_one_kind_of_log_judges_the_others(
     drafted: str, judged: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -78,6 +77,7 @@ def test_an_aircraft_drafted_from_one_kind_of_log_judges_the_others(
     assert next(iter(faults)).startswith("elevator")
 
 
+@pytest.mark.slow
 def test_an_output_is_enough(tmp_path: Path) -> None:
     path = str(tmp_path / "flown.bin")
     assert main(["simulate", "-c", "simulated", "-o", path, "--duration", "40"]) == 0
@@ -90,7 +90,7 @@ def test_an_output_is_enough(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_file_drafted_from_the_log_of_an_autopilot_watches_its_link(
+def test_a_file_drafted_from_the_log_of_an_autopilot_judges_its_telemetry_and_watches_its_link(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good, bad, plane = tmp_path / "good.bin", tmp_path / "bad.tlog", tmp_path / "plane.toml"
@@ -101,6 +101,9 @@ def test_a_file_drafted_from_the_log_of_an_autopilot_watches_its_link(
     assert main(["config", str(good)]) == 0
     plane.write_text(capsys.readouterr().out, encoding="utf-8")
     assert "SERVO_OUTPUT_RAW" not in plane.read_text()
+    (result,) = servofd.audit(str(bad), str(plane))
+    faults = {s.surface: [fault.kind for fault in s.faults] for s in result.surfaces}
+    assert faults == {"aileron": [], "elevator": ["stuck"], "rudder": []}
     assert main(["monitor", str(bad), "-c", str(plane), "--speed", "0", "--plain"]) == 1
     assert "elevator: ALARM" in capsys.readouterr().out
 

@@ -139,6 +139,7 @@ def test_every_verb_sees_the_same_marks(tmp_path: Path) -> None:
         np.testing.assert_array_equal(series.why, why)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reason", ["FROZEN", "HELD", "DUPLICATE", "ECHO", "SPIKE"])
 @pytest.mark.parametrize("at_once", [1, 7])
 def test_a_stream_passes_on_what_a_log_keeps(reason: str, at_once: int, tmp_path: Path) -> None:
@@ -405,6 +406,7 @@ def test_noise_is_no_spike() -> None:
     assert np.count_nonzero(why == Why.SPIKE) <= 15
 
 
+@pytest.mark.slow
 def test_a_verdict_says_what_it_leaves_out_and_does_not_miss_positions_that_are_there(tmp_path: Path) -> None:
     """From 30 s on the position is the command, and 4 % of the readings before are spikes."""
     rng, time_s = np.random.default_rng(7), np.arange(0.0, 60.0, 0.02)
@@ -421,6 +423,7 @@ def test_a_verdict_says_what_it_leaves_out_and_does_not_miss_positions_that_are_
     assert "left out: the command itself (50% of its readings), spikes (5%)" in rudder.reason
 
 
+@pytest.mark.slow
 def test_positions_in_microseconds_of_which_some_are_no_pulse_are_cut() -> None:
     """A pulse of 0 us is none: such a row has no position, for the bus as for the servo."""
     time_s = 0.1 * np.arange(600)

@@ -21,6 +21,7 @@ def names(*inputs: Path | str) -> list[str]:
     return [Path(log.path).name for log in find_logs([str(one) for one in inputs]).logs]
 
 
+@pytest.mark.slow
 def test_a_folder_gives_its_logs_whatever_they_are_called(logs: Path) -> None:
     found = find_logs([str(logs)])
     assert [Path(log.path).name for log in found.logs] == FLIGHTS

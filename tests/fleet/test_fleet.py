@@ -255,6 +255,7 @@ def test_folders_that_are_none_are_refused(logs: Path, tmp_path: Path, capsys: p
         assert why in err.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_damaged_part_is_named(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(results, tmp_path / "r")
     part = next((tmp_path / "r" / "logs").glob("*.parquet"))
@@ -265,6 +266,7 @@ def test_a_damaged_part_is_named(results: Path, tmp_path: Path, capsys: pytest.C
     assert part.name in err
 
 
+@pytest.mark.slow
 def test_the_overview_counts_what_the_logs_say(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seen = overview(read_logs(results))
     assert (seen.logs, seen.statuses, seen.exit_code) == (6, {"not_judged": 1, "healthy": 4, "fault": 1}, 1)

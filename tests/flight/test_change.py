@@ -111,6 +111,7 @@ def test_calm_healthy_flights_with_little_to_tell_are_no_reason_to_look(seed: in
     assert [axis.text for axis in motion_alone(flight).values() if axis.status == "look"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "value"), [("bias", 3.0), ("stuck", 10.0)])
 def test_an_offset_is_no_loss_and_the_intervals_hold_the_truth(kind: str, value: float) -> None:
     surfaces = ("aileron_left", "aileron_right") if kind == "bias" else ("aileron_left",)

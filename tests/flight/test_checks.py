@@ -65,6 +65,7 @@ def test_full_elevator_on_the_ground_between_two_flights_is_no_saturation() -> N
     assert checks.saturation(flight).status == "ok"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [101, 103, 105])
 def test_reversed_and_swapped_surfaces_are_found_from_the_first_turns(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "flight.bin"
@@ -88,6 +89,7 @@ def test_trim_and_asymmetry_are_those_of_level_flight() -> None:
     assert checks.trim(held).status == checks.asymmetry(held).status == "look"
 
 
+@pytest.mark.slow
 def test_a_surface_that_moves_against_its_stick_is_named_before_take_off() -> None:
     swept = np.where(TIME_S < 60.0, np.sin(0.5 * TIME_S), wave())
     stick = 400.0 * np.sin(0.5 * TIME_S)
@@ -121,6 +123,7 @@ def test_a_swing_at_one_frequency_is_a_limit_cycle_and_gusts_are_none() -> None:
     assert found.since_s == pytest.approx(120.0, abs=6.0)
 
 
+@pytest.mark.slow
 def test_a_log_without_feedback_or_aircraft_file_ends_in_an_answer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

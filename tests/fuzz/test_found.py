@@ -84,6 +84,7 @@ def test_a_recording_whose_numbers_no_servo_reaches(curve: str, tmp_path: Path) 
     assert "reaches 1e+308 deg" in again.reason
 
 
+@pytest.mark.slow
 def test_a_delay_longer_than_the_flight(tmp_path: Path) -> None:
     flight, servo = tmp_path / "flight.csv", tmp_path / "servo.toml"
     flight.write_bytes(seeds.logs_of("table")[0])
@@ -162,6 +163,7 @@ def test_a_position_too_large_for_a_number() -> None:
     assert np.isinf(calibration.to_deg(np.array([0.1, 0.2, 1e308, 0.3]))).tolist() == [False, False, True, False]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [102, -6])
 def test_a_recording_at_which_its_library_ends_the_process(
     code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -243,6 +245,7 @@ def test_the_program_that_reads_first_says_what_it_met_and_reports_to_nobody(
     assert not list(tmp_path.rglob("*analytics*"))
 
 
+@pytest.mark.slow
 def test_a_file_of_two_recordings(tmp_path: Path) -> None:
     """Rerun takes the first of them, with a warning."""
     names = [str(tmp_path / name) for name in ("one.rrd", "two.rrd", "both.rrd")]

@@ -61,6 +61,7 @@ def test_before_it_starts_nothing_has_failed(kind: str, seed: int, start_s: floa
     assert np.all(np.abs(failing) <= 20.0)
 
 
+@pytest.mark.slow
 @given(kind=kinds, seed=seeds, start_s=st.floats(1.0, 15.0), lasts_s=st.floats(0.01, 10.0))
 @settings(max_examples=80, deadline=None)
 def test_no_fault_makes_a_surface_jump(kind: str, seed: int, start_s: float, lasts_s: float) -> None:

@@ -572,6 +572,7 @@ def test_effects_in_the_loop_of_a_servo_that_has_no_shaft_are_refused() -> None:
         assert machine_of(transfer, [Physics(backlash_deg=0.1)]).longest_s < 1.0
 
 
+@pytest.mark.slow
 def test_threads_that_need_a_stepper_at_once_make_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the home cannot be written, too: each wrote the same file, and the second found its part gone."""
     blocked, temporary = tmp_path / "file", tmp_path / "temporary"

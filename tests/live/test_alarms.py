@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -34,6 +35,7 @@ def events(draw: st.DrawFn) -> list[Event]:
     return found
 
 
+@pytest.mark.slow
 @given(events(), st.integers(0, 30))
 @settings(max_examples=80, deadline=None)
 def test_each_alarm_begins_and_ends_once(seen: list[Event], boots_after: int) -> None:

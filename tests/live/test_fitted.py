@@ -29,12 +29,12 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "plane.toml"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("failure", "kinds"),
     [
-        pytest.param(None, [], marks=pytest.mark.nightly),
-        pytest.param(Failure("bias", "rudder", 36.0, 4.0), ["bias"], marks=pytest.mark.nightly),
+        (None, []),
+        (Failure("bias", "rudder", 36.0, 4.0), ["bias"]),
         (Failure("stuck", "rudder", 36.0), ["stuck"]),
     ],
     ids=["healthy", "bias", "stuck"],
@@ -43,7 +43,7 @@ def test_it_finds_what_an_audit_with_the_same_drafted_file_finds(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], failure: Failure | None, kinds: list[str]
 ) -> None:
     flight, recording = tmp_path / "flight.csv", tmp_path / "flight.rrd"
-    flown = fly(stranger(5), 2, "aerobatics", duration_s=100.0, failure=failure)
+    flown = fly(stranger(5), 2, "aerobatics", duration_s=70.0, failure=failure)
     flown.only("elevator", "rudder").write(flight)
     (audited,) = servofd.audit(flight, load_aircraft(file))
     sessions: list[Session] = []

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from servofd.cli import main
 from servofd.servo.faults import Stuck
 from servofd.simulation.telemetry_writer import telemetry_log
 from tests.live.vehicles import DEADLINE_S, PLANE, flown, plane_file
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.slow
-
-_NO_LIMIT = -1
-"""In words of the system: RLIM_INFINITY."""
 
 _LIMITED = """
 import resource, sys
@@ -36,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "flight.tlog").write_bytes(telemetry_log(flight, PLANE))
     (made / "plane.toml").write_text(plane_file())
     # What is compiled on a machine's first run is kept in files that a limit would cut, too.
-    assert _monitor(made, _NO_LIMIT).returncode == 1
+    assert main(["monitor", str(made / "flight.tlog"), "-c", str(made / "plane.toml"), "--speed", "0", "--plain"]) == 1
     return made
 
 

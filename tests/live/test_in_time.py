@@ -42,7 +42,7 @@ FAULTS: tuple[Failure, ...] = (
 @pytest.fixture(scope="module")
 def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     path: Path = tmp_path_factory.mktemp("plane") / "plane.toml"
-    path.write_text(plane_file())
+    path.write_text(plane_file(["elevator"]))
     return load_aircraft(path)
 
 

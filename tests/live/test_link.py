@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import struct
 from itertools import pairwise
@@ -20,9 +21,12 @@ from logparsers.link import open_link
 from servofd.live.vehicle import Losses
 from tests.live.vehicles import free_port, until
 
+_LIKE_AN_ENDPOINT = re.compile(r"(udp|tcp)(in|out)?:[\w.]*:\d{0,6}|/dev/[\w./]+(,\d+)?", re.ASCII)
+"""Of letters of all languages any text may be; here they would take seconds to draw."""
+
 
 @pytest.mark.slow
-@given(st.text(max_size=40) | st.from_regex(r"(udp|tcp)(in|out)?:[\w.]*:\d{0,6}|/dev/[\w./]+(,\d+)?", fullmatch=True))
+@given(st.text(max_size=40) | st.from_regex(_LIKE_AN_ENDPOINT, fullmatch=True))
 def test_a_text_is_an_endpoint_or_refused_in_one_line(text: str) -> None:
     try:
         endpoint = parse_endpoint(text)

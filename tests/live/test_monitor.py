@@ -109,7 +109,7 @@ class TestAsAnAudit:
     def test_of_a_servo_that_the_air_bends(self, healthy: bytes, tmp_path: Path) -> None:
         """The residuals of an audit but for the airspeed between two messages, which a monitor can only hold."""
         path = tmp_path / "bent.toml"
-        path.write_text(plane_file() + "[surfaces.rudder.effects]\nairload = { deg_per_deg_pa = 2e-3 }\n")
+        path.write_text(plane_file(["rudder"]) + "[surfaces.rudder.effects]\nairload = { deg_per_deg_pa = 2e-3 }\n")
         bent = load_aircraft(path)
         session = Session(Codec(0, 191), {0: bent})
         pieces: list[tuple[Any, Any]] = []
@@ -221,6 +221,7 @@ class TestBadLinks:
         assert vehicle.now_s == pytest.approx(gap_s - 1.0, abs=1.0), "seconds of its second boot"
         assert vehicle.began_s == [0.0, pytest.approx(gap_s - 1.0, abs=1.0)]
 
+    @pytest.mark.slow
     def test_with_a_key_unsigned_frames_say_nothing(self, healthy: bytes, aircraft: Aircraft) -> None:
         session, events = heard(replayed(healthy), aircraft, Codec(0, 191, signature=Signature(bytes(32), 1.7e9)))
         assert (session.frames, events) == (0, [])
@@ -327,6 +328,7 @@ class TestOnSockets:
             main(["monitor", f"udpin:{free_port()}", "-c", str(config), option, value])
         assert f"argument {option}: must be" in capsys.readouterr().err
 
+    @pytest.mark.slow
     def test_nobody_there(self, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["monitor", f"udpin:{free_port()}", "-c", str(config), "--duration", "0.2", "--plain"]) == 2
         assert "waiting for the first byte" in capsys.readouterr().err
@@ -344,6 +346,14 @@ def test_replay_writes_json_lines(log: bytes, config: Path, tmp_path: Path, caps
     assert np.isfinite([event["time_s"] for event in events]).all()
 
 
+@pytest.fixture(scope="module")
+def signed(log: bytes) -> bytes:
+    """The same telemetry, signed."""
+    plane, reader = Codec(1, 1, signature=Signature(signing_key(b"ours"), 1.6e9)), Codec(0, 1)
+    frames = [(at_s, reader.decode(frame)[0]) for at_s, frame in replayed(log)]
+    return b"".join(stamped(at_s, plane.encode(m.name, m.fields)) for at_s, m in frames)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "code", "line"),
@@ -355,7 +365,7 @@ def test_replay_writes_json_lines(log: bytes, config: Path, tmp_path: Path, caps
     ids=["right key", "wrong key", "no key"],
 )
 def test_replay_of_a_signed_log_checks_signatures_and_says_so_in_one_line(
-    log: bytes,
+    signed: bytes,
     config: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -364,11 +374,7 @@ def test_replay_of_a_signed_log_checks_signatures_and_says_so_in_one_line(
     line: str,
 ) -> None:
     """However long ago it was signed."""
-    plane, reader = Codec(1, 1, signature=Signature(signing_key(b"ours"), 1.6e9)), Codec(0, 1)
-    heard_frames = [(at_s, reader.decode(frame)[0]) for at_s, frame in replayed(log)]
-    (tmp_path / "signed.tlog").write_bytes(
-        b"".join(stamped(at_s, plane.encode(m.name, m.fields)) for at_s, m in heard_frames)
-    )
+    (tmp_path / "signed.tlog").write_bytes(signed)
     arguments = ["monitor", str(tmp_path / "signed.tlog"), "-c", str(config), "--speed", "0", "--plain"]
     if key:
         (tmp_path / "key").write_text(key)

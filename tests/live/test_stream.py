@@ -34,6 +34,7 @@ SERVO = 36
 KEY = bytes(range(32))
 
 
+@pytest.mark.slow
 def test_pymavlink_flies_with_it_as_with_a_vehicle() -> None:
     port = free_port()
     flight = flown(duration_s=60.0)

@@ -70,6 +70,7 @@ def test_a_hardover_is_told_from_a_jam_by_the_ends_of_the_output(tmp_path: Path)
     assert flown.said("RUDDER")[-1] == "RUDDER hardover 44.0 deg"
 
 
+@pytest.mark.slow
 def test_each_fault_of_a_surface_is_reported_and_its_end_within_two_seconds(tmp_path: Path) -> None:
     """A jam, another one after it, and a hard-over that follows a third without a pause."""
     flight = wiggled(SIMULATED, armed=True, duration_s=30.0)

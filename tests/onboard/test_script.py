@@ -88,6 +88,7 @@ def test_residuals_are_those_of_an_audit(tmp_path: Path) -> None:
         assert furthest_deg(flown, plane, name, segment) < (0.4 if limited else 2e-3)  # limits act in pieces of 4 ms
 
 
+@pytest.mark.slow
 def test_what_good_servos_leave_has_the_deviation_that_the_script_expects(tmp_path: Path) -> None:
     """Drawn from the tolerances: over the script's deviation their residuals have a mean square of one or less."""
     plane = aircraft()

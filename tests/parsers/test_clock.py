@@ -89,6 +89,7 @@ def test_a_clock_that_stands_still() -> None:
         clock.order(np.zeros(100), "log")
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=60))
 def test_what_is_kept_rises_and_no_more_than_needed_is_dropped(stamps: list[int]) -> None:
     time_s = np.array(stamps, dtype=float)
@@ -139,6 +140,7 @@ def test_forged_stamps_are_no_overflow() -> None:
         ] * 2
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 400), max_size=60), st.integers(0, 2**32))
 def test_rise_loses_no_row_in_silence(ticks: list[int], seed: int) -> None:
     stamps = np.array(ticks, dtype=np.float64) * 0.1

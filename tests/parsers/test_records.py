@@ -47,6 +47,7 @@ def test_a_channel_owns_its_arrays() -> None:
     assert not LOG["tail_cmd_deg"].is_constant
 
 
+@pytest.mark.slow
 def test_a_table_joins_channels_on_their_own_time_stamps() -> None:
     table = LOG.to_pandas()
     assert table.index.name == "time_s"

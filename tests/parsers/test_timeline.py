@@ -11,6 +11,7 @@ from logparsers.telemetry.timeline import build_timeline, find_breaks, place
 from logparsers.telemetry.unwrap import despike, lower_line, unwrap
 
 
+@pytest.mark.slow
 @given(
     start=st.integers(0, 2**40),
     steps=st.lists(st.integers(-(2**20), 2**31 - 1), min_size=1, max_size=50),
@@ -21,6 +22,7 @@ def test_unwrapping_undoes_wrapping(start: int, steps: list[int]) -> None:
     np.testing.assert_array_equal(counted - counted[0], true - true[0])
 
 
+@pytest.mark.slow
 @given(
     gaps=st.lists(st.integers(0, 2**36), min_size=1, max_size=20),
     jitter=st.integers(-(2**30), 2**30),
@@ -32,6 +34,7 @@ def test_a_second_clock_bridges_any_gap(gaps: list[int], jitter: int) -> None:
     np.testing.assert_array_equal(counted - counted[0], true - true[0])
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(0.0, 0.5), min_size=3, max_size=60), st.data())
 def test_one_wild_stamp_is_replaced_and_others_are_kept(steps: list[float], data: st.DataObject) -> None:
     true = np.cumsum(steps)

@@ -96,6 +96,7 @@ def test_every_value_of_a_generated_log_equals_pymavlinks(flight: Path) -> None:
     assert assert_equal_to_pymavlink(flight) > 5_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "dialect", ["all", *(pytest.param(d, marks=pytest.mark.slow) for d in ("matrixpilot", "paparazzi"))]
 )
@@ -400,6 +401,7 @@ def compare_damaged(path: Path, content: bytes) -> None:
         assert log.count(name) >= count, f"{name}: {log.count(name)} of {count}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_as_many_good_messages_as_pymavlink_and_the_damage_recorded(tmp_path: Path, kind: str) -> None:
     clean = writer.flight()
@@ -493,6 +495,7 @@ def test_a_megabyte_of_nonsense_takes_a_bounded_time(pattern: bytes) -> None:
     assert time.process_time() - begun < 5.0
 
 
+@pytest.mark.slow
 def test_thousands_of_damaged_places_do_not_fill_memory() -> None:
     beat = writer.record(writer.EPOCH_US, writer.frame("HEARTBEAT", {"type": 1}))
     content = (beat + b"\x00") * 20_000

@@ -76,6 +76,7 @@ def test_a_reading_that_came_twice_does_not_break_the_line_and_silence_does() ->
         assert path.count("M") == pieces
 
 
+@pytest.mark.slow
 def test_a_surface_without_residual_is_not_drawn(stuck: LogAudit, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nothing to draw"):
         save_figure(stuck.surfaces[-1], tmp_path / "x.png", "flap")

@@ -69,13 +69,14 @@ def test_names_of_surfaces_are_kept_as_they_are(surface: str, tmp_path: Path) ->
 def test_an_audit_keeps_names_that_the_viewer_cannot_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, path = tmp_path / "飛行.csv", tmp_path / "flight.rrd"
     log.write_text((SAMPLES / "table_three_faults.csv").read_text().replace("elevator", "升降舵"))
-    assert main(["audit", str(log), "--servo", "hs225bb-eq31", "--rrd", str(path)]) == 1
+    assert main(["audit", str(log), "-s", "升降舵", "--servo", "hs225bb-eq31", "--rrd", str(path)]) == 1
     assert not any(letter in everything(path) for letter in "升降舵飛行")
     capsys.readouterr()
     assert main(["review", str(path)]) == 1
     assert "升降舵: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_every_recording_has_the_colours_of_the_palette(gap: Path, tmp_path: Path) -> None:
     LiveRecording("x", ["rudder"], path=tmp_path / "live.rrd").close()
     wanted = str([rgba(name) for name in ("command", "simulated", "measured")])

@@ -31,7 +31,7 @@ def three_faults() -> servofd.Audit:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     audit = three_faults()
     names = [s.surface for s in audit.surfaces]

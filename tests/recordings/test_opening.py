@@ -39,7 +39,8 @@ def layout_of(path: Path) -> dict[str, Any]:
 def test_an_audit_opens_at_its_first_alarm_on_the_tab_of_its_surface(
     fault: str, shown_s: tuple[float, float], tmp_path: Path
 ) -> None:
-    found = servofd.audit(servofd.simulate(fault=fault, duration_s=160.0, seed=3), servo="hs225bb-eq31")
+    flown = servofd.simulate(fault=fault, duration_s=160.0, seed=3)
+    found = servofd.audit(flown, servo="hs225bb-eq31", surfaces=("rudder",))
     assert isinstance(found, servofd.Audit)
     (first,) = found.rudder.faults
     save_recording(found, tmp_path / "flight.rrd")

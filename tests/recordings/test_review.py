@@ -159,7 +159,7 @@ def test_of_a_truncated_recording_what_is_whole_is_read(
     assert "incomplete or altered" in complaints
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_recording_of_a_killed_process_is_read(tmp_path: Path) -> None:
     path = tmp_path / "killed.rrd"
     code = f"""

@@ -24,6 +24,7 @@ def slow(pulled_deg: FloatArray, command_deg: FloatArray = HELD_DEG, step_deg: f
     return Series("rudder", TIME_S, command_deg, TIME_S, step_deg * np.round(moved / step_deg))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width_deg", [0.5, 1.5])
 def test_pulled_from_either_side(width_deg: float) -> None:
     found = explain_gap(slow(0.5 * width_deg * np.sign(np.sin(TIME_S))), MODEL)

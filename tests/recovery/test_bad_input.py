@@ -76,6 +76,7 @@ def test_one_run_only(tmp_path: Path) -> None:
     is_friction(said(table(tmp_path / "log.csv", runs=3000)))
 
 
+@pytest.mark.slow
 def test_runs_of_a_fifth_of_a_second(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "at least 1 s are needed" in refused(table(tmp_path / "log.csv", runs=20), capsys)
 

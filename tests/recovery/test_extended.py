@@ -243,6 +243,7 @@ def audited(log: Hidden, effects: dict[str, dict[str, float]], folder: Path, **c
     return audit_log(logparsers.read(path), aircraft).surfaces[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("servo", "effects"),
     [
@@ -273,6 +274,7 @@ def broken(log: Hidden, position_deg: FloatArray) -> Hidden:
     return Hidden(log.time_s, log.command_deg, position_deg, log.airspeed_m_s, log.supply_v)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "kind"),
     [
@@ -300,6 +302,7 @@ def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Failure, kind
     assert found.faults[0].start_s == pytest.approx(8.0, abs=1.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["bias", "stuck", "loss_of_effectiveness"])
 def test_faults_of_a_servo_with_backlash_are_named(kind: str, tmp_path: Path) -> None:
     log = hide(FineServo(backlash_deg=1.2), duration_s=30.0)
@@ -320,6 +323,7 @@ def test_faults_of_a_servo_with_backlash_are_named(kind: str, tmp_path: Path) ->
     assert found.faults[0].start_s == pytest.approx(12.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_an_effect_without_its_signal_is_left_out_and_said(tmp_path: Path) -> None:
     log = hide(FineServo(airload=6e-4), duration_s=12.0)
     path = log.write(tmp_path / "log.csv")

@@ -147,6 +147,7 @@ def test_chirp_and_step_together_give_the_whole_servo() -> None:
     assert result.servo.linear.transfer.bandwidth_rad_s == pytest.approx(28.49, rel=0.015)
 
 
+@pytest.mark.slow
 def test_a_small_step_alone_says_that_no_rate_limit_was_seen() -> None:
     result = identify(step(20.0))
     assert result.rate_limit_deg_s is None

@@ -13,6 +13,7 @@ SEED = 1000
 """The benchmark flies seeds from 0 on."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_large_fault_gets_its_name(kind: str) -> None:
     one = trial(Case(SEED, "gusty", kind, "large"))

@@ -66,7 +66,7 @@ def test_a_stop_that_is_never_reached_is_not_hidden() -> None:
     assert not one.silently_wrong
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_fault_that_is_told_is_not_silent() -> None:
     one = judge(Case("outside", ("pot_spot",), "medium", "flight", 0.1, 83))
     assert one.score.fault

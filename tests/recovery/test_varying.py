@@ -22,7 +22,10 @@ LOAD_G = np.array([0.0, 0.0, 100.0, 100.0, 200.0, 200.0, 300.0, 300.0, 50.0, 50.
 AT_ZERO, SLOPE, NOISE_DEG = 120.0, -0.2, 0.05
 
 
+BY_LOT = {f"lot {k}": np.random.default_rng(k).standard_normal(12) for k in range(4)}
+GAP = {"gap": np.where(np.arange(12) == 3, np.nan, LOAD_G)}
 CONDITIONS = {"load_g": LOAD_G, "arm_n": 0.0098 * LOAD_G, "trial": np.arange(12.0) % 2, "flat": np.ones(12)}
+CONDITIONS |= BY_LOT | GAP
 
 
 def explained(conditions: dict[str, FloatArray], slope: float = SLOPE) -> Explanation:
@@ -53,12 +56,10 @@ def test_a_rate_limit_that_falls_with_the_load_is_told_with_its_slope() -> None:
     assert first.document()["slope"] == first.slope
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_does_not_go_with_the_value_is_not_told() -> None:
-    """Numbers drawn by lot for each run, and one that is missing for a run."""
-    by_lot = {f"lot {k}": np.random.default_rng(k).standard_normal(12) for k in range(4)}
-    gap = np.where(np.arange(12) == 3, np.nan, LOAD_G)
-    conditions = by_lot | {"gap": gap}
+    """Numbers drawn by lot for each run, and one that is missing for a run, where nothing else was logged."""
+    conditions = BY_LOT | GAP
     assert varying(explained(conditions).selection, conditions) == ()
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -49,9 +50,9 @@ GUARDED = (ast.Try, ast.If, ast.IfExp, ast.With)
 
 
 def audited(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """`servofd audit` of a table in a process of its own."""
+    """`servofd audit` of a surface of a table in a process of its own."""
     return subprocess.run(
-        [sys.executable, *words, "-m", "servofd", "audit", str(SAMPLE), "--servo", "hs225bb-eq31"],
+        [sys.executable, *words, "-m", "servofd", "audit", str(SAMPLE), "-s", "elevator", "--servo", "hs225bb-eq31"],
         env={**os.environ, "PYTHONIOENCODING": "", **environment},
         capture_output=True,
         text=True,
@@ -69,7 +70,17 @@ def words(text: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def usual() -> str:
-    return audited(LC_ALL="C.UTF-8").stdout
+    """What an interpreter prints for which a warning is an error."""
+    found = audited("-W", "error", LC_ALL="C.UTF-8")
+    assert found.returncode == 1, found.stderr
+    return found.stdout
+
+
+@cache
+def sources(package: str) -> dict[str, ast.Module]:
+    """Modules of a package, by their paths."""
+    paths = sorted((ROOT / package).rglob("*.py"))
+    return {str(path.relative_to(ROOT)): ast.parse(path.read_text(encoding="utf-8")) for path in paths}
 
 
 @pytest.mark.slow
@@ -77,7 +88,7 @@ def usual() -> str:
     "locale",
     ["tr_TR.UTF-8", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("C", "POSIX", "xx_XX.none", ""))],
 )
-def test_every_locale_gives_the_same_numbers(usual: str, locale: str) -> None:
+def test_every_locale_gives_the_same_numbers_and_no_warning_is_raised_on_the_way(usual: str, locale: str) -> None:
     found = audited(LC_ALL=locale, LANG=locale, PYTHONUTF8="0")
     assert found.returncode == 1, found.stderr
     assert words(found.stdout) == words(usual)
@@ -95,13 +106,6 @@ def test_a_home_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path) ->
     found = audited(**places)
     assert found.returncode == 1, found.stderr
     assert "Traceback" not in found.stderr
-
-
-@pytest.mark.slow
-def test_no_warning_is_raised_on_the_way(usual: str) -> None:
-    found = audited("-W", "error", LC_ALL="C.UTF-8")
-    assert found.returncode == 1, found.stderr
-    assert found.stdout == usual
 
 
 @pytest.mark.slow
@@ -157,12 +161,7 @@ def test_posix_only_calls_are_seen() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("package", ["logparsers", "servofd"])
 def test_no_posix_only_call_outside_guarded_places(package: str) -> None:
-    found = {
-        str(path.relative_to(ROOT)): calls
-        for path in sorted((ROOT / package).rglob("*.py"))
-        if (calls := posix_only(ast.parse(path.read_text(encoding="utf-8"))))
-    }
-    assert found == {}
+    assert {path: calls for path, tree in sources(package).items() if (calls := posix_only(tree))} == {}
 
 
 @pytest.mark.slow
@@ -170,11 +169,11 @@ def test_every_text_file_is_opened_with_its_encoding() -> None:
     """Windows takes another one than UTF-8 where nothing is said."""
     found = []
     for package in ("logparsers", "servofd"):
-        for path in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for path, tree in sources(package).items():
+            for node in ast.walk(tree):
                 if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
                     continue
                 known = {word.arg for word in node.keywords}
                 if node.func.attr in ("read_text", "write_text") and "encoding" not in known and len(node.args) < 2:
-                    found.append((str(path.relative_to(ROOT)), node.lineno, node.func.attr))
+                    found.append((path, node.lineno, node.func.attr))
     assert found == []

@@ -6,11 +6,14 @@ import re
 import runpy
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parent.parent.parent
 PAGE = (ROOT / "docs" / "performance.md").read_text()
 ROW = re.compile(r"^\| (.*?) \| (.*?) \| ([\d.e+]+) \| ([\d.e-]+) s \| ([\d.e-]+) s \| (.*?) \|$", re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_the_page_has_the_form_of_its_script() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "make_performance.py"))
     rows = [

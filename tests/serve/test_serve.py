@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPMessage
@@ -50,9 +51,13 @@ def one_surface() -> bytes:
 
 
 @contextmanager
-def flights_of(folder: Path, *, most_bytes: int = LARGEST) -> Iterator[Flights]:
-    with Flights(folder, Job(), most_bytes=most_bytes, workers=1) as flights:
-        yield flights
+def flights_of(folder: Path, *, most_bytes: int = LARGEST, apart: bool = False) -> Iterator[Flights]:
+    """Flights of a folder, judged by a thread that knows servofd already; apart, by a process, as the program does."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not apart:
+            patch.setattr("servofd.serve.flights.processes", ThreadPoolExecutor)
+        with Flights(folder, Job(), most_bytes=most_bytes, workers=1) as flights:
+            yield flights
 
 
 @dataclass
@@ -136,7 +141,7 @@ def done(flights: Flights, flight_id: str) -> Flight:
 
 @pytest.mark.slow
 def test_a_dropped_log_gets_its_verdict_page_json_and_recording(tmp_path: Path) -> None:
-    with flights_of(tmp_path / "club") as flights, client_of(flights) as client:
+    with flights_of(tmp_path / "club", apart=True) as flights, client_of(flights) as client:
         answer = client.put("/flights?name=../../my%20flight.mat", STUCK.read_bytes())
         assert answer.status == 201
         taken = answer.json()
@@ -242,6 +247,7 @@ def test_an_error_of_the_page_shows_no_traceback(tmp_path: Path, monkeypatch: py
     assert "This did not work" in answer.text
 
 
+@pytest.mark.slow
 def test_other_sites_get_nothing(tmp_path: Path) -> None:
     with client_of(Flights(tmp_path, Job(), most_bytes=LARGEST)) as client:
         assert client.get("/").status == 200
@@ -260,6 +266,7 @@ def test_other_sites_get_nothing(tmp_path: Path) -> None:
     assert "http" not in policy
 
 
+@pytest.mark.slow
 def test_what_is_at_work_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST, workers=1)  # whose processes were not begun
     upload = flights.upload("long.csv", 0)
@@ -294,7 +301,7 @@ def test_a_flight_that_no_browser_could_show_gets_no_recording(tmp_path: Path, m
 
 @pytest.mark.slow
 def test_a_process_that_dies_takes_only_its_flight_with_it(tmp_path: Path) -> None:
-    with flights_of(tmp_path) as flights:
+    with flights_of(tmp_path, apart=True) as flights:
         upload = flights.upload("good.mat", 0)
         upload.write(STUCK.read_bytes())
         first = taken(upload)
@@ -371,6 +378,7 @@ def test_every_file_that_is_dropped_is_a_row_or_a_notice(tmp_path: Path) -> None
         assert {one.name: one.summary and one.summary.status for one in flights.all()} == rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ['a"b.csv', "a'b.csv", "../../etc/x.csv", "\\\\host\\x.csv", "🛩️.csv", "x" * 300 + ".csv", ".csv", "<b>.csv"]
 )
@@ -384,6 +392,7 @@ def test_a_name_leads_nowhere_and_breaks_no_page(name: str, tmp_path: Path) -> N
     assert "<b>.csv" not in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 7, 100_000])
 def test_a_browser_without_script_sends_a_form(size: int, tmp_path: Path) -> None:
     files = {"one.csv": b"time_s\r\n--x", "two.csv": b"\r\n--xy" * 40, "three.csv": b"", "four.csv": b"time_s\r\n--x"}
@@ -409,6 +418,7 @@ def test_a_browser_without_script_sends_a_form(size: int, tmp_path: Path) -> Non
     assert not uploads(tmp_path)
 
 
+@pytest.mark.slow
 def test_what_two_browsers_delete_is_in_the_bin_once(tmp_path: Path) -> None:
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
     with client_of(flights) as client:
@@ -463,6 +473,7 @@ def test_a_disk_that_fills_is_said_and_leaves_nothing(tmp_path: Path) -> None:
     assert flights.all() == []
 
 
+@pytest.mark.slow
 def test_the_page_of_an_earlier_choice_is_not_shown_for_a_later_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -522,7 +533,7 @@ def test_good_flights_are_calibrated_followed_and_explained_at_a_click(tmp_path:
 
     logs = [tmp_path / f"good{k}.csv" for k in range(2)]
     for k, log in enumerate(logs):
-        assert main(["simulate", "-o", str(log), "--rate-hz", "50", "--duration", "60", "--seed", str(k)]) == 0
+        assert main(["simulate", "-o", str(log), "--rate-hz", "50", "--duration", "40", "--seed", str(k)]) == 0
         flight = pd.read_csv(log)  # one surface shows it
         flight[["time_s", "elevator_cmd_deg", "elevator_pos_deg"]].to_csv(log, index=False)
     with flights_of(tmp_path / "club") as flights, client_of(flights) as client:
@@ -588,6 +599,7 @@ def test_two_flights_lie_over_each_other_from_their_take_offs_on(tmp_path: Path)
         assert float(first) == pytest.approx(-20.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_the_list_is_searched_and_two_flights_are_asked_for(tmp_path: Path) -> None:
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
     with client_of(flights) as client:
@@ -607,9 +619,8 @@ def asked(address: str, method: str = "GET", data: bytes | None = None) -> Any:
         return json.load(answer)
 
 
-@pytest.mark.parametrize(
-    "each", [pytest.param(2, marks=pytest.mark.nightly), pytest.param(100, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("each", [2, 100])
 def test_two_users_with_many_logs_at_once_lose_nothing(each: int, tmp_path: Path) -> None:
     rows = (SAMPLES / "table_three_faults.csv").read_bytes().splitlines(keepends=True)
     table = b"".join(rows[:1200])
@@ -680,9 +691,8 @@ def test_a_second_user_gets_a_verdict_while_the_log_of_the_first_still_comes(tmp
         assert summary.status == "fault"
 
 
-@pytest.mark.parametrize(
-    "megabytes", [pytest.param(20, marks=pytest.mark.slow), pytest.param(1000, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("megabytes", [20, 1000])
 def test_a_log_of_one_gigabyte_is_judged_and_keeps_nobody_waiting(megabytes: int, tmp_path: Path) -> None:
     """A flight, and raw samples of its gyroscopes, which are what makes logs long."""
     shape = struct.pack("<3sBB4s16s64s", b"\xa3\x95\x80", 250, 203, b"RAWG", b"Qaaa", b"TimeUS,x,y,z")
@@ -697,7 +707,7 @@ def test_a_log_of_one_gigabyte_is_judged_and_keeps_nobody_waiting(megabytes: int
 
     answers: list[Answer] = []
     longest_s = 0.0
-    with flights_of(tmp_path, most_bytes=2_000_000_000) as flights, client_of(flights) as client:
+    with flights_of(tmp_path, most_bytes=2_000_000_000, apart=True) as flights, client_of(flights) as client:
         first = threading.Thread(target=lambda: answers.append(client.put("/flights?name=long.bin", content())))
         first.start()
         while first.is_alive() or flights.all()[0].state != "done":

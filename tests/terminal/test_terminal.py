@@ -40,6 +40,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path: Path = tmp_path_factory.mktemp("terminal")
     flight = flown(duration_s=40.0, command="gusty", faults={"elevator": Stuck(5.0)})
     (path / "flight.tlog").write_bytes(telemetry_log(flight, PLANE))
+    short = flown(duration_s=16.0, command="gusty", faults={"elevator": Stuck(5.0)})
+    (path / "short.tlog").write_bytes(telemetry_log(short, PLANE))
     (path / "plane.toml").write_text(plane_file())
     (path / "logs").mkdir()
     logged(path / "logs", "good.csv", table_flight())
@@ -122,7 +124,7 @@ def test_the_monitor_in_a_window_that_changes_its_size(folder: Path) -> None:
 
 
 def test_a_replay_without_a_pause_is_drawn_ten_times_a_second_at_most(folder: Path) -> None:
-    words = ["monitor", str(folder / "flight.tlog"), "-c", str(folder / "plane.toml"), "--speed", "0", "--no-alert"]
+    words = ["monitor", str(folder / "short.tlog"), "-c", str(folder / "plane.toml"), "--speed", "0", "--no-alert"]
     with Terminal(60) as terminal:
         begun_s = time.monotonic()
         assert terminal.end(terminal.run(words, NO_COLOR="1")) == 1
@@ -132,7 +134,7 @@ def test_a_replay_without_a_pause_is_drawn_ten_times_a_second_at_most(folder: Pa
 
 
 def test_a_terminal_that_cannot_draw_gets_lines(folder: Path) -> None:
-    words = ["monitor", str(folder / "flight.tlog"), "-c", str(folder / "plane.toml"), "--speed", "0", "--no-alert"]
+    words = ["monitor", str(folder / "short.tlog"), "-c", str(folder / "plane.toml"), "--speed", "0", "--no-alert"]
     with Terminal(100) as terminal:
         assert terminal.end(terminal.run(words, TERM="dumb")) == 1
         assert b"\x1b" not in terminal.raw

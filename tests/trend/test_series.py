@@ -122,6 +122,7 @@ def test_a_forecast_downwards_is_that_upwards_mirrored() -> None:
     assert (above.flight, above.low, above.high) == pytest.approx((below.flight, below.low, below.high))
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_forecast_holds_the_crossing_in_95_of_100() -> None:
     held = 0
     for seed in range(100):

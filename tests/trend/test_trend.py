@@ -54,7 +54,7 @@ def logs(widths_deg: list[float], start: datetime.datetime | None = None, identi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width_deg", [0.0, 0.05, *(pytest.param(w, marks=pytest.mark.nightly) for w in (0.6, 2.5))])
+@pytest.mark.parametrize("width_deg", [0.05, *(pytest.param(w, marks=pytest.mark.nightly) for w in (0.0, 0.6, 2.5))])
 def test_the_width_of_a_dead_band_is_found(width_deg: float) -> None:
     """Within 0.025 deg on average, and within the interval of each flight, but for one of six."""
     found = [estimate_flight(flown(width_deg, seed), PLANE).values["dead_band_deg"] for seed in range(6)]
@@ -80,6 +80,7 @@ def test_backlash_behind_the_servo_is_told_from_a_dead_band_before_it(width_deg:
         assert "play_deg" not in before or before["play_deg"].value < 0.1 * width_deg
 
 
+@pytest.mark.slow
 def test_other_numbers_of_the_servo_are_those_it_was_simulated_with() -> None:
     values, missing, _ = estimate_flight(flown(0.3), PLANE)
     assert values["delay_s"].low < 0.004 < values["delay_s"].high
@@ -91,6 +92,7 @@ def test_other_numbers_of_the_servo_are_those_it_was_simulated_with() -> None:
     assert set(missing) == {"rate_limit_deg_s", "rate_per_volt_deg_s_v"}
 
 
+@pytest.mark.slow
 def test_a_bias_is_found() -> None:
     segment = flown(command="steps")
     values, *_ = estimate_flight(flown(command="steps", measured_deg=segment.measured_deg + 0.7), PLANE)
@@ -133,6 +135,7 @@ def test_a_calm_flight_tells_nothing_of_the_dynamics_and_says_so() -> None:
     assert set(values) == {"residual_p95_deg", "margin", "bias_deg", "noise_deg"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rad_s", [0.05, 0.2, 1.0])
 def test_slow_motion_tells_little_of_delay_and_bandwidth_and_says_so(rad_s: float) -> None:
     segment = flown()
@@ -275,7 +278,7 @@ def test_growing_dead_band_is_measured_and_forecast() -> None:
 @pytest.mark.slow
 def test_a_swap_is_recognised_and_is_no_wear() -> None:
     grown = [0.02 * number for number in range(1, 26)]
-    seen = widths_trend(0, [*grown, *grown[:10]], swap=26)
+    seen = widths_trend(0, [*grown, *grown[:10]], swap=26, duration_s=30.0)
     assert [(event.kind, event.first) for event in seen.surfaces[0].events] == [("swap", 26)]
 
 
