@@ -1,4 +1,4 @@
-"""PX4 logs (``.ulg``), decoded by pyulog topic by topic."""
+"""PX4 logs (``.ulg``), decoded topic by topic."""
 
 from __future__ import annotations
 
