@@ -50,12 +50,8 @@ class Received:
 class Signature:
     """What frames are signed with.
 
-    Parameters
-    ----------
-    key : bytes
-        32 of them.
-    time_s : float
-        Seconds since 1970 when signing begins; signatures are numbered from there on, and never go back.
+    `key`: 32 of them. `time_s`: seconds since 1970 when signing begins; signatures are numbered from there on, and
+    never go back.
     """
 
     key: bytes
@@ -102,14 +98,9 @@ def signing_key(content: bytes) -> bytes:
 class Codec:
     """One end of a link, with the counter of its frames.
 
-    Parameters
-    ----------
-    system, component : int
-        Who speaks.
-    version : {1, 2}
-        Of the frames it sends, without the fields and messages that version 1 lacks; it reads both.
-    signature : Signature, optional
-        Signs what it sends, and passes over what is not signed with that key, as `has_key` says.
+    `system`, `component`: who speaks. `version` ({1, 2}): of the frames it sends, without the fields and messages that
+    version 1 lacks; it reads both. `signature`: signs what it sends, and passes over what is not signed with that key,
+    as `has_key` says.
 
     Examples
     --------

@@ -105,10 +105,7 @@ def _load_arrays() -> None:
 def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:  # noqa: ANN401 - numba's own
     """Compile; keep the machine code on disk where there is a place to keep it.
 
-    Parameters
-    ----------
-    function : callable
-        Of integers, tuples and arrays only.
+    `function`: of integers, tuples and arrays only.
 
     Examples
     --------

@@ -56,11 +56,8 @@ Endpoint = Socket | Serial
 def parse_endpoint(text: str) -> Endpoint:
     """Read what a user wrote; whatever is not one of these kinds is refused, and nothing is ever executed.
 
-    Parameters
-    ----------
-    text : str
-        ``udpin:``, ``udpout:``, ``tcp:`` or ``tcpin:`` with ``HOST:PORT``, or with ``PORT`` alone for this machine;
-        or a serial device, ``DEVICE`` or ``DEVICE,BAUD``.
+    `text`: ``udpin:``, ``udpout:``, ``tcp:`` or ``tcpin:`` with ``HOST:PORT``, or with ``PORT`` alone for this machine;
+    or a serial device, ``DEVICE`` or ``DEVICE,BAUD``.
 
     Examples
     --------

@@ -45,7 +45,6 @@ def open_link(endpoint: Endpoint) -> Link:
 
     Examples
     --------
-    >>> from logparsers.endpoint import Socket
     >>> ground = open_link(Socket("udpin", "127.0.0.1", 14791))
     >>> vehicle = open_link(Socket("udpout", "127.0.0.1", 14791))
     >>> vehicle.send(b"here")

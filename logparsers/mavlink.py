@@ -169,15 +169,7 @@ def _module(name: str) -> Any:  # noqa: ANN401 - a generated module
 def dialect(name: str = DEFAULT_DIALECT) -> Dialect:
     """Message types of a dialect.
 
-    Parameters
-    ----------
-    name : str
-        One of `dialect_names`.
-
-    Returns
-    -------
-    Dialect
-        Shared between callers; read only.
+    `name`: one of `dialect_names`. Result: shared between callers; read only.
 
     Examples
     --------

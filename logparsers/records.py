@@ -276,10 +276,7 @@ class FlightLog:
     def __getitem__(self, name: str) -> Channel:
         """Channel by name.
 
-        Raises
-        ------
-        MissingChannel
-            If the log has no such channel; the message names the nearest ones.
+        Raises `MissingChannel` if the log has no such channel; the message names the nearest ones.
         """
         try:
             return self.channels[name]

@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
     """Good frames of a telemetry log, and when each arrived [s since 1970].
 
-    Parameters
-    ----------
-    source : str, PathLike, bytes or BinaryIO
-        A ``.tlog``.
+    `source`: a ``.tlog``.
 
     Examples
     --------

@@ -65,7 +65,6 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> grid = read_grid(Path("a.csv"), b"# bench\ntime_s;x\n0,00;1\n0,02;2\n")
     >>> grid.names, grid.delimiter, grid.decimal, grid.line[0].item()
     (('time_s', 'x'), ';', ',', 3)
@@ -154,7 +153,6 @@ def check_names(path: Path, count: int) -> None:
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> check_names(Path("a.csv"), 12)
     """
     if count > MOST_CHANNELS:
@@ -322,8 +320,6 @@ def convert(grid: Grid, texts: Collection[str] = ()) -> dict[str, Cells]:
 
     Examples
     --------
-    >>> from pathlib import Path
-    >>> from logparsers.text import read_grid
     >>> cells = convert(read_grid(Path("a.csv"), b"time_s,x\n0,1\n1,NaN\n2,off\n"))["x"]
     >>> cells.values, cells.strange, cells.first_strange
     (array([ 1., nan, nan]), 1, (2, 'off'))

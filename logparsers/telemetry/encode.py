@@ -28,14 +28,8 @@ _AROUND = STAMP_BYTES + HEADER_2 + CHECK_BYTES
 class Message:
     """All frames of one message.
 
-    Parameters
-    ----------
-    name : str
-        As MAVLink calls it.
-    arrival_us : array_like, shape (n,)
-        When each frame was received [us since 1970].
-    columns : Mapping[str, array_like of shape (n,) or (n, k)]
-        Fields by name; texts as bytes or str; a field left out is zero.
+    `name`: as MAVLink calls it. `arrival_us` (shape (n,)): when each frame was received [us since 1970]. `columns`
+    (shape (n,) or (n, k)): fields by name; texts as bytes or str; a field left out is zero.
     """
 
     name: str
@@ -46,10 +40,7 @@ class Message:
 def encode(messages: Sequence[Message], *, source: tuple[int, int] = (1, 1)) -> bytes:
     """Write a log of one sender: frames in the order of their arrival.
 
-    Returns
-    -------
-    bytes
-        The content of a ``.tlog`` file.
+    Result: the content of a ``.tlog`` file.
 
     Examples
     --------

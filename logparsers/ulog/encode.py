@@ -29,15 +29,8 @@ _TYPES: Final[Mapping[str, str]] = {
 class Topic:
     """All samples of one topic.
 
-    Parameters
-    ----------
-    name : str
-        As PX4 calls it.
-    columns : Mapping[str, ndarray of shape (n,) or (n, k)]
-        Fields by name; their types become those of the log, bytes become characters. The first is
-        ``timestamp`` [us since boot].
-    instance : int
-        Which of several sources.
+    `name`: as PX4 calls it. `columns` (shape (n,) or (n, k)): fields by name; their types become those of the log,
+    bytes become characters. The first is ``timestamp`` [us since boot]. `instance`: which of several sources.
     """
 
     name: str
@@ -60,19 +53,9 @@ def encode(
 ) -> bytes:
     """Write a log: definitions and parameters first, then all samples in the order of time.
 
-    Parameters
-    ----------
-    parameters : Mapping[str, int or float], optional
-        Settings of the autopilot; the type of the number decides that in the log (32 bits).
-    information : Mapping[str, int or str], optional
-        What the log says about itself, for example ``ver_sw_release``.
-    texts : sequence of Text
-        What the autopilot said; those without severity are information.
-
-    Returns
-    -------
-    bytes
-        The content of a ``.ulg`` file.
+    `parameters`: settings of the autopilot; the type of the number decides that in the log (32 bits). `information`:
+    what the log says about itself, for example ``ver_sw_release``. `texts`: what the autopilot said; those without
+    severity are information. Result: the content of a ``.ulg`` file.
 
     Examples
     --------

@@ -66,10 +66,7 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
     What the aircraft file names comes first, then a column of the surface's name, then what the servo, or a hub,
     reports of its output; of a table with one surface, the current of the servo.
 
-    Raises
-    ------
-    NoMeasurement
-        If a column is a current in no unit.
+    Raises `NoMeasurement` if a column is a current in no unit.
 
     Examples
     --------
@@ -117,10 +114,7 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
 def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     """The same aircraft, whose surfaces name where a log holds their currents, and no position that it does not hold.
 
-    Raises
-    ------
-    NoMeasurement
-        If a column is a current in no unit.
+    Raises `NoMeasurement` if a column is a current in no unit.
     """
     surfaces = dict(aircraft.surfaces)
     for name, source in current_sources(log, aircraft).items():
@@ -134,10 +128,7 @@ def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:
 def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     """Read a current and the supply beside it.
 
-    Raises
-    ------
-    NoMeasurement
-        If the channel is none, in words.
+    Raises `NoMeasurement` if the channel is none, in words.
     """
     if source.channel not in log.channels:
         raise NoMeasurement(f"no current: the log has no channel {source.channel!r}")

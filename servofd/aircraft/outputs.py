@@ -108,16 +108,8 @@ knows."""
 class LoggedOutput:
     """One servo output.
 
-    Parameters
-    ----------
-    number : int
-        From 1, as printed on the autopilot.
-    function : int or None
-        SERVOn_FUNCTION; None if the log does not tell.
-    trim_us, min_us, max_us : float
-        Pulse widths at neutral and at the ends [us].
-    reversed : bool
-        SERVOn_REVERSED.
+    `number`: from 1, as printed on the autopilot. `function`: SERVOn_FUNCTION; None if the log does not tell.
+    `trim_us`, `min_us`, `max_us`: pulse widths at neutral and at the ends [us]. `reversed`: SERVOn_REVERSED.
     """
 
     number: int
@@ -276,10 +268,7 @@ def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
     Ids start at 0 or at 1, depending on the servo's bus. Parameters tell which (the bit masks of the drivers);
     without them the base is the one under which positions go with the commands.
 
-    Returns
-    -------
-    tuple of Pair
-        By output number; motors are left out.
+    Result: by output number; motors are left out.
     """
     outputs = outputs_of(log.parameters)
     numbered: dict[int, Position] = {}
@@ -400,12 +389,8 @@ _OTHER_PATH_S = 0.06
 def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     """Return the same aircraft with the channels of a log, where its own are not in it.
 
-    Parameters
-    ----------
-    log : FlightLog
-        Of an autopilot, or a plain table whose columns bear the names of the surfaces.
-    aircraft : Aircraft
-        Whose surfaces name their outputs, or channels from which these follow.
+    `log`: of an autopilot, or a plain table whose columns bear the names of the surfaces. `aircraft`: whose surfaces
+    name their outputs, or channels from which these follow.
 
     Examples
     --------

@@ -376,10 +376,7 @@ def explained_in(name: str) -> Aircraft | None:
 def check_servo(name: str) -> None:
     """Refuse what ``--servo`` cannot take.
 
-    Raises
-    ------
-    ConfigError
-        If it is neither in the library nor a file that describes a servo.
+    Raises `ConfigError` if it is neither in the library nor a file that describes a servo.
 
     Examples
     --------

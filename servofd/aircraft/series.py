@@ -463,10 +463,7 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
 def asked(surface: Surface, command: Channel) -> tuple[FloatArray, FloatArray]:
     """What a surface is asked: times [s] and deflections [deg], shape (n,) each.
 
-    Raises
-    ------
-    NoMeasurement
-        If the channel holds no command.
+    Raises `NoMeasurement` if the channel holds no command.
     """
     command_deg = surface.command.to_deg(command.values)
     given = np.isfinite(command_deg)
@@ -616,10 +613,7 @@ def take_off_s(log: FlightLog) -> float | None:
 def channel_of(log: FlightLog, name: str, kind: str) -> Channel:
     """A channel that holds values; `kind` says what is missing.
 
-    Raises
-    ------
-    NoMeasurement
-        If there is none of that name, or it is empty.
+    Raises `NoMeasurement` if there is none of that name, or it is empty.
     """
     try:
         channel = log[name]

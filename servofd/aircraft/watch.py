@@ -141,14 +141,8 @@ class Watch:
     ) -> list[tuple[float, float]]:
         """Take rows, of shape (n,), and pass on those that are decided and count: their times [s] and `values`.
 
-        Parameters
-        ----------
-        time_s, position_deg, asked_deg : ndarray
-            As `Rows` has them; a position that is no number is not passed on.
-        values : ndarray, optional
-            What is passed on; positions if left out.
-        stands : ndarray of bool, optional
-            Whether the bus stood still; never if left out.
+        `time_s`, `position_deg`, `asked_deg`: as `Rows` has them; a position that is no number is not passed on.
+        `values`: what is passed on; positions if left out. `stands`: whether the bus stood still; never if left out.
         """
         passed: list[tuple[float, float]] = []
         flags = stands.tolist() if stands is not None else [False] * time_s.size

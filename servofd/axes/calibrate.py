@@ -69,10 +69,7 @@ _OWN_SHARE = 0.05
 def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float = 1.0) -> MotionModel:
     """Fit the axes of an aircraft to healthy flights.
 
-    Parameters
-    ----------
-    flights : sequence of Motion
-        Healthy, of one aircraft and one rate of samples; the more days, the better.
+    `flights`: healthy, of one aircraft and one rate of samples; the more days, the better.
     """
     flights = [flight for flight in flights if flight.present.any()]
     if not flights:
@@ -593,16 +590,8 @@ _FAULT_PER_HOUR = 0.01
 class Tail:
     """Power law of the largest statistic of a flight (Hill 1975) above the median flight's.
 
-    Parameters
-    ----------
-    base : float
-        Statistic of the median flight.
-    index : float
-        How steeply the rate falls.
-    rate_per_hour : float
-        How often a flight exceeds `base`.
-    days : int
-        Calibrated.
+    `base`: statistic of the median flight. `index`: how steeply the rate falls. `rate_per_hour`: how often a flight
+    exceeds `base`. `days`: calibrated.
     """
 
     base: float

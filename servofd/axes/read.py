@@ -17,14 +17,8 @@ if TYPE_CHECKING:
 def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None) -> Motion:
     """Commands and motion of a log on one grid of time.
 
-    Parameters
-    ----------
-    log : FlightLog
-        Of an autopilot, or a table with the columns of `servofd.axes.motion`.
-    rate_hz : float, optional
-        Of the grid; None: what the log has.
-    parameters : mapping of str to float, optional
-        SERVOn_... of an autopilot, to assume where the log has none.
+    `log`: of an autopilot, or a table with the columns of `servofd.axes.motion`. `rate_hz`: of the grid; None: what the
+    log has. `parameters`: SERVOn_... of an autopilot, to assume where the log has none.
     """
     if log.format == "ulog":
         return motion_of_px4(log, rate_hz)

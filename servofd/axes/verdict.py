@@ -200,7 +200,6 @@ def shown(smallest: AxisDetectable) -> str:
 
     Examples
     --------
-    >>> from servofd.axes.verdict import AxisDetectable
     >>> shown(AxisDetectable(0.31, 44.2)), shown(AxisDetectable(math.inf, 44.2))
     ('a loss of 31% of its effect, or 44 us away', '44 us away')
     """

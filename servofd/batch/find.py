@@ -64,12 +64,8 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
     A file that is named is taken whatever it is. Files of folders, patterns and addresses are recognised by content;
     hidden ones, and folders of results, are passed over.
 
-    Parameters
-    ----------
-    inputs : sequence of str
-        Files, folders, patterns such as ``"2026/**/*.bin"``, addresses such as ``"s3://bucket/logs"``.
-    layout : TableLayout, optional
-        How text tables are read.
+    `inputs`: files, folders, patterns such as ``"2026/**/*.bin"``, addresses such as ``"s3://bucket/logs"``. `layout`:
+    how text tables are read.
 
     Examples
     --------

@@ -28,20 +28,10 @@ _OF_DIGEST = 8
 class Job:
     """What to judge logs with, the same for all of them.
 
-    Parameters
-    ----------
-    aircraft : Aircraft, optional
-        None: each log's own, as far as the log shows it.
-    servo : str, optional
-        Servo to assume for all surfaces.
-    threshold_deg : float, optional
-        Constant alarm level [deg].
-    threshold : {"constant", "interval"}, optional
-        Kind of threshold.
-    surfaces : tuple of str
-        Which to judge; all if empty.
-    pages : bool
-        Whether each log gets its page; it changes no verdict, and is no part of the key.
+    `aircraft`: none: each log's own, as far as the log shows it. `servo`: servo to assume for all surfaces.
+    `threshold_deg`: constant alarm level [deg]. `threshold` ({"constant", "interval"}): kind of threshold. `surfaces`:
+    which to judge; all if empty. `pages`: whether each log gets its page; it changes no verdict, and is no part of the
+    key.
 
     Examples
     --------

@@ -50,12 +50,8 @@ def run_local(
     A process that dies (killed, out of memory, crashed) takes no other with it: what was handed out by then is done
     again, each item in a process of its own, and only the one that dies again is given up.
 
-    Parameters
-    ----------
-    task : callable
-        A function of a module, or a partial of one.
-    workers : int, optional
-        Number of processes; one per core if None; 0: no process but this one, which then nothing protects.
+    `task`: a function of a module, or a partial of one. `workers`: number of processes; one per core if None; 0: no
+    process but this one, which then nothing protects.
 
     Examples
     --------

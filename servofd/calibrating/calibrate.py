@@ -236,18 +236,11 @@ def calibrate_aircraft(
 ) -> Calibration:
     """Fit every surface of an aircraft to flights that are known to be good.
 
-    Parameters
-    ----------
-    aircraft : Aircraft
-        What is known so far; its servos may be rough drafts.
-    flights : mapping of surface to Flights
-        Surfaces without any stay as they are.
-    force : bool
-        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
+    `aircraft`: what is known so far; its servos may be rough drafts. `flights`: surfaces without any stay as they are.
+    `force`: calibrate also where the loss of a third of travel and of two thirds of speed would not show.
 
     Examples
     --------
-    >>> import numpy as np
     >>> from servofd.aircraft.schema import plain_aircraft
     >>> from servofd.detection.flights import Flight
     >>> from servofd.aircraft.series import Series

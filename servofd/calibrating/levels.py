@@ -94,10 +94,7 @@ def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     None if nothing of it can be judged. The fewer blocks there are, the wider they become. Where the model is wrong by
     more than any tolerance allows, the run is healthy under a constant threshold above its largest residual.
 
-    Raises
-    ------
-    DesignError
-        If no residual filter suits the servo at this pace.
+    Raises `DesignError` if no residual filter suits the servo at this pace.
     """
     segment, _ = with_hold(model, segment)
     residuals = ResidualGenerator.fitting(model, segment).run(segment)

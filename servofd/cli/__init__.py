@@ -44,10 +44,7 @@ _AGAIN_S = 0.01
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb and return its exit code.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words after the program's name; those of the process if left out.
+    `arguments`: words after the program's name; those of the process if left out.
 
     Examples
     --------

@@ -42,12 +42,8 @@ _LEAST_VAR = 1e-12
 class Sums:
     """Products of columns, summed up to each edge of a grid, or in windows.
 
-    Parameters
-    ----------
-    products : ndarray, shape (q (q + 1) / 2, n + 1) or (q (q + 1) / 2, n)
-        Of all pairs of columns, row by row of the upper triangle.
-    samples : ndarray, shape (n + 1,) or (n,)
-        How many were usable.
+    `products` (shape (q (q + 1) / 2, n + 1) or (q (q + 1) / 2, n)): of all pairs of columns, row by row of the upper
+    triangle. `samples` (shape (n + 1,) or (n,)): how many were usable.
     """
 
     products: FloatArray
@@ -210,16 +206,10 @@ def fitted(
 ) -> Fitted:
     """Fit the last columns of windows before the residual to it, beside those that come first.
 
-    Parameters
-    ----------
-    window : Sums
-        Of what a healthy one may differ by, of `patterns` columns of a change, and of the residual.
-    patterns : int
-        How many sizes are asked for.
-    precision : ndarray, shape (q - 1, q - 1) or (q - 1, q - 1, n), optional
-        Inverse covariance of differences and sizes before the window, times the variance of the noise; None: free.
-    columns : sequence of int, optional
-        Which columns, in which order, and which of them more than once; None: all as they are.
+    `window`: of what a healthy one may differ by, of `patterns` columns of a change, and of the residual. `patterns`:
+    how many sizes are asked for. `precision` (shape (q - 1, q - 1) or (q - 1, q - 1, n), optional): inverse covariance
+    of differences and sizes before the window, times the variance of the noise; None: free. `columns`: which columns,
+    in which order, and which of them more than once; None: all as they are.
 
     Examples
     --------

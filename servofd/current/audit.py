@@ -131,13 +131,8 @@ def healthy_currents(
 ) -> tuple[dict[str, CalibratedCurrent], dict[str, str]]:
     """Currents of good flights by surface, and why there is none of others.
 
-    Parameters
-    ----------
-    flown : iterable of (FlightLog, Aircraft)
-        Flights, or cycles of a bench, in their order, and the aircraft in the channels of each, with the servos whose
-        motion the currents belong to.
-    spans : sequence of (from_s, to_s)
-        Which parts of each log are good [s]; all of it if empty.
+    `flown`: flights, or cycles of a bench, in their order, and the aircraft in the channels of each, with the servos
+    whose motion the currents belong to. `spans`: which parts of each log are good [s]; all of it if empty.
     """
     wires: dict[tuple[str, ...], list[dict[str, CurrentSeries]]] = {}
     reasons: dict[str, str] = {}
@@ -189,10 +184,7 @@ def _healthy(flights: Sequence[CurrentSeries], *, is_alone: bool) -> CalibratedC
 def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: CurrentSource) -> CurrentSeries:
     """What a log holds of the current of a surface, beside the motion that its commands ask for.
 
-    Raises
-    ------
-    NoMeasurement
-        If it holds none, or no command.
+    Raises `NoMeasurement` if it holds none, or no command.
     """
     read = read_current(log, source)
     surface = aircraft.surfaces[name]

@@ -70,18 +70,8 @@ _ENDS_OF: Final = np.array([name.endswith(("_1", "_2")) for name in NAMES])
 class CurrentSeries:
     """What a log holds of the current of one servo.
 
-    Parameters
-    ----------
-    surface : str
-        Whose it is.
-    time_s, current_a : ndarray, shape (m,)
-        When it was read [s], rising, and what it was [A].
-    motion : Motion
-        Of the healthy servo on its commands.
-    context : Context
-        Airspeed and supply.
-    notes : tuple of str
-        What to know of it.
+    `surface`: whose it is. `time_s`, `current_a` (shape (m,)): when it was read [s], rising, and what it was [A].
+    `motion`: of the healthy servo on its commands. `context`: airspeed and supply. `notes`: what to know of it.
     """
 
     surface: str
@@ -213,10 +203,7 @@ class CurrentFit:
 def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
     """Fit a healthy current to good flights; its covariance between flights is yet to be said.
 
-    Raises
-    ------
-    CalibrationError
-        If there is too little motion or current.
+    Raises `CalibrationError` if there is too little motion or current.
     """
     moved = [part.motion.deflection_deg[part.motion.is_known(part.motion.time_s)] for part in parts]
     inside = [_between(part) for part in parts]

@@ -22,10 +22,7 @@ _PARTS: Final = (3, 2, 1)
 def own_current(series: CurrentSeries) -> CalibratedCurrent:
     """Return the healthy current that a log shows by itself: of the part that predicts the whole most sharply.
 
-    Raises
-    ------
-    CalibrationError
-        If no part of the log has enough motion and current.
+    Raises `CalibrationError` if no part of the log has enough motion and current.
     """
     first_s, last_s = float(series.time_s[0]), float(series.time_s[-1])
     found: list[tuple[bool, float, CalibratedCurrent]] = []

@@ -49,10 +49,7 @@ def own_currents(
 def parted(flights: Sequence[Mapping[str, CurrentSeries]]) -> list[dict[str, CurrentSeries]]:
     """Return good flights with a current of its own for each of the servos on one wire.
 
-    Raises
-    ------
-    CalibrationError
-        If there is too little motion or current.
+    Raises `CalibrationError` if there is too little motion or current.
     """
     drafts = {name: fit_current([flight[name] for flight in flights]).known for name in flights[0]}
     blocks = [

@@ -88,10 +88,7 @@ class OfCurrent:
     def stream(self, pace: Pace) -> CurrentStream:
         """See a stream beside it.
 
-        Raises
-        ------
-        DesignError
-            If the current of its good flights goes with nothing that it is asked to do.
+        Raises `DesignError` if the current of its good flights goes with nothing that it is asked to do.
         """
         if not is_witness(self.known):
             raise DesignError(no_witness(self.known))

@@ -353,7 +353,6 @@ def explain_gap(
     --------
     >>> from servofd.servo.effects.commands import Delay
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> command = 5.0 * np.sin(0.5 * t**2)

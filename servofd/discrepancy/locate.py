@@ -83,10 +83,7 @@ class Spectrum(NamedTuple):
 def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
     """Welch's estimates, on evenly spaced samples; None if the record is too short for an average.
 
-    Parameters
-    ----------
-    error_deg : ndarray, shape (n,)
-        Measured minus simulated position [deg].
+    `error_deg` (shape (n,)): measured minus simulated position [deg].
 
     Examples
     --------
@@ -167,10 +164,7 @@ class Oscillation(NamedTuple):
 def oscillation(record: Record, error_deg: FloatArray, sigma_deg: float) -> Oscillation | None:
     """The oscillation that most of an error is, and when it lasts; None if it is none.
 
-    Parameters
-    ----------
-    error_deg : ndarray, shape (n,)
-        Measured minus simulated position [deg].
+    `error_deg` (shape (n,)): measured minus simulated position [deg].
     """
     found = spectrum(record, error_deg)
     if found is None:
@@ -223,10 +217,7 @@ class Map(NamedTuple):
 def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, ...]:
     """What the disagreement depends on, most telling first.
 
-    Parameters
-    ----------
-    error_deg : ndarray, shape (n,)
-        Measured minus simulated position [deg].
+    `error_deg` (shape (n,)): measured minus simulated position [deg].
     """
     where = record.counts
     error = error_deg[where]

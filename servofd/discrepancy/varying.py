@@ -76,12 +76,8 @@ class Varying:
 def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple[Varying, ...]:
     """Values of the final effects that were found to go with a condition of the runs.
 
-    Parameters
-    ----------
-    selection : Selection
-        What was found in several runs; in a single one there is nothing to compare.
-    conditions : mapping of str to ndarray, shape (r,)
-        What was logged beside the servo, one number for each run, by the name of its channel.
+    `selection`: what was found in several runs; in a single one there is nothing to compare. `conditions` (shape (r,)):
+    what was logged beside the servo, one number for each run, by the name of its channel.
     """
     final, first = selection.final, 0
     found = []

@@ -128,12 +128,7 @@ class FleetStore:
     Results of another aircraft file, other options or another version are moved into the folder ``earlier``, and come
     back when they are asked for again.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it does not exist.
-    key : str
-        Of the `servofd.batch.key.Job`.
+    `folder`: made if it does not exist. `key`: of the `servofd.batch.key.Job`.
     """
 
     def __init__(self, folder: Path, key: str) -> None:

@@ -27,18 +27,9 @@ if TYPE_CHECKING:
 class Output:
     """One output that turns a surface.
 
-    Parameters
-    ----------
-    name : str
-        Of the surface.
-    axes : mapping of str to float
-        Axes that it serves, with its sign in each.
-    time_s, share : ndarray, shape (n,)
-        What was asked of it: -1 at the MIN of its output, 1 at MAX, reversed outputs turned round.
-    trim_share : float
-        Its trim in the same unit.
-    span_us : float
-        From MIN to MAX [us].
+    `name`: of the surface. `axes`: axes that it serves, with its sign in each. `time_s`, `share` (shape (n,)): what was
+    asked of it: -1 at the MIN of its output, 1 at MAX, reversed outputs turned round. `trim_share`: its trim in the
+    same unit. `span_us`: from MIN to MAX [us].
     """
 
     name: str

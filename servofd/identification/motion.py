@@ -41,15 +41,9 @@ _LOG_RANGE = 14.0
 class LinearServo:
     r"""Servo :math:`g\,a_0 e^{-\tau s} / (s^n + \dots + a_0)`, driven through a zero-order hold.
 
-    Parameters
-    ----------
-    shape : tuple of float
-        Logarithms: of the pole p (order 1), of wn² and 2 zeta wn of a second-order factor (order 2), of all three
-        (order 3). Every value is a stable servo; a real pair of poles needs no other form than a complex one.
-    delay_s : float
-        Transport delay without the hold [s].
-    gain : float
-        dc gain [deg/deg]; negative if the position runs against the command.
+    `shape`: logarithms: of the pole p (order 1), of wn² and 2 zeta wn of a second-order factor (order 2), of all three
+    (order 3). Every value is a stable servo; a real pair of poles needs no other form than a complex one. `delay_s`:
+    transport delay without the hold [s]. `gain`: dc gain [deg/deg]; negative if the position runs against the command.
     """
 
     shape: tuple[float, ...]
@@ -139,16 +133,9 @@ _SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
 class ServoCandidate:
     """A servo with everything that a bench test can show.
 
-    Parameters
-    ----------
-    linear : LinearServo
-        Delay, dc gain, poles.
-    rate_up_deg_s, rate_down_deg_s : float or None
-        Rate limits [deg/s].
-    dead_band_deg : float or None
-        Full width of the zone in which the command may move without effect [deg].
-    fixed_gain : bool
-        True if the dc gain is known, and not fitted.
+    `linear`: delay, dc gain, poles. `rate_up_deg_s`, `rate_down_deg_s`: rate limits [deg/s]. `dead_band_deg`: full
+    width of the zone in which the command may move without effect [deg]. `fixed_gain`: true if the dc gain is known,
+    and not fitted.
     """
 
     linear: LinearServo

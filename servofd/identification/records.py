@@ -31,14 +31,9 @@ _REGULAR = 0.01
 class Run:
     """One test with one servo, prepared for simulation.
 
-    Parameters
-    ----------
-    servo : int
-        Which servo of several; runs of one servo share their offset.
-    command_s, command_deg : ndarray, shape (n,)
-        Commands that hold until the next, the first long before the test [s], [deg].
-    measured_s, measured_deg : ndarray, shape (m,)
-        Position, without missing values.
+    `servo`: which servo of several; runs of one servo share their offset. `command_s`, `command_deg` (shape (n,)):
+    commands that hold until the next, the first long before the test [s], [deg]. `measured_s`, `measured_deg` (shape
+    (m,)): position, without missing values.
     """
 
     servo: int

@@ -71,12 +71,8 @@ def odds_from_design(
 ) -> list[SurfaceOdds]:
     """Odds of each surface if its position carries white Gaussian noise and the model is right.
 
-    Parameters
-    ----------
-    noise_deg : float
-        Standard deviation of the noise of the measured deflection [deg], at most 10.
-    surfaces : tuple of str
-        Which; all that are measured if empty.
+    `noise_deg`: standard deviation of the noise of the measured deflection [deg], at most 10. `surfaces`: which; all
+    that are measured if empty.
 
     Examples
     --------

@@ -20,10 +20,7 @@ _KEEP = "from servofd.jobs.prepare import keep_{0}; keep_{0}()"
 def compile_ahead(say: Callable[[str], None]) -> None:
     """Have other processes compile the stepper and the detector's windows, if nothing of it is kept yet, and say so.
 
-    Parameters
-    ----------
-    say : callable
-        Shows a sentence to whoever waits.
+    `say`: shows a sentence to whoever waits.
     """
     if is_compiling() or is_prepared():
         return

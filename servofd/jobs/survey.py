@@ -37,12 +37,8 @@ def survey(
 ) -> list[dict[str, Any]]:
     """Look into a log; what each run holds, and what can be done with it, as plain dictionaries and lists.
 
-    Parameters
-    ----------
-    aircraft : str or Path, optional
-        Aircraft file; left out, the log's own description is used as far as there is one.
-    every_channel : bool
-        Survey all channels, not only those of surfaces.
+    `aircraft`: aircraft file; left out, the log's own description is used as far as there is one. `every_channel`:
+    survey all channels, not only those of surfaces.
 
     Examples
     --------

@@ -94,16 +94,8 @@ def travel_deg(surface: Surface) -> float:
 def severity_of(kind: str, fault: Fault | None, residual_deg: float, travel_deg: float) -> Severity:
     """What a fault does to the aircraft: control lost, control worse, or something to look at on the ground.
 
-    Parameters
-    ----------
-    kind : str
-        Of the fault; `unknown` until it has a name.
-    fault : Fault or None
-        Its parameters, where it has a name.
-    residual_deg : float
-        By how much the surface is off [deg]; NaN where nothing measures that.
-    travel_deg : float
-        From stop to stop [deg].
+    `kind`: of the fault; `unknown` until it has a name. `fault`: its parameters, where it has a name. `residual_deg`:
+    by how much the surface is off [deg]; NaN where nothing measures that. `travel_deg`: from stop to stop [deg].
 
     Examples
     --------

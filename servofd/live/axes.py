@@ -45,10 +45,7 @@ _NAMED_S = 2.0
 class AxisWatch:
     """What is known of one flying aircraft's axes.
 
-    Parameters
-    ----------
-    model : MotionModel
-        From calibration; it holds the mixer as well, so that no parameter need be asked for.
+    `model`: from calibration; it holds the mixer as well, so that no parameter need be asked for.
     """
 
     model: MotionModel

@@ -145,12 +145,8 @@ def plan_onboard(
 ) -> OnboardPlan:
     """Take from an aircraft what a script on board needs.
 
-    Parameters
-    ----------
-    surfaces : sequence of str
-        Which to watch; all that can be if empty.
-    instructions : int
-        Of Lua's virtual machine, that the autopilot gives a call (``SCR_VM_I_COUNT``).
+    `surfaces`: which to watch; all that can be if empty. `instructions`: of Lua's virtual machine, that the autopilot
+    gives a call (``SCR_VM_I_COUNT``).
 
     Examples
     --------

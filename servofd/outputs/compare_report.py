@@ -31,16 +31,8 @@ def compare_report(
 ) -> Document:
     """One row for each surface and axis that either flight knows, the worst first.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of both flights.
-    documents : sequence of mapping
-        Their audits, schema servofd.audit/1.
-    links : sequence of str
-        To their pages.
-    parts : sequence of Part
-        What stands below the table.
+    `names`: of both flights. `documents`: their audits, schema servofd.audit/1. `links`: to their pages. `parts`: what
+    stands below the table.
     """
     both = [_worst_runs(document["logs"]) for document in documents]
     entries = {name: [one.get(name) for one in both] for one in both for name in one}
@@ -113,7 +105,6 @@ def overlaid(name: str, tracks: Sequence[Track], names: Sequence[str], at_s: Seq
 
     Examples
     --------
-    >>> import numpy as np
     >>> one = Track(np.array([10.0, 11.0]), np.array([0.0, 1.0]), np.array([0.0, 0.0]))
     >>> other = one._replace(time_s=np.array([30.0, 32.0]))
     >>> chart = overlaid("rudder", (one, other), ("a.bin", "b.bin"), (10.0, 30.0))

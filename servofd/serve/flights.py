@@ -182,10 +182,8 @@ class Flights:
     def choose(self, flight_id: str, choice: Choice) -> None:
         """Judge a flight again, with what was chosen.
 
-        Raises
-        ------
-        ConfigError
-            If what was chosen is not there or makes no sense, or the flight is gone or is being judged.
+        Raises `ConfigError` if what was chosen is not there or makes no sense, or the flight is gone or is being
+        judged.
         """
         self.job_of(choice)
         with self._lock:
@@ -229,10 +227,7 @@ class Flights:
     def job_of(self, choice: Choice) -> Job:
         """What to judge with, as it was chosen.
 
-        Raises
-        ------
-        ConfigError
-            If it is not there, or makes no sense.
+        Raises `ConfigError` if it is not there, or makes no sense.
         """
         if choice.columns:
             return replace(self.job, aircraft=aircraft_of_columns(choice.columns))

@@ -165,7 +165,6 @@ def table_of(effects: Sequence[type[Effect]], values: FloatArray) -> EffectTable
 
     Examples
     --------
-    >>> import numpy as np
     >>> from servofd.servo.effects.linkage import RateLimit
     >>> table_of([RateLimit], np.array([88.1234567]))
     {'rate_limit': {'form': 'output', 'rate_limit_deg_s': 88.12346}}

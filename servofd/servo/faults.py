@@ -102,23 +102,12 @@ def failing_deflection(
 ) -> FloatArray:
     """Deflection of a servo with faults, one after the other; `ServoModel.simulate` if there are none.
 
-    Parameters
-    ----------
-    faults : iterable of Failure
-        What fails, and when; the intervals [start_s, end_s) do not overlap.
-    command_s, command_deg : ndarray, shape (n,)
-        When each command was given [s] and what it asked for [deg]; it holds until the next.
-    at_s : ndarray, shape (m,)
-        Times [s], rising.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Deflection [deg], starting from rest at the first command.
+    `faults`: what fails, and when; the intervals [start_s, end_s) do not overlap. `command_s`, `command_deg` (shape
+    (n,)): when each command was given [s] and what it asked for [deg]; it holds until the next. `at_s` (shape (m,)):
+    times [s], rising. Result (shape (m,)): deflection [deg], starting from rest at the first command.
 
     Examples
     --------
-    >>> from servofd.servo.faults import Slow, Stuck
     >>> from servofd.servo.servo_model import ServoModel
     >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 3.0, 0.5)
@@ -167,7 +156,6 @@ def as_received(
 
     Examples
     --------
-    >>> from servofd.servo.faults import Bias
     >>> as_received([Bias(1.0, bias_deg=-2.0)], np.array([0.0, 1.0]), np.array([0.0, 5.0]))
     (array([0., 1.]), array([0., 3.]))
     """

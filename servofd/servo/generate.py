@@ -103,10 +103,7 @@ def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is
     It is compiled, and the machine code kept in the user's cache folder; without a compiler, or where `is_compiled` is
     false, it is plain Python with the same numbers.
 
-    Raises
-    ------
-    ConfigError
-        If what an effect does cannot be compiled.
+    Raises `ConfigError` if what an effect does cannot be compiled.
     """
     off = fields_of(effects)
     acts, memory = _acts_of(effects)
@@ -120,11 +117,8 @@ def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is
 def check(effect: type[Effect]) -> None:
     """Refuse an effect that cannot be simulated, in one sentence.
 
-    Raises
-    ------
-    ConfigError
-        If its source cannot be compiled, or it does not return finite numbers at its typical size; of one that acts on
-        the commands, if it does not take and return their times, values and slopes.
+    Raises `ConfigError` if its source cannot be compiled, or it does not return finite numbers at its typical size; of
+    one that acts on the commands, if it does not take and return their times, values and slopes.
     """
     sizes = {f: p.neutral + p.typical for p in effect.parameters for f in p.fields}
     if effect.slot is Slot.EVENTS and effect.act is not None:

@@ -47,17 +47,8 @@ def _play(values: FloatArray, half_width: float, start: float, result: FloatArra
 def play(values: FloatArray, width: float, start: float) -> FloatArray:
     """Follow `values` only when they would leave a zone of full width `width` around the result.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Signal.
-    start : float
-        Result before the first sample.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Never further than half the width from the signal.
+    `values` (shape (n,)): signal. `start`: result before the first sample. Result (shape (n,)): never further than half
+    the width from the signal.
 
     Examples
     --------

@@ -122,10 +122,7 @@ def machine_of(
 
     `effects` are those that may act, if not all of the catalogue: fewer are compiled apart, and move faster.
 
-    Raises
-    ------
-    DesignError
-        If something acts inside a servo with zeros or more than three poles.
+    Raises `DesignError` if something acts inside a servo with zeros or more than three poles.
 
     Examples
     --------
@@ -352,12 +349,8 @@ def swung(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
 class Motion:
     """Where a servo is, from one instant to the next, under commands that come in as time goes on.
 
-    Parameters
-    ----------
-    servo : AnyServo
-        The servo; with what is around it, which a monitor in flight replaces as it learns more.
-    start_deg : float
-        Where the surface was measured at the first instant [deg]; NaN: where its first command wants it.
+    `servo`: the servo; with what is around it, which a monitor in flight replaces as it learns more. `start_deg`: where
+    the surface was measured at the first instant [deg]; NaN: where its first command wants it.
 
     Examples
     --------

@@ -38,7 +38,6 @@ class ServoModel:
 
     Examples
     --------
-    >>> from servofd.servo.effects.linkage import RateLimit
     >>> from servofd.servo.library import servo_named
     >>> (ServoModel.of(servo_named("hs225bb-eq31")) + RateLimit(100.0)).physics.follow_up_deg_s
     100.0

@@ -115,20 +115,9 @@ def fly_airframe(
 ) -> AirframeFlight:
     """Fly once.
 
-    Parameters
-    ----------
-    mixer : str
-        One of `MIXERS`.
-    duration_s, rate_hz : float
-        Of the log; the rate divides 100 Hz.
-    turbulence : float
-        1 is moderate: gusts of 1.5 m/s.
-    manoeuvres : float
-        1 banks by up to 34 deg; 2.4 is aerobatic.
-    faults : tuple of AirframeFault
-        One for each surface at most.
-    day : int, optional
-        Load, trim and density are those of a day; of the seed if left out.
+    `mixer`: one of `MIXERS`. `duration_s`, `rate_hz`: of the log; the rate divides 100 Hz. `turbulence`: 1 is moderate:
+    gusts of 1.5 m/s. `manoeuvres`: 1 banks by up to 34 deg; 2.4 is aerobatic. `faults`: one for each surface at most.
+    `day`: load, trim and density are those of a day; of the seed if left out.
 
     Examples
     --------

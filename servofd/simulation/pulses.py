@@ -109,17 +109,10 @@ class Output:
 def outputs_of(aircraft: Aircraft) -> tuple[Output, ...]:
     """Connect the surfaces of an aircraft to the outputs of an autopilot.
 
-    Parameters
-    ----------
-    aircraft : Aircraft
-        A command in microseconds gives its output's trim, scale and direction, and its number if the channel has
-        one (``RCOU.C2``, ``SERVO_OUTPUT_RAW.servo2_raw``); any other only its direction.
-
-    Returns
-    -------
-    tuple of Output
-        In the order of the surfaces. The function follows from the surface's name (``aileron``, ``elevator``,
-        ``rudder``, ``flap``, ``elevon``, ``vtail``, ...); a name that says nothing gets one of the scripts'.
+    `aircraft`: a command in microseconds gives its output's trim, scale and direction, and its number if the channel
+    has one (``RCOU.C2``, ``SERVO_OUTPUT_RAW.servo2_raw``); any other only its direction. Result: in the order of the
+    surfaces. The function follows from the surface's name (``aileron``, ``elevator``, ``rudder``, ``flap``, ``elevon``,
+    ``vtail``, ...); a name that says nothing gets one of the scripts'.
 
     Examples
     --------

@@ -48,13 +48,9 @@ class Writer:
 def writer_for(path: str | Path, generation: str | None = None) -> Writer:
     """Choose the format by the suffix.
 
-    Parameters
-    ----------
-    path : str or Path
-        ``.csv`` (servofd's plain table), ``.mat`` (FASER log: level 4, big-endian, single precision), ``.bin``
-        (ArduPilot DataFlash), ``.tlog`` (MAVLink telemetry) or ``.ulg`` (PX4).
-    generation : str, optional
-        One of `servofd.simulation.dataflash_writer.GENERATIONS`, for ``.bin`` alone; the newest if None.
+    `path`: ``.csv`` (servofd's plain table), ``.mat`` (FASER log: level 4, big-endian, single precision), ``.bin``
+    (ArduPilot DataFlash), ``.tlog`` (MAVLink telemetry) or ``.ulg`` (PX4). `generation`: one of
+    `servofd.simulation.dataflash_writer.GENERATIONS`, for ``.bin`` alone; the newest if None.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
@@ -74,14 +70,8 @@ def write_flight(
 ) -> None:
     """Write a flight; the suffix chooses the format.
 
-    Parameters
-    ----------
-    path : str or Path
-        As in `writer_for`.
-    aircraft : Aircraft
-        Its calibration turns degrees into what a FASER log holds; its measured channels tell which servos report.
-    generation : str, optional
-        As in `writer_for`.
+    `path`: as in `writer_for`. `aircraft`: its calibration turns degrees into what a FASER log holds; its measured
+    channels tell which servos report. `generation`: as in `writer_for`.
     """
     writer = writer_for(path, generation)
     if flight.context.logged and not writer.context:

@@ -138,10 +138,7 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
 
     Where the surface did not follow its servo (`unfit` says why), only the residual is measured.
 
-    Raises
-    ------
-    NoMeasurement
-        If hardly anything of the flight can be judged.
+    Raises `NoMeasurement` if hardly anything of the flight can be judged.
     """
     surface = aircraft.surfaces[segment.surface]
     model = aircraft.model(segment.surface)

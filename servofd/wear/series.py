@@ -39,18 +39,9 @@ _SMALLEST = 1e-12
 class Line:
     """A line through the flights of one piece.
 
-    Parameters
-    ----------
-    centre : float
-        Flight number at which the line has its intercept.
-    level, slope : float
-        At the centre, and per flight.
-    covariance : ndarray, shape (2, 2)
-        Of level and slope.
-    scatter : float
-        Standard deviation from flight to flight, beyond what each flight's own interval explains.
-    freedom : int
-        Number of flights less two.
+    `centre`: flight number at which the line has its intercept. `level`, `slope`: at the centre, and per flight.
+    `covariance` (shape (2, 2)): of level and slope. `scatter`: standard deviation from flight to flight, beyond what
+    each flight's own interval explains. `freedom`: number of flights less two.
     """
 
     centre: float
@@ -318,14 +309,9 @@ HORIZON = 4.0
 class Forecast:
     """When, or why not.
 
-    Parameters
-    ----------
-    kind : {"reached", "crossing", "none"}
-        The limit is exceeded; it will be; nothing can be said, or nothing happens.
-    reason : str
-        In words.
-    flight, low, high : float, optional
-        Number of the flight at which the line crosses the limit, with its 95 % interval.
+    `kind` ({"reached", "crossing", "none"}): the limit is exceeded; it will be; nothing can be said, or nothing
+    happens. `reason`: in words. `flight`, `low`, `high`: number of the flight at which the line crosses the limit, with
+    its 95 % interval.
     """
 
     kind: Literal["reached", "crossing", "none"]

@@ -338,7 +338,6 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
 
     Examples
     --------
-    >>> from servofd.wear.trend import trend_logs
     >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
     >>> trend_document(seen)["surfaces"]["rudder"]["quantities"]["dead_band_deg"]["forecast"]["reason"]
     'too few flights for a trend'

@@ -35,16 +35,10 @@ def blueprint(
 ) -> Any:  # noqa: ANN401 - rerun is untyped
     """Tabs with linked time axes, side panels folded.
 
-    Parameters
-    ----------
-    last_s : float, optional
-        Follow what comes live, and show so much of it [s]; the whole flight if left out.
-    around_s : tuple of float, optional
-        Where the time axes begin and end on opening [s]; a double click shows the whole.
-    opened : int
-        Which of the tabs is open.
-    marked_s : tuple of float, optional
-        Begin and end of what is marked on the time line [s]. A layout cannot move the cursor: it stands at the start.
+    `last_s`: follow what comes live, and show so much of it [s]; the whole flight if left out. `around_s`: where the
+    time axes begin and end on opening [s]; a double click shows the whole. `opened`: which of the tabs is open.
+    `marked_s`: begin and end of what is marked on the time line [s]. A layout cannot move the cursor: it stands at the
+    start.
     """
     edge = rr.TimeRangeBoundary
     begin, end = edge.infinite(), edge.infinite()

@@ -29,10 +29,7 @@ _LONGEST_S = 3600.0
 class Trouble:
     """Something that goes wrong.
 
-    Parameters
-    ----------
-    start_s : float
-        When, counted from the beginning of the flight [s].
+    `start_s`: when, counted from the beginning of the flight [s].
     """
 
     start_s: float
@@ -121,10 +118,7 @@ TROUBLES: dict[str, type[Trouble]] = {
 class Air:
     """What is between a vehicle and whoever hears it.
 
-    Parameters
-    ----------
-    troubles : Iterable of Trouble
-        Those on board have no effect here.
+    `troubles`: those on board have no effect here.
 
     Examples
     --------

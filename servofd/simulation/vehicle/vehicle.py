@@ -46,20 +46,11 @@ _GROUPS: Final[Mapping[int, tuple[str, ...]]] = {
 class Settings:
     """How a vehicle speaks.
 
-    Parameters
-    ----------
-    system : int
-        Its number, from 1 to 255.
-    feedback : str
-        How it tells positions: one of `servofd.simulation.telemetry_writer.FEEDBACK`.
-    message_hz : float
-        Rate of SERVO_OUTPUT_RAW before anybody asks for another [Hz]; ArduPlane's is 1.
-    any_rate : bool
-        Grant rates up to that of the main loop, not just 0.8 of it.
-    speed : float
-        How much faster than real time it flies.
-    troubles : tuple of Trouble
-        What goes wrong on board: `servofd.simulation.vehicle.fly.legs` makes the flight that belongs to it.
+    `system`: its number, from 1 to 255. `feedback`: how it tells positions: one of
+    `servofd.simulation.telemetry_writer.FEEDBACK`. `message_hz`: rate of SERVO_OUTPUT_RAW before anybody asks for
+    another [Hz]; ArduPlane's is 1. `any_rate`: grant rates up to that of the main loop, not just 0.8 of it. `speed`:
+    how much faster than real time it flies. `troubles`: what goes wrong on board: `servofd.simulation.vehicle.fly.legs`
+    makes the flight that belongs to it.
     """
 
     system: int = 1
