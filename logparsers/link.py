@@ -41,18 +41,7 @@ class Link(Protocol):
 
 
 def open_link(endpoint: Endpoint) -> Link:
-    """Open an endpoint.
-
-    Examples
-    --------
-    >>> ground = open_link(Socket("udpin", "127.0.0.1", 14791))
-    >>> vehicle = open_link(Socket("udpout", "127.0.0.1", 14791))
-    >>> vehicle.send(b"here")
-    >>> ground.receive(5.0)
-    b'here'
-    >>> ground.close(), vehicle.close()
-    (None, None)
-    """
+    """Open an endpoint."""
     try:
         if isinstance(endpoint, Serial):
             return _SerialLink(endpoint)

@@ -69,13 +69,6 @@ def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes
     """Write a log: definitions first, then all rows in the order of time.
 
     `start_us`: time of the definitions [us]; None for that of the first row. Result: the content of a ``.bin`` file.
-
-    Examples
-    --------
-    >>> from logparsers.dataflash import DataFlashFile
-    >>> rcou = Message("RCOU", "QH", {"TimeUS": [10, 20], "C1": [1500, 1510]}, "sY", "F-")
-    >>> DataFlashFile.open(encode([rcou])).formats["RCOU"].fields["C1"].unit
-    'us'
     """
     head, _, times, records = _parts(messages, start_us)
     return head + interleave(times, records)

@@ -41,14 +41,6 @@ def encode(messages: Sequence[Message], *, source: tuple[int, int] = (1, 1)) -> 
     """Write a log of one sender: frames in the order of their arrival.
 
     Result: the content of a ``.tlog`` file.
-
-    Examples
-    --------
-    >>> from logparsers.telemetry import TelemetryFile
-    >>> said = Message("NAMED_VALUE_FLOAT", [2_000_000], {"time_boot_ms": [7], "name": ["POS"], "value": [1.5]})
-    >>> log = TelemetryFile.open(encode([said]))
-    >>> log.column("NAMED_VALUE_FLOAT", "value").tolist(), log.damage
-    ([1.5], ())
     """
     if not messages:
         return b""

@@ -56,15 +56,6 @@ def encode(
     `parameters`: settings of the autopilot; the type of the number decides that in the log (32 bits). `information`:
     what the log says about itself, for example ``ver_sw_release``. `texts`: what the autopilot said; those without
     severity are information. Result: the content of a ``.ulg`` file.
-
-    Examples
-    --------
-    >>> from logparsers.ulog import UlogFile
-    >>> stamps = np.array([10_000, 20_000], np.uint64)
-    >>> servos = Topic("actuator_servos", {"timestamp": stamps, "control": np.zeros((2, 8), np.float32)})
-    >>> log = UlogFile.open(encode([servos], parameters={"MAV_TYPE": 1}))
-    >>> log.vehicle, log.count("actuator_servos")
-    ('fixed wing', 2)
     """
     stamps = [topic.columns["timestamp"] for topic in topics]
     begin_us = min((int(t[0]) for t in stamps if t.size), default=0)

@@ -263,18 +263,7 @@ def moved(position_deg: FloatArray) -> FloatArray:
 
 
 def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
-    """Why each row does not count, shape (n,), and how many of them are decided; all of them if nothing more comes.
-
-    Examples
-    --------
-    >>> time_s = np.arange(0.0, 2.0, 0.02)
-    >>> position_deg = 10.0 * np.sin(3.0 * time_s)
-    >>> position_deg[[30, 31, 32]], position_deg[60] = position_deg[29], 40.0
-    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=np.int8)
-    >>> why, _ = marked(Rows(time_s, position_deg, 10.0 * np.sin(3.0 * time_s + 0.1), none, never))
-    >>> [(int(k), Why(why[k]).name) for k in np.flatnonzero(why)]
-    [(30, 'DUPLICATE'), (31, 'DUPLICATE'), (32, 'DUPLICATE'), (60, 'SPIKE')]
-    """
+    """Why each row does not count, shape (n,), and how many of them are decided; all of them if nothing more comes."""
     why = np.zeros(rows.time_s.size, dtype=np.int8)
     if why.size < 2:
         return why, why.size if final else 0

@@ -391,15 +391,6 @@ def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
 
     `log`: of an autopilot, or a plain table whose columns bear the names of the surfaces. `aircraft`: whose surfaces
     name their outputs, or channels from which these follow.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> from servofd.aircraft.schema import load_aircraft
-    >>> log = logparsers.read("sample_logs/ardupilot_volz_stuck.bin")
-    >>> rudder = resolved(log, load_aircraft("simulated")).surfaces["rudder"]
-    >>> rudder.command.channel, rudder.measured.channel
-    ('RCOU.C4', 'CSRV[3].Pos')
     """
     if all(_is_there(log, surface) for surface in aircraft.surfaces.values()):
         return aircraft
@@ -416,18 +407,6 @@ def streamed(aircraft: Aircraft, *, has_card: bool = False) -> Aircraft:
 
     A command that servos repeat in degrees becomes the pulse that asks for it; without that pulse it stays. Where the
     log on the card comes as well (`has_card`), its channels stay.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import Surface, load_aircraft
-    >>> angle = {"channel": "CSRV[3].PosCmd", "unit": "deg", "pulse": [1500.0, 0.2]}
-    >>> rudder = Surface.model_validate(
-    ...     {"servo": "s9254", "command": angle, "measured": {"channel": "CSRV[3].Pos", "unit": "deg"}}
-    ... )
-    >>> plane = load_aircraft("simulated").model_copy(update={"surfaces": {"rudder": rudder}})
-    >>> rudder = streamed(plane).surfaces["rudder"]
-    >>> rudder.command.channel, rudder.command.slope_deg_per_us, rudder.measured.channel
-    ('SERVO_OUTPUT_RAW.servo4_raw', 0.2, 'NAMED_VALUE_FLOAT[SRVP4].value')
     """
     surfaces = {name: _streamed(surface, has_card=has_card) for name, surface in aircraft.surfaces.items()}
     return aircraft.model_copy(update={"surfaces": surfaces})

@@ -360,17 +360,7 @@ def is_unsettled(
 
 
 def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, Marks]:
-    """When the telemetry of an aircraft stood still, by surface, for each row of its position channel that has a value.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> log = logparsers.read("sample_logs/table_three_faults.csv")
-    >>> stands = bus_of(log, plain_aircraft(["aileron", "elevator", "rudder"]))
-    >>> sorted(stands), sum(int(rows.sum()) for rows in stands.values())
-    (['aileron', 'elevator', 'rudder'], 0)
-    """
+    """When the telemetry of an aircraft stood still, by surface, for each value of its position channel."""
     reported = {}
     for name, surface in aircraft.surfaces.items():
         if surface.measured is None or surface.measured.channel not in log.channels:

@@ -46,20 +46,7 @@ class New(NamedTuple):
 
 
 class Bus:
-    """Tells of rows of several surfaces, as they come, whether the telemetry of all of them stands still.
-
-    Examples
-    --------
-    >>> bus = Bus(["left", "right"])
-    >>> found = []
-    >>> for k in range(100):
-    ...     at_s, moved_deg = np.array([0.02 * k]), np.array([9.0 * np.sin(0.06 * min(k, 60))])
-    ...     asked_deg = np.array([9.0 * np.sin(0.06 * k)])
-    ...     rows = bus.take({name: New(at_s, asked_deg, at_s, moved_deg) for name in ("left", "right")})
-    ...     found.append(bool(rows["left"][0]))
-    >>> found.index(True), all(found[66:]), bus.since_s
-    (65, True, 1.3)
-    """
+    """Tells of rows of several surfaces, as they come, whether the telemetry of all of them stands still."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._index = {name: k for k, name in enumerate(names)}
@@ -104,19 +91,7 @@ class Bus:
 
 @dataclass(slots=True)
 class Watch:
-    """What the marks leave of the positions of one surface, as they come.
-
-    Examples
-    --------
-    >>> watch, time_s = Watch(), 0.02 * np.arange(60)
-    >>> position_deg, asked_deg = 10.0 * np.sin(3.0 * time_s), 10.0 * np.sin(3.0 * time_s + 0.1)
-    >>> position_deg[[30, 31, 32]], position_deg[50] = position_deg[29], 40.0
-    >>> came = []
-    >>> for k in range(60):
-    ...     came += watch.take(time_s[k : k + 1], position_deg[k : k + 1], asked_deg[k : k + 1])
-    >>> sorted(set(range(60)) - {round(at_s / 0.02) for at_s, _ in came})
-    [30, 31, 32, 50]
-    """
+    """What the marks leave of the positions of one surface, as they come."""
 
     _rows: list[tuple[float, float, float, bool]] = field(default_factory=list)
     """Times [s], positions, commands [deg] and whether the bus stood still, of the last rows."""

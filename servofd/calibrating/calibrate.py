@@ -238,19 +238,6 @@ def calibrate_aircraft(
 
     `aircraft`: what is known so far; its servos may be rough drafts. `flights`: surfaces without any stay as they are.
     `force`: calibrate also where the loss of a third of travel and of two thirds of speed would not show.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.detection.flights import Flight
-    >>> from servofd.aircraft.series import Series
-    >>> from servofd.simulation.flight import simulate_flight
-    >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=30.0, seed=1, noise_deg=0.05)
-    >>> segment = Series("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
-    >>> rough = plain_aircraft(["rudder"], "s9256")
-    >>> calibrated = calibrate_aircraft(rough, {"rudder": [Flight("good.csv", segment)]})
-    >>> calibrated.surfaces[0].held_out_rms_deg < 0.1
-    True
     """
     kept = {name: "not asked for" for name in aircraft.surfaces if name not in flights}
     kept |= {name: "no measured deflection" for name, those in flights.items() if not those}

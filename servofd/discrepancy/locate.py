@@ -84,20 +84,6 @@ def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
     """Welch's estimates, on evenly spaced samples; None if the record is too short for an average.
 
     `error_deg` (shape (n,)): measured minus simulated position [deg].
-
-    Examples
-    --------
-    >>> from servofd.discrepancy.record import record_of
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.series import Series
-    >>> from servofd.servo.library import servo_named
-    >>> rng, t = np.random.default_rng(0), np.arange(0.0, 60.0, 0.01)
-    >>> asked = np.repeat(rng.standard_normal(1500), 4)
-    >>> error = 0.5 * np.sin(2.0 * np.pi * 3.0 * t)
-    >>> record = record_of(Series("x", t, asked, t, asked + error), ServoModel.of(servo_named("s9254")))
-    >>> low_hz, high_hz = excess_band_hz(spectrum(record, error), 0.0)
-    >>> 2.5 < low_hz <= high_hz < 3.5
-    True
     """
     from scipy.signal import coherence, welch
 

@@ -46,21 +46,7 @@ def health(monitor: SurfaceMonitor) -> float:
 
 
 class Alerts:
-    """Messages to send about one vehicle.
-
-    Examples
-    --------
-    >>> from servofd.live.alarms import Published
-    >>> alerts = Alerts(["elevator", "rudder"])
-    >>> alarm = Published(30.4, "elevator", "alarm", "unknown", -7.1, 1.5, severity=Severity.WARNING)
-    >>> alerts.take(alarm, 1000.0)
-    >>> [(name, fields["text"]) for name, fields in alerts.due(1000.0)]
-    [('STATUSTEXT', 'ELEVATOR ALARM, off by 7.1 deg')]
-    >>> alerts.take(Published(31.0, "elevator", "no_data", text="no position since 31.0 s"), 1000.5)
-    >>> alerts.take(Published(31.0, "rudder", "no_data", text="no position since 31.0 s"), 1000.5)
-    >>> [fields["text"] for _, fields in alerts.due(1001.6)]
-    ['ELEVATOR ALARM, off by 7.1 deg', 'ELEVATOR, RUDDER not watched: no position']
-    """
+    """Messages to send about one vehicle."""
 
     def __init__(self, surfaces: Iterable[str]) -> None:
         self._surfaces = list(surfaces)

@@ -30,21 +30,7 @@ _CALM_S = 5.0
 
 
 class Latency:
-    """Follows the delay of one vehicle's messages.
-
-    Examples
-    --------
-    A link that is 4 s later from 10 s on:
-
-    >>> latency, said = Latency(), []
-    >>> for k in range(300):
-    ...     made_s = 0.1 * k
-    ...     arrival_s = 1000.0 + made_s + (4.1 if made_s > 10.0 else 0.1)
-    ...     latency.take(arrival_s, made_s)
-    ...     said.append(latency.news(arrival_s))
-    >>> [text for text in said if text], round(latency.late_s, 1)
-    (['link 4 s late'], 4.0)
-    """
+    """Follows the delay of one vehicle's messages."""
 
     def __init__(self) -> None:
         self._lags_s = [math.inf, math.inf]
@@ -127,17 +113,7 @@ _WRAP_S = 2.0**32 * 1e-3
 
 
 class VehicleClock:
-    """Puts the messages of one vehicle on one time base.
-
-    Examples
-    --------
-    >>> from logparsers.codec import Received
-    >>> clock = VehicleClock()
-    >>> clock.time_s(Received("ATTITUDE", 1, 1, {"time_boot_ms": 4294950}), 100.0)
-    4294.95
-    >>> clock.time_s(Received("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": 32704}), 100.05)
-    4295.0
-    """
+    """Puts the messages of one vehicle on one time base."""
 
     def __init__(self) -> None:
         self.latency = Latency()

@@ -105,19 +105,6 @@ def failing_deflection(
     `faults`: what fails, and when; the intervals [start_s, end_s) do not overlap. `command_s`, `command_deg` (shape
     (n,)): when each command was given [s] and what it asked for [deg]; it holds until the next. `at_s` (shape (m,)):
     times [s], rising. Result (shape (m,)): deflection [deg], starting from rest at the first command.
-
-    Examples
-    --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> t = np.arange(0.0, 3.0, 0.5)
-    >>> model = ServoModel.of(servo_named("s9254"))
-    >>> failing_deflection(model, [Slow(0.2), Stuck(1.0, end_s=2.0)], t, 10.0 * t, t).round(2)
-    Traceback (most recent call last):
-        ...
-    servofd.core.errors.ConfigError: stuck at 1 s begins before slow at 0.2 s has ended: one fault at a time ...
-    >>> failing_deflection(model, [Slow(0.2, end_s=1.0), Stuck(1.0, end_s=2.0)], t, 10.0 * t, t).round(2)
-    array([ 0.,  0.,  5.,  5.,  5., 20.])
     """
     faults = in_order(faults)
     command_s, command_deg, at_s = (np.asarray(values, dtype=float) for values in (command_s, command_deg, at_s))

@@ -123,15 +123,6 @@ def machine_of(
     `effects` are those that may act, if not all of the catalogue: fewer are compiled apart, and move faster.
 
     Raises `DesignError` if something acts inside a servo with zeros or more than three poles.
-
-    Examples
-    --------
-    >>> from servofd.servo.library import servo_named
-    >>> machine = machine_of(servo_named("hs225bb-eq31").transfer, [Physics(), Physics(backlash_deg=1.0)])
-    >>> t = np.arange(0.0, 1.0, 0.1)
-    >>> read_deg, _ = machine.run(machine.new_state(), (t, 5.0 * t, 0.0 * t), t)
-    >>> round(float(read_deg[-1, 0] - read_deg[-1, 1]), 3)
-    0.5
     """
     return _machine(transfer, tuple(variants), finer, everything() if effects is None else effects)
 
@@ -301,18 +292,7 @@ def weaker(physics: Physics, share: float) -> Physics:
 def started_anew(
     servo: AnyServo, commands: Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
 ) -> FloatArray:
-    """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked.
-
-    Examples
-    --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> servo = ServoModel.of(servo_named("s9254")).servo()
-    >>> commands = np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)
-    >>> at_s, measured_deg = np.array([0.1, 0.5, 0.6]), np.array([0.0, 4.0, 2.0])
-    >>> started_anew(servo, commands, at_s, measured_deg, np.array([True, False, True])).round(3)
-    array([0., 5., 2.])
-    """
+    """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked."""
     if not at_s.size:
         return np.zeros(0)
     machine = machine_of(servo.transfer, (servo.physics,))
@@ -351,25 +331,6 @@ class Motion:
 
     `servo`: the servo; with what is around it, which a monitor in flight replaces as it learns more. `start_deg`: where
     the surface was measured at the first instant [deg]; NaN: where its first command wants it.
-
-    Examples
-    --------
-    A sample at a time, or all at once:
-
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.effects.linkage import Backlash
-    >>> from servofd.servo.library import servo_named
-    >>> servo = (ServoModel.of(servo_named("hs225bb-eq31")) + Backlash(1.0)).servo()
-    >>> t = np.arange(0.0, 1.0, 0.01)
-    >>> whole, pieces = Motion(servo, 0.0), Motion(servo, 0.0)
-    >>> whole.receive(t, 5.0 * t, 0.0 * t)
-    >>> at_once = whole.at(t)
-    >>> by_sample = []
-    >>> for k in range(t.size):
-    ...     pieces.receive(t[k : k + 1], 5.0 * t[k : k + 1], np.zeros(1))
-    ...     by_sample += pieces.at(t[k : k + 1]).tolist()
-    >>> bool(np.abs(at_once - by_sample).max() < 1e-12)
-    True
     """
 
     servo: AnyServo
