@@ -31,7 +31,7 @@ ONLY_IN = {
     "serial": {"logparsers/link.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/servo/transfer.py"},
-    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "forms", "guard")},
+    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard")},
     "uvicorn": {"servofd/serve/guard.py"},
 }
 
