@@ -101,13 +101,6 @@ class Codec:
     `system`, `component`: who speaks. `version` ({1, 2}): of the frames it sends, without the fields and messages that
     version 1 lacks; it reads both. `signature`: signs what it sends, and passes over what is not signed with that key,
     as `has_key` says.
-
-    Examples
-    --------
-    >>> plane, ground = Codec(1, 1), Codec(255, 190)
-    >>> messages = ground.decode(plane.encode("HEARTBEAT", {"type": 1, "autopilot": 3}))
-    >>> [(m.name, m.system, m.fields["type"]) for m in messages]
-    [('HEARTBEAT', 1, 1)]
     """
 
     def __init__(

@@ -106,14 +106,6 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
     """Compile; keep the machine code on disk where there is a place to keep it.
 
     `function`: of integers, tuples and arrays only.
-
-    Examples
-    --------
-    >>> @compiled
-    ... def twice(n):
-    ...     return 2 * n
-    >>> twice(21)
-    42
     """
     if numba is None:
         return function

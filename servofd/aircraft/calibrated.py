@@ -105,19 +105,7 @@ def symmetric(rows: tuple[tuple[float, ...], ...]) -> FloatArray:
 
 
 class CalibratedServo(BaseModel):
-    """A servo fitted to good flights, how far it may differ between them, and where each test alarms.
-
-    Examples
-    --------
-    >>> servo = CalibratedServo(
-    ...     parameters={prior.name: prior.value for prior in PRIORS},
-    ...     between=[[prior.between**2 * (i == k) for k in range(i + 1)] for i, prior in enumerate(PRIORS)],
-    ...     noise={"still_deg": 0.1, "lag_s": 0.003, "colour": (0.4, 0.2), "innovation": 0.8, "period_s": 0.02},
-    ...     reach_deg=(-20.0, 20.0),
-    ... )
-    >>> servo.theta.shape, servo.covariance.shape
-    ((13,), (13, 13))
-    """
+    """A servo fitted to good flights, how far it may differ between them, and where each test alarms."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -28,15 +28,7 @@ _WORDS = {
 
 
 def short_names(names: Iterable[str], room: int) -> dict[str, str]:
-    """Plain capitals for each name, of `room` characters at most; its number or side, at its end, is kept.
-
-    Examples
-    --------
-    >>> short_names(["servo_10", "aileron_left", "aileron_right"], 7)
-    {'servo_10': 'SERVO10', 'aileron_left': 'AIL_L', 'aileron_right': 'AIL_R'}
-    >>> short_names(["höhenruder", "hohenruder"], 10)
-    {'höhenruder': 'HOHENRUD~1', 'hohenruder': 'HOHENRUDER'}
-    """
+    """Plain capitals for each name, of `room` characters at most; its number or side, at its end, is kept."""
     names = list(names)
     plain = {name: _plain(name) for name in names}
     wanted = {name: _fitted(plain[name], room) for name in names}

@@ -266,15 +266,7 @@ def give_json(target: str | None, document: Mapping[str, Any]) -> bool:
 def check_targets(
     outputs: Iterable[str | None], inputs: Mapping[str, Iterable[str | None]], *, folder: str | None = None
 ) -> None:
-    """Refuse outputs that cannot be written, or would overwrite an input or each other.
-
-    Examples
-    --------
-    >>> check_targets(["-", None], {"a log": ["flight.csv"]})
-    >>> check_targets(["flight.csv"], {"a log": ["flight.csv"]})
-    Traceback (most recent call last):
-    servofd.core.errors.ConfigError: flight.csv: is a log already; choose another file for this output
-    """
+    """Refuse outputs that cannot be written, or would overwrite an input or each other."""
     taken = {Path(name).resolve(): what for what, names in inputs.items() for name in names if name}
     for name in outputs:
         if name is None or name == "-":

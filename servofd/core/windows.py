@@ -210,14 +210,6 @@ def fitted(
     how many sizes are asked for. `precision` (shape (q - 1, q - 1) or (q - 1, q - 1, n), optional): inverse covariance
     of differences and sizes before the window, times the variance of the noise; None: free. `columns`: which columns,
     in which order, and which of them more than once; None: all as they are.
-
-    Examples
-    --------
-    >>> e, x, a = np.array([2.0, 2.0, 2.0, 2.0]), np.ones(4), np.array([1.0, -1.0, 1.0, -1.0])
-    >>> sums = Sums.of(np.array([a, x, e]), np.ones(4, dtype=bool)).trailing(4)
-    >>> found = fitted(sums, 1, np.diag([1.0, 4.0]))  # as likely near zero as four readings make it otherwise
-    >>> float(found.sizes.value[0, -1]), float(found.explained[-1])
-    (1.0, 8.0)
     """
     rows = window.rows(range(window.width) if columns is None else columns)
     if precision is not None:

@@ -109,14 +109,6 @@ def unknown_deg(
 
     Commands are those that arrived, up to the first after the last of the times; `theta` (13,) is the servo,
     `memory` from `new_memory` and carried on. A gap longer than the longest [s] is no loss, but a hole.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.priors import PRIORS
-    >>> theta = np.array([prior.value for prior in PRIORS])
-    >>> asked = np.array([0.0, 0.02, 0.22, 0.24, 0.26]), np.array([0.0, 0.0, 9.0, 9.0, 9.0])
-    >>> unknown_deg(asked, Rhythm.of_link(0.02), theta, np.array([0.02, 0.22, 0.26]), new_memory()).round(1)
-    array([0. , 3.4, 2.8])
     """
     lag_s = 2.0 * np.exp(theta[_LN_DAMPING] - theta[_LN_BANDWIDTH])
     out = np.zeros(time_s.size)

@@ -97,13 +97,6 @@ def audit_fleet(logs: Sequence[LogSource], job: Job, *, workers: int | None = No
 
     `logs`: what to judge (`servofd.batch.find.find_logs`). `workers`: number of processes; one per core if None, 0:
     this one. Result: one per log: a log that cannot be read, or that its process dies of, says so in its result.
-
-    Examples
-    --------
-    >>> from servofd.batch.find import find_logs
-    >>> logs = find_logs(["sample_logs/faser_stuck_flight.mat"]).logs
-    >>> [one.runs[0].document["surfaces"]["elevator"]["status"] for one in audit_fleet(logs, Job(), workers=0)]
-    ['fault']
     """
     task = partial(judge_log, job=job)
     for source, outcome in run_local(task, logs, workers):

@@ -121,16 +121,7 @@ def severity_of(kind: str, fault: Fault | None, residual_deg: float, travel_deg:
 
 @dataclass(slots=True)
 class Alarms:
-    """Alarms of one vehicle.
-
-    Examples
-    --------
-    >>> alarms = Alarms(1)
-    >>> seen = [Event(3.0, "rudder", "alarm", "unknown", 9.0, 1.5), Event(3.1, "rudder", "alarm", "unknown", 9.0, 1.5)]
-    >>> seen += [Event(9.0, "rudder", "clear", "stuck"), Event(9.1, "rudder", "clear", "stuck")]
-    >>> [(event.event, event.id) for event in alarms.publish(seen)]
-    [('alarm', '1/rudder/1'), ('named', '1/rudder/1'), ('clear', '1/rudder/1')]
-    """
+    """Alarms of one vehicle."""
 
     vehicle: int
     """Its system id, with which the ids of its alarms begin."""

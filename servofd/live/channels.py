@@ -50,13 +50,6 @@ class ChannelTable:
 
     A channel without a source is the autopilot's, or that of the script on it; whoever else sends it is named in `news`
     once, and not obeyed. What is no number of a servo is dropped, and named once.
-
-    Examples
-    --------
-    >>> from logparsers.codec import Received
-    >>> table = ChannelTable(["NAMED_VALUE_FLOAT[SRVP2].value", "SERVO_OUTPUT_RAW.servo2_raw"])
-    >>> table.of(Received("NAMED_VALUE_FLOAT", 1, 1, {"name": "SRVP2", "value": 3.5}))
-    [('NAMED_VALUE_FLOAT[SRVP2].value', 3.5)]
     """
 
     def __init__(self, channels: Iterable[str]) -> None:

@@ -264,13 +264,6 @@ def bridged(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
     """Leave out missing samples between others that are near, so that a line goes on there; longer silence breaks it.
 
     Readings that a logger wrote twice are missing the second time: every other sample then stands alone.
-
-    Examples
-    --------
-    >>> time_s = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 2.0, 4.0])
-    >>> values = np.array([1.0, np.nan, 1.5, np.nan, 2.0, np.nan, 3.0])
-    >>> bridged(time_s, values)[1]
-    array([1. , 1.5, 2. , nan, 3. ])
     """
     known = np.flatnonzero(np.isfinite(values))
     if known.size < 2 or known.size == values.size:

@@ -51,18 +51,7 @@ def worst(surfaces: Sequence[SurfaceAudit | AxisAudit]) -> Status:
 
 
 def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
-    """What happened, and whether to fly.
-
-    Examples
-    --------
-    >>> from servofd.detection.verdict import SurfaceAudit
-    >>> rudder = SurfaceAudit("rudder", "healthy", "", "s9254", "constant", 1.5, True)
-    >>> flap = SurfaceAudit("flap", "no_data", "no position", "s9254", "constant", 1.5, True)
-    >>> sentence([rudder])
-    'Rudder followed its command.'
-    >>> sentence([rudder, flap])
-    'Rudder followed its command. No verdict on flap: no position.'
-    """
+    """What happened, and whether to fly."""
     faulty = [s for s in surfaces if s.status == "fault"]
     suspect = [s for s in surfaces if s.status == "suspect"]
     healthy = [s for s in surfaces if s.status == "healthy"]

@@ -127,18 +127,7 @@ _OPTIONAL = ("phase",)
 
 
 def effects_installed(physics: Physics, table: Mapping[str, Mapping[str, float | str]]) -> Physics:
-    """Servo with the effects of a table.
-
-    Examples
-    --------
-    >>> from servofd.servo.physics import Physics
-    >>> effects_installed(Physics(), {"backlash": {"width_deg": 0.8}}).backlash_deg
-    0.8
-    >>> effects_installed(Physics(), {"backlash": {"width": 0.8}})
-    Traceback (most recent call last):
-        ...
-    servofd.core.errors.UnknownName: effects.backlash: unknown parameter 'width'; did you mean width_deg? known: ...
-    """
+    """Servo with the effects of a table."""
     for name, given in table.items():
         effect = _effect(name, given)
         values = [_value(name, parameter, given) for parameter in effect.parameters]

@@ -311,16 +311,7 @@ def _around(servo: AnyServo, machine: Machine, at_s: FloatArray) -> FloatArray:
 
 
 def swung(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
-    """Deflection at some instants after the first command [deg], from rest at that.
-
-    Examples
-    --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> servo = ServoModel.of(servo_named("s9254")).servo()
-    >>> swung(servo, (np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)), np.array([0.1, 0.5])).round(3)
-    array([0., 5.])
-    """
+    """Deflection at some instants after the first command [deg], from rest at that."""
     from_first_s = np.concatenate([commands[0][:1], at_s])
     return started_anew(servo, commands, from_first_s, _NOWHERE, _NEVER)[1:]
 

@@ -50,16 +50,6 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
     """A flight between the restarts of its autopilot.
 
     `settings`: how it speaks; its troubles are counted from the beginning of the flight.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.simulation.flight import simulate_flight
-    >>> from servofd.simulation.pulses import outputs_of
-    >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")
-    >>> flown = simulate_flight(plane, duration_s=9.0, rate_hz=50.0, outputs=outputs_of(plane))
-    >>> [(leg.begun_s, leg.vehicle.time_us.size) for leg in legs(flown, plane, Settings(troubles=(Reboot(3.0, 2.0),)))]
-    [(0.0, 150), (5.0, 200)]
     """
     flight = troubled_flight(flight, aircraft, settings.troubles)
     first_s = float(flight.time_s[0])
