@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import importlib
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from pymavlink.dialects.v20 import all as version_2
 
@@ -20,9 +21,6 @@ from logparsers.protocol import (
     SIGNED,
     frame_bytes,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _SIGNING_EPOCH_S: Final = 1_420_070_400
 """1 January 2015 in seconds since 1970, from which signatures count time (MAVLink 2, message signing)."""

@@ -8,13 +8,11 @@ import os
 import select
 import socket
 import time
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from collections.abc import Sequence
+from typing import Any, Final, Protocol, Self
 
 from logparsers.endpoint import Endpoint, Serial, Socket
 from logparsers.errors import LinkError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _PIECE: Final = 65_536
 """Bytes that are read at once: the longest datagram."""

@@ -10,20 +10,17 @@ import importlib
 import inspect
 import pkgutil
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType, SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pymavlink.dialects.v20
+from numpy.typing import NDArray
 
 from logparsers.errors import LogError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
 
 DEFAULT_DIALECT = "all"
 """Knows every message of every dialect, except where two dialects use one number twice."""

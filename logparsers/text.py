@@ -10,24 +10,17 @@ import csv
 import io
 import re
 from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.channels import MOST_CHANNELS
 from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
-from logparsers.records import Damage, rows_text
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from logparsers.records import FloatArray
-
+from logparsers.records import Damage, FloatArray, rows_text
 
 CONTROL = bytes(c for c in range(32) if c not in b"\t\n\f\r") + b"\x7f"
 """Control characters, which no text has, apart from tabulator and ends of lines."""

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from logparsers.dataflash.formats import FMT, HEADER_SIZE, Layout, define, stored_size
 from logparsers.interleave import interleave, places
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
 
 FIRST_FREE_TYPE: Final = 129
 """First type number that is given to messages; 128 is that of FMT."""

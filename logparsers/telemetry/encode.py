@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from logparsers.compiled import compiled
 from logparsers.interleave import places
@@ -13,12 +15,7 @@ from logparsers.mavlink import DEFAULT_DIALECT, Layout, dialect
 from logparsers.protocol import CHECK_BYTES, HEADER_2, MARKER_2
 from logparsers.telemetry.frames import STAMP_BYTES, check_sum
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    Bytes = NDArray[np.uint8]
+Bytes = NDArray[np.uint8]
 
 _AROUND = STAMP_BYTES + HEADER_2 + CHECK_BYTES
 """Bytes around a message's fields: arrival time, header, check-sum."""

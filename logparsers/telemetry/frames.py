@@ -6,18 +6,16 @@ The position of a frame is that of its first byte, the marker; its arrival time 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.compiled import compiled
 from logparsers.protocol import CHECK_BYTES, HEADER_1, HEADER_2, MARKER_1, MARKER_2, SIGNATURE_BYTES, SIGNED
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Bytes = NDArray[np.uint8]
-    Slots = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+Slots = NDArray[np.int32]
 
 STAMP_BYTES = 8
 """Bytes of the arrival time before each frame."""

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from logparsers.interleave import interleave
+from logparsers.records import Text
 from logparsers.units import US_PER_S
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from logparsers.records import Text
 
 _MAGIC: Final = b"ULog\x01\x12\x35\x01"
 _TYPES: Final[Mapping[str, str]] = {

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
+from datetime import datetime
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.channels import Series
 from logparsers.clock import utc_date
@@ -16,21 +19,12 @@ from logparsers.errors import EmptyLog, MissingChannel
 from logparsers.mavlink import enum_name, version_text
 from logparsers.only import Only
 from logparsers.records import Damage, Setting, Text, settings_changed
-from logparsers.source import mapped
+from logparsers.source import LogBytes, mapped
 from logparsers.texts import distinct_texts, split_rows
-from logparsers.ulog.messages import read_content
+from logparsers.ulog.messages import Samples, read_content
 from logparsers.units import S_PER_MS, S_PER_US
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from datetime import datetime
-
-    from numpy.typing import NDArray
-
-    from logparsers.source import LogBytes
-    from logparsers.ulog.messages import Samples
-
-    FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 
 _CLOCK_TOPICS = ("vehicle_gps_position", "sensor_gps", "vehicle_global_position")
 """Small topics that know the date; always read, shown only if they are asked for."""

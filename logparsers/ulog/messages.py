@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.compiled import compiled
 from logparsers.errors import UnreadableLog
 
-if TYPE_CHECKING:
-    from collections.abc import Container
-
-    from numpy.typing import NDArray
-
-    Bytes = NDArray[np.uint8]
-    Numbers = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Numbers = NDArray[np.int64]
 
 _MAGIC: Final = b"ULog\x01\x12\x35"
 _HEADER, _HEAD, _FLAGS = 16, 3, 40

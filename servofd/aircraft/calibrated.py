@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -12,9 +13,6 @@ from servofd.aircraft.calibration import Entry
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]

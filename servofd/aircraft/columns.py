@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 from pydantic import ValidationError
 
 from servofd.aircraft.schema import Aircraft, Surface, Table
 from servofd.core.errors import ConfigError, suggest
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _TIME = re.compile(r"time_(s|ms|us|ns)")
 _PART = re.compile(r"(?P<surface>.+)_(?P<what>cmd|pos)_(?P<unit>deg|rad|us)")

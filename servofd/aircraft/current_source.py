@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
+from logparsers.records import FlightLog
 from servofd.aircraft.current import AMPERES, CurrentSource
 from servofd.aircraft.marks import refresh_of
 from servofd.aircraft.outputs import counts_from_1, output_of
+from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import SURROUNDINGS, signal_of
 from servofd.core.errors import NoMeasurement
-
-if TYPE_CHECKING:
-    from logparsers.records import FlightLog
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import BoolArray, FloatArray
+from servofd.core.types import BoolArray, FloatArray
 
 _VOLTS: Final = {"mV": 1e-3, "cV": 1e-2}
 """Volts for each unit in which MAVLink reports batteries and rails."""

@@ -9,20 +9,16 @@ that shows only later that it stands: what came before is judged in flight, and 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servofd.core.series import latest
+from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
 from servofd.servo.loops import compiled, inner
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
 
 
 class Why(IntEnum):

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, PulseCalibration, RadianCalibration
+from logparsers.records import Channel, FlightLog
+from servofd.aircraft.calibration import (
+    Calibration,
+    DegreeCalibration,
+    NormCalibration,
+    PulseCalibration,
+    RadianCalibration,
+)
 from servofd.aircraft.current import CurrentSource
-from servofd.aircraft.schema import plain_channels
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from logparsers.records import Channel, FlightLog
-    from servofd.aircraft.calibration import Calibration
-    from servofd.aircraft.schema import Aircraft, Surface
-
+from servofd.aircraft.schema import Aircraft, Surface, plain_channels
 
 _COMMANDS_OF_OUTPUT = re.compile(r"(?:.*:)?(?:RCOU\.C|RCO2\.C|RCO3\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
 COMMANDS_OF_SERVO = re.compile(r"CSRV\[(\d+)\]\.PosCmd")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
+from servofd.core.types import FloatArray
 
 OUTAGE_S = 1.0
 """Longer steps are pauses of a link."""

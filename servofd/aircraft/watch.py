@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,11 +23,7 @@ from servofd.aircraft.marks import (
     standing,
 )
 from servofd.core.series import latest
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
+from servofd.core.types import BoolArray, FloatArray
 
 STANDS_STILL_S: Final = 1.0
 """A bus that stands still for so long is reported [s]: where any surface is, is not known then."""

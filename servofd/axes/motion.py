@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
-from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
+from logparsers.records import Channel, FlightLog
+from servofd.aircraft.outputs import WITHOUT_SURFACES, LoggedOutput, named_outputs, outputs_of, pulse_channel
 from servofd.core.errors import NoMeasurement
+from servofd.core.types import BoolArray, FloatArray
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from logparsers.records import Channel, FlightLog
-    from servofd.aircraft.outputs import LoggedOutput
-    from servofd.core.types import BoolArray, FloatArray
-
-    Asked = tuple[dict[str, FloatArray], FloatArray, BoolArray]
-    """Commands of the axes [us], throttle, and where motors lift the aircraft, on a grid of time."""
+Asked = tuple[dict[str, FloatArray], FloatArray, BoolArray]
+"""Commands of the axes [us], throttle, and where motors lift the aircraft, on a grid of time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
-from servofd.axes.motion import motion_of_autopilot, motion_of_table
+from logparsers.records import FlightLog
+from servofd.axes.motion import Motion, motion_of_autopilot, motion_of_table
 from servofd.axes.px4 import motion_of_px4
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from logparsers.records import FlightLog
-    from servofd.axes.motion import Motion
 
 
 def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None) -> Motion:

@@ -19,15 +19,13 @@ the square of the score test of `servofd.detection.changes`, which a compiled lo
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from servofd.core.types import BoolArray, FloatArray, IntArray
+from servofd.core.types import BoolArray, FloatArray, IntArray
 
 _ALIKE = 1e-9
 """Share of a column's square that the columns before it must leave of it: less is rounding, and tells nothing."""

@@ -11,25 +11,20 @@ the same lag, driven by the standard deviation, bounds that of the position.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from servofd.aircraft.pace import NO_RHYTHM, Rhythm, gap_s, rhythm
 from servofd.aircraft.priors import NAMES
-from servofd.aircraft.series import settled_from_s
+from servofd.aircraft.series import Series, settled_from_s
 from servofd.core.series import latest, subdivided
+from servofd.core.types import BoolArray, FloatArray
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
-from servofd.servo.context import AIR_KG_M3
+from servofd.servo.context import AIR_KG_M3, Context
 from servofd.servo.loops import compiled
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.aircraft.series import Series
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.servo.context import Context
 
 LONGEST_S: Final = 0.25
 """Between two commands; in more a servo goes a long way and comes back, and nothing shows it."""

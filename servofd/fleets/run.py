@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from servofd.batch.find import fetched
+from servofd.batch.find import LogSource, fetched
 from servofd.batch.key import Job, content_key
 from servofd.batch.local import run_local
 from servofd.core.errors import ConfigError
+from servofd.detection.verdict import LogAudit
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.page import FLEET_PAGE, html_page
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from servofd.batch.find import LogSource
-    from servofd.detection.verdict import LogAudit
 
 
 class RunVerdict(NamedTuple):

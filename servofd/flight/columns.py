@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.records import FlightLog
 from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
-from servofd.axes.motion import FLIES_M_S, SHARES, Series, airspeed_of, series_of
+from servofd.axes.motion import FLIES_M_S, SHARES, Motion, Series, airspeed_of, series_of
 from servofd.axes.px4 import controls_of
 from servofd.axes.read import motion_of
 from servofd.core.errors import NoMeasurement
+from servofd.core.types import BoolArray, FloatArray
 from servofd.flight.change import airborne
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from logparsers.records import FlightLog
-    from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.series import stretches
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, ComplexArray, FloatArray
+from servofd.core.types import BoolArray, ComplexArray, FloatArray
 
 LAGS_S = 4.0
 """Reach of the lag window: 400 lags at 100 Hz. With 100 (thesis Appendix A) poles come out four times as wrong,

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from servofd.estimate.family import EFFECTS
 from servofd.servo.generate import is_compiling, is_kept, mark_kept, path_of, wait_for
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _ONCE = "preparing, once: compiling the servo's simulation (some six seconds)"
 _KEEP = "from servofd.jobs.prepare import keep_{0}; keep_{0}()"

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servofd.core.errors import ConfigError
-from servofd.onboard.plan import LONGEST_NAME
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.onboard.plan import OnboardPlan, OnboardSurface, Setting
+from servofd.onboard.plan import LONGEST_NAME, OnboardPlan, OnboardSurface, Setting
 
 _STREAM_HZ = 25.0
 """Rate at which the script sends positions [Hz]."""

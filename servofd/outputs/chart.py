@@ -9,19 +9,15 @@ done above, the residual below.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from servofd.detection.verdict import WITHIN_SIGMAS, gravest
+from servofd.core.types import FloatArray, IntArray
+from servofd.detection.verdict import WITHIN_SIGMAS, Fault, SurfaceAudit, gravest
 from servofd.outputs.sentence import clock, spoken
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import FloatArray, IntArray
-    from servofd.detection.verdict import Fault, SurfaceAudit
 
 WIDTH, HEIGHT = 2000, 500
 """Units of the drawing: two to a column of pixels of a wide screen, two to a row of a tall panel."""

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from servofd.core.types import FloatArray
+from servofd.detection.verdict import SurfaceAudit
 from servofd.outputs.chart import Chart, Curve, Panel, extremes
-from servofd.outputs.document import Cell, Document, Figures, Table
+from servofd.outputs.document import Cell, Document, Figures, Part, Table
 from servofd.outputs.sentence import STATUSES, spoken
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.core.types import FloatArray
-    from servofd.detection.verdict import SurfaceAudit
-    from servofd.outputs.document import Part
 
 _RANKS = (*STATUSES, "")
 _LEAST_DEG = 0.1

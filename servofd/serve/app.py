@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qsl, quote
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import ImmutableMultiDict
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
+from starlette.types import ASGIApp
 
 from servofd.aircraft.columns import TIME_UNITS, UNITS
 from servofd.core.errors import ConfigError
@@ -26,21 +29,12 @@ from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
+from servofd.serve.flights import RESULTS, SHIPPED, Choice, Flight, Flights, TooLarge, Upload
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, curves_in, text_in
 from servofd.serve.preview import preview
+from servofd.serve.tasks import Verb
 from servofd.serve.viewer import FILES, viewer_files
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from starlette.requests import Request
-    from starlette.types import ASGIApp
-
-    from servofd.serve.flights import Flight, Flights, Upload
-    from servofd.serve.tasks import Verb
 
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
 _OF_SUMMARY = frozenset(

@@ -17,25 +17,22 @@ import sys
 import tempfile
 import textwrap
 import threading
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect, Now, Slot
 from servofd.servo.registry import fields_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from servofd.core.types import FloatArray
 
 STEPPED = (Slot.COMMAND, Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED, Slot.STOP, Slot.OUTPUT, Slot.READING)
 """Slots whose effects are compiled, in their order."""

@@ -17,14 +17,12 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from servofd.core.types import FloatArray
 from servofd.servo.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
 
 BEFORE, INSIDE, AFTER = -1.0, 0.0, 1.0
 """Places of a servo's slow pole: a filter of the command, a part of the position loop, a filter of what it moves."""

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers import compiled as compiler
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from servofd.core.types import FloatArray
+from servofd.core.types import FloatArray
 
 Kind = TypeVar("Kind", np.float64, np.int8, np.bool_)
 

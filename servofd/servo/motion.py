@@ -7,13 +7,14 @@ the same compiled stepper (`servofd.servo.stepper`): a run in pieces is the run 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.errors import DesignError
+from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.commands import Commands
@@ -21,12 +22,7 @@ from servofd.servo.generate import INSIDE_LOOP, STEPPED, Act, Stepper, stepper_o
 from servofd.servo.loop import Loop, loop_of
 from servofd.servo.physics import Physics, rate_fields
 from servofd.servo.registry import everything
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.servo.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 _FASTEST_TIMES_STEP = 0.6
 """Of the loop's natural frequency: longest step while something acts on it (as exact as `Effect.longest_s`)."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -19,13 +19,11 @@ from logparsers.compiled import compiled
 from logparsers.dataflash.encode import encode
 from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.core.types import FloatArray
 from servofd.servo.context import AIR_KG_M3
 from servofd.simulation.ardupilot import banner
 from servofd.simulation.dataflash_writer import pulses, rows, words
 from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
-
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
 
 _STEP_S: Final = 0.01
 """Step of the integration [s]."""

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from servofd.aircraft.calibration import PulseCalibration
+from servofd.aircraft.calibration import Calibration, PulseCalibration
 from servofd.aircraft.outputs import FULL_TRAVEL_DEG, SURFACE_FUNCTIONS
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from servofd.aircraft.calibration import Calibration
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray, IntArray
+from servofd.core.types import FloatArray, IntArray
 
 MOST_OUTPUTS: Final = 14
 """Outputs of one RCOU message."""

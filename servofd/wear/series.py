@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA, Estimate
-from servofd.wear.estimate import QUANTITIES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from datetime import date
-
-    from servofd.core.types import FloatArray
-    from servofd.wear.estimate import FlightEstimate
+from servofd.core.types import FloatArray
+from servofd.wear.estimate import QUANTITIES, FlightEstimate
 
 CHANCE = 1e-6
 """Of a change where there is none: six surfaces with nine numbers, in a hundred fleets, are 5400 chances for one."""
