@@ -21,25 +21,12 @@ import pymavlink.dialects.v20
 from numpy.typing import NDArray
 
 from logparsers.errors import LogError
+from logparsers.units import C_NUMBERS
 
 DEFAULT_DIALECT = "all"
 """Knows every message of every dialect, except where two dialects use one number twice."""
 
-_DTYPES = {
-    "char": "u1",
-    "uint8_t": "u1",
-    "int8_t": "i1",
-    "uint16_t": "<u2",
-    "int16_t": "<i2",
-    "uint32_t": "<u4",
-    "int32_t": "<i4",
-    "uint64_t": "<u8",
-    "int64_t": "<i8",
-    "float": "<f4",
-    "double": "<f8",
-    "uint8_t_mavlink_version": "u1",
-}
-
+_DTYPES = {**C_NUMBERS, "char": "u1", "uint8_t_mavlink_version": "u1"}
 _CLOCK_FIELDS = {
     "time_boot_ms": 1e-3,
     "time_usec": 1e-6,

@@ -12,13 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from logparsers.interleave import interleave
 from logparsers.records import Text
-from logparsers.units import US_PER_S
+from logparsers.units import C_NUMBERS, US_PER_S
 
 _MAGIC: Final = b"ULog\x01\x12\x35\x01"
-_TYPES: Final[Mapping[str, str]] = {
-    "u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "u8": "uint64_t", "i1": "int8_t", "i2": "int16_t",
-    "i4": "int32_t", "i8": "int64_t", "f4": "float", "f8": "double",
-}  # fmt: skip
+_TYPES: Final = {kind.strip("<"): name for name, kind in C_NUMBERS.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,21 +33,9 @@ _NAME_FIELDS = {"debug_key_value": "key", "debug_vect": "name", "debug_array": "
 """Topics that several senders share, and the text that tells them apart."""
 
 _UNITS = {
-    "_m_s2": "m/s/s",
-    "_m_s": "m/s",
-    "_rad_s": "rad/s",
-    "_celsius": "degC",
-    "_celcius": "degC",
-    "_rad": "rad",
-    "_deg": "deg",
-    "_rpm": "rpm",
-    "_pa": "Pa",
-    "_hz": "Hz",
-    "_us": "us",
-    "_ms": "ms",
-    "_v": "V",
-    "_a": "A",
-}
+    "_m_s2": "m/s/s", "_m_s": "m/s", "_rad_s": "rad/s", "_celsius": "degC", "_celcius": "degC", "_rad": "rad",
+    "_deg": "deg", "_rpm": "rpm", "_pa": "Pa", "_hz": "Hz", "_us": "us", "_ms": "ms", "_v": "V", "_a": "A",
+}  # fmt: skip
 """Endings by which PX4 names units, longer ones first; the log itself has none."""
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from logparsers.compiled import compiled
 from logparsers.errors import UnreadableLog
+from logparsers.units import C_NUMBERS
 
 Bytes = NDArray[np.uint8]
 Numbers = NDArray[np.int64]
@@ -28,10 +29,7 @@ _HEADER, _HEAD, _FLAGS = 16, 3, 40
 _KNOWN: Final = np.zeros(256, dtype=np.bool_)
 _KNOWN[list(b"ABCDFILMOPQRS")] = True
 _ADD, _DATA = ord("A"), ord("D")
-_TYPES: Final = {
-    "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
-    "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "i1", "char": "i1",
-}  # fmt: skip
+_TYPES: Final = {**C_NUMBERS, "bool": "i1", "char": "i1"}
 _FIELD: Final = re.compile(r"([^ \[]+)(?:\[(\d+)\])? ([^ ]+).*")
 _MOST_FORMATS, _MOST_FIELDS, _MOST_OF_TOPIC, _DEEPEST = 10_000, 200_000, 65_535, 16
 """Message formats, fields of all topics, fields of one, and messages within messages: forged logs have more."""

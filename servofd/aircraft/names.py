@@ -8,20 +8,10 @@ from collections.abc import Iterable
 from itertools import count
 
 _WORDS = {
-    "AILERON": "AIL",
-    "ELEVATOR": "ELEV",
-    "RUDDER": "RUD",
-    "ELEVON": "EVON",
-    "RUDDERVATOR": "RVTR",
-    "FLAPERON": "FLPR",
-    "SPOILER": "SPOIL",
-    "THROTTLE": "THR",
-    "SURFACE": "SURF",
-    "INNER": "IN",
-    "OUTER": "OUT",
-    "LEFT": "L",
-    "RIGHT": "R",
-}
+    "AILERON": "AIL", "ELEVATOR": "ELEV", "RUDDER": "RUD", "ELEVON": "EVON", "RUDDERVATOR": "RVTR",
+    "FLAPERON": "FLPR", "SPOILER": "SPOIL", "THROTTLE": "THR", "SURFACE": "SURF", "INNER": "IN", "OUTER": "OUT",
+    "LEFT": "L", "RIGHT": "R",
+}  # fmt: skip
 
 
 def short_names(names: Iterable[str], room: int) -> dict[str, str]:

@@ -66,30 +66,12 @@ WITHOUT_SURFACES = {
 """What the outputs of vehicles do that have no control surfaces."""
 
 SURFACE_FUNCTIONS = {
-    2: "flap",
-    3: "flap",
-    4: "aileron",
-    16: "spoiler_left",
-    17: "spoiler_right",
-    19: "elevator",
-    21: "rudder",
-    24: "flaperon_left",
-    25: "flaperon_right",
-    26: "ground_steering",
-    41: "tilt",
-    45: "tilt_rear_left",
-    46: "tilt_rear_right",
-    47: "tilt_rear",
-    75: "tilt_left",
-    76: "tilt_right",
-    77: "elevon_left",
-    78: "elevon_right",
-    79: "vtail_left",
-    80: "vtail_right",
-    86: "spoiler_left_2",
-    87: "spoiler_right_2",
+    2: "flap", 3: "flap", 4: "aileron", 16: "spoiler_left", 17: "spoiler_right", 19: "elevator", 21: "rudder",
+    24: "flaperon_left", 25: "flaperon_right", 26: "ground_steering", 41: "tilt", 45: "tilt_rear_left",
+    46: "tilt_rear_right", 47: "tilt_rear", 75: "tilt_left", 76: "tilt_right", 77: "elevon_left",
+    78: "elevon_right", 79: "vtail_left", 80: "vtail_right", 86: "spoiler_left_2", 87: "spoiler_right_2",
     110: "airbrake",
-}
+}  # fmt: skip
 """ArduPilot's SERVOn_FUNCTION numbers of outputs that turn something."""
 _OF_PX4 = (
     "aileron_left aileron_right elevator rudder elevon_left elevon_right vtail_left vtail_right flap_left flap_right "
