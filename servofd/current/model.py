@@ -14,9 +14,10 @@ since the one before: both are found by which fits best.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -25,14 +26,10 @@ from servofd.aircraft.current import NAMES, CalibratedCurrent, CurrentNoise
 from servofd.core.errors import CalibrationError
 from servofd.core.series import latest
 from servofd.core.statistics import MAD_TO_SIGMA
+from servofd.core.types import BoolArray, FloatArray
 from servofd.estimate.record import load_at, loads, usual_airspeed_m_s, usual_supply_v
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.servo.context import Context
-    from servofd.servo.servo_model import ServoModel
+from servofd.servo.context import Context
+from servofd.servo.servo_model import ServoModel
 
 _GRID_S: Final = 0.02
 """Steps of the motion: a fifth of the lag of the fastest hobby servo."""

@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import DesignError, IdentificationError
-from servofd.core.fitting import Noise, Problem, fit
+from servofd.core.fitting import Noise, Problem, Solution, fit
 from servofd.core.statistics import LEAST_DIVISOR, Estimate, correlation_factor
+from servofd.core.types import ComplexArray, FloatArray
+from servofd.identification.records import Run
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from servofd.core.fitting import Solution
-    from servofd.core.types import ComplexArray, FloatArray
-    from servofd.identification.records import Run
 
 HIGHEST_ORDER = 3
 """Of thesis Fig. 3.10."""

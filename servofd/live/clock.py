@@ -9,13 +9,10 @@ the link still brings, is not taken for the new one's.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from logparsers.codec import Received
 from logparsers.protocol import Component
 from servofd.live.channels import stamp_of
-
-if TYPE_CHECKING:
-    from logparsers.codec import Received
 
 _DRIFT = 1e-4
 """Most by which two clocks drift apart [s/s]; crystals have some 20 ppm, and 50 in the cold."""

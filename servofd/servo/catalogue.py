@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect, Parameter
 from servofd.servo.effects.own import Poles, PolesAfter, PolesBefore
+from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue, everything
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import FloatArray
-    from servofd.servo.physics import Physics
 
 
 def installed(physics: Physics, effects: Sequence[type[Effect]], values: Sequence[float]) -> Physics:

@@ -5,21 +5,18 @@ Time axes are linked, legends stand top left, side panels are folded.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from servofd.axes.model import FORMS
+from servofd.axes.verdict import AxisAudit, AxisEvent
+from servofd.detection.verdict import Fault
+from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.stream import TIME_BOOT, shown, surface_place
 from servofd.outputs.recording.surface import axis_place, deflection_range, residual_range
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.axes.verdict import AxisAudit, AxisEvent
-    from servofd.detection.verdict import Fault
-    from servofd.outputs.recording.content import Recording
 
 _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 """Where Rerun 0.41 keeps the range that linked time axes share (its ``GLOBAL_VIEW_ID``); not documented, hence the
