@@ -5,7 +5,9 @@ from __future__ import annotations
 import datetime
 import itertools
 import os
+from collections.abc import Iterable, Mapping
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -26,9 +28,6 @@ from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel, plant_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from importlib.resources.abc import Traversable
-
     from pydantic_core import ErrorDetails
 
 

@@ -7,6 +7,7 @@ looks for it again.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from logparsers.errors import MissingChannel
 from logparsers.mavlink import dialect
-from logparsers.records import own
+from logparsers.records import Channel, FlightLog, own
 from servofd.aircraft.marks import (
     LAST_WITH_VALUE,
     NO_OTHERS,
@@ -30,15 +31,12 @@ from servofd.aircraft.marks import (
 from servofd.aircraft.pace import OUTAGE_S, WARM_UP_STEPS, link_period_s, pace_steps
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import latest, stretches
+from servofd.core.types import BoolArray, FloatArray, Marks
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from logparsers.records import Channel, FlightLog
     from servofd.aircraft.calibration import Calibration
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.core.types import BoolArray, FloatArray, Marks
 
 FINEST_S: Final = 0.01
 """Time between measurements below which more of them tell nothing new of a servo, whose lag is longer [s]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -26,13 +27,11 @@ from servofd.axes.model import (
 from servofd.axes.windows import LAG, SIZES, Windows, part, sliding
 from servofd.core.errors import CalibrationError
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sizes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray
 
 _WINDOWS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 """Lengths of windows that are tried [s]."""

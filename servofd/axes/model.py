@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sums
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, Regime
     from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray
 
 
 _DAMPING = 0.8

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from servofd.aircraft.schema import UNKNOWN_SERVO, explained_in
+from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, explained_in
 from servofd.batch.find import is_address
 from servofd.core.files import distinct_file_names
 from servofd.servo.library import find_servo, levels_in
 from servofd.version import __version__
 
 if TYPE_CHECKING:
-    from servofd.aircraft.schema import Aircraft
     from servofd.detection.residual import ThresholdKind
 
 _DIGEST_BYTES = 16

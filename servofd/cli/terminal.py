@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
-from servofd.outputs.document import Bullets, Items, Section, Table, Words
+from servofd.outputs.document import Bullets, Document, Items, Part, Section, Table, Words
 from servofd.outputs.plain import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from rich.console import Console, RenderableType
 
-    from servofd.outputs.document import Document, Part
 
 _WIDEST = 100
 """Columns of a terminal that a table of sentences uses: longer lines are hard to read."""

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.core.series import stretches
+from servofd.core.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.record import Record
 
 _BINS, _FEWEST_PER_BIN = 14, 12

@@ -5,21 +5,20 @@ The search fits it as a line over what was logged beside the runs. Here it is re
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.series import rms
+from servofd.core.types import FloatArray
 from servofd.discrepancy.record import simulate
 from servofd.servo.catalogue import ALIKE, is_law
+from servofd.servo.effect import Effect
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.core.types import FloatArray
     from servofd.discrepancy.select import Selection
-    from servofd.servo.effect import Effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,23 +11,21 @@ import re
 import sys
 import time
 import uuid
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
-from servofd.batch.find import META_FILE
+from servofd.batch.find import META_FILE, LogSource
 from servofd.batch.key import content_key
 from servofd.core.errors import ConfigError
 from servofd.core.files import whole_file, write_whole
 from servofd.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import pyarrow as pa
 
-    from servofd.batch.find import LogSource
     from servofd.fleets.run import JudgedLog
 
 

@@ -11,10 +11,10 @@ from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.core.series import latest
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.core.types import FloatArray
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
-    from servofd.core.types import FloatArray
 
 _FAR_AWAY_S = 60.0
 """The servo rests for so long before a run that nothing is left of how it came there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,6 @@ from servofd.detection.probability import Noise, crossings
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from servofd.aircraft.schema import Aircraft
     from servofd.detection.verdict import LogAudit, SurfaceAudit
 

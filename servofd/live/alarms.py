@@ -8,6 +8,7 @@ has ended does not return.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Final
 
@@ -16,8 +17,6 @@ from servofd.detection.event import Event, EventKind
 from servofd.detection.kinds import KINDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from servofd.aircraft.schema import Surface
     from servofd.detection.verdict import Fault
 

@@ -9,18 +9,16 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
 from servofd.aircraft.names import short_names
 from servofd.detection.kinds import KINDS, filled
-from servofd.live.alarms import over
+from servofd.live.alarms import Published, over
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from servofd.detection.monitor import SurfaceMonitor
-    from servofd.live.alarms import Published
 
 _NAME_LONGEST: Final = 10
 """Characters of the name of a NAMED_VALUE_FLOAT (MAVLink)."""

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from servofd.core.evidence import Detectable
 from servofd.detection.kinds import KINDS, filled
-from servofd.detection.verdict import by_gravity, check, gravest, next_step
+from servofd.detection.verdict import (
+    CommonCause,
+    Fault,
+    LogAudit,
+    Status,
+    SurfaceAudit,
+    by_gravity,
+    check,
+    gravest,
+    next_step,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from servofd.axes.verdict import AxisAudit
-    from servofd.core.evidence import Detectable
-    from servofd.detection.verdict import CommonCause, Fault, LogAudit, Status, SurfaceAudit
 
 STATUSES: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 """Of surfaces, the one that decides first: what could not be judged does not count beside what could."""

@@ -7,6 +7,7 @@ notice on the ground; no source prescribes them.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
@@ -14,13 +15,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.loops import play
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from servofd.core.types import FloatArray
     from servofd.servo.motion import AnyServo, Motion
     from servofd.servo.servo_model import ServoModel
 

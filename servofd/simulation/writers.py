@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,17 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError, suggest
 from servofd.core.files import write_whole
+from servofd.core.types import FloatArray
 from servofd.simulation.dataflash_writer import GENERATIONS, dataflash_log
 from servofd.simulation.telemetry_writer import telemetry_log
 from servofd.simulation.ulog_writer import ulog_log
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray
     from servofd.simulation.flight import SimulatedFlight
 
 _BIG_ENDIAN_SINGLE = 1010

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from logparsers.units import S_PER_US, US_PER_S
+from servofd.aircraft.schema import Aircraft
+from servofd.simulation.vehicle.remote_log import Send
 from servofd.simulation.vehicle.troubles import Air, Edit, Reboot, Stall, troubled_flight
 from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from logparsers.codec import Codec
     from logparsers.link import Link
-    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.simulation.vehicle.remote_log import Send
 
 _BEAT_S: Final = 0.5
 _TICK_S: Final = 0.02

@@ -7,6 +7,7 @@ holds back and loses; what happens on board changes the flight (`troubled_flight
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,8 +16,6 @@ import numpy as np
 from servofd.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import BoolArray
     from servofd.simulation.flight import SimulatedFlight

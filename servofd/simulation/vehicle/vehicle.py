@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.dataflash.encode import encode_rows
 from logparsers.mavlink import message_name
 from logparsers.protocol import LONGEST_TEXT, NO_INDEX, Capability, Command, Component, ParameterType, Result, Severity
 from logparsers.units import US_PER_S
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError, suggest
+from servofd.core.types import IntArray
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
 from servofd.simulation.surroundings import microseconds
@@ -22,13 +26,7 @@ from servofd.simulation.vehicle.remote_log import RemoteLog, Send
 from servofd.simulation.vehicle.troubles import Edit, Stall, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
-
     from logparsers.codec import Received
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
 
 _4_7_0_DEV: Final = 0x04070000
