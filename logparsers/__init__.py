@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from logparsers.only import Only
 from logparsers.records import Channel, Damage, FlightLog, Setting, Text
 from logparsers.source import LogFile, sources
 from logparsers.table import TableLayout
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 __all__ = [
     "Channel",

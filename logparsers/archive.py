@@ -9,17 +9,14 @@ import os
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final, cast
+from pathlib import Path
+from typing import IO, Any, BinaryIO, Final, cast
 
 from logparsers.errors import UnreadableLog
 from logparsers.records import Damage
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 LIMIT_VARIABLE: Final = "LOGPARSERS_MOST_UNPACKED_MB"
 MOST_UNPACKED_MB: Final = 1024

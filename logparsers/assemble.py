@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers import clock
 from logparsers.channels import Made, as_float
 from logparsers.errors import EmptyLog
-from logparsers.records import Channel, Damage, FlightLog, own, rows_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from logparsers.records import FloatArray
+from logparsers.records import Channel, Damage, FlightLog, FloatArray, own, rows_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)

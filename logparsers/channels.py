@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers import clock
 from logparsers.errors import EmptyLog, MissingChannel
 from logparsers.records import Channel, Damage, FlightLog, own
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from logparsers.only import Only
     from logparsers.records import FloatArray
 

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.errors import ClockError
-from logparsers.records import Damage, rows_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from logparsers.records import FloatArray
+from logparsers.records import Damage, FloatArray, rows_text
 
 FEW_ROWS = 5
 """Rows out of order that are dropped at least before a clock counts as broken."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import importlib
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from pymavlink.dialects.v20 import all as version_2
 
@@ -20,9 +21,6 @@ from logparsers.protocol import (
     SIGNED,
     frame_bytes,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _SIGNING_EPOCH_S: Final = 1_420_070_400
 """1 January 2015 in seconds since 1970, from which signatures count time (MAVLink 2, message signing)."""
@@ -50,12 +48,8 @@ class Received:
 class Signature:
     """What frames are signed with.
 
-    Parameters
-    ----------
-    key : bytes
-        32 of them.
-    time_s : float
-        Seconds since 1970 when signing begins; signatures are numbered from there on, and never go back.
+    `key`: 32 of them. `time_s`: seconds since 1970 when signing begins; signatures are numbered from there on, and
+    never go back.
     """
 
     key: bytes
@@ -102,21 +96,9 @@ def signing_key(content: bytes) -> bytes:
 class Codec:
     """One end of a link, with the counter of its frames.
 
-    Parameters
-    ----------
-    system, component : int
-        Who speaks.
-    version : {1, 2}
-        Of the frames it sends, without the fields and messages that version 1 lacks; it reads both.
-    signature : Signature, optional
-        Signs what it sends, and passes over what is not signed with that key, as `has_key` says.
-
-    Examples
-    --------
-    >>> plane, ground = Codec(1, 1), Codec(255, 190)
-    >>> messages = ground.decode(plane.encode("HEARTBEAT", {"type": 1, "autopilot": 3}))
-    >>> [(m.name, m.system, m.fields["type"]) for m in messages]
-    [('HEARTBEAT', 1, 1)]
+    `system`, `component`: who speaks. `version` ({1, 2}): of the frames it sends, without the fields and messages that
+    version 1 lacks; it reads both. `signature`: signs what it sends, and passes over what is not signed with that key,
+    as `has_key` says.
     """
 
     def __init__(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from enum import Enum
 from functools import cache
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import platformdirs
@@ -23,8 +24,6 @@ except ImportError:  # everything runs without it, slowly
     numba = None
     FunctionCache = object
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 _FAST = {"contract", "nsz", "arcp"}
 """What the compiler may do to sums and products: nothing that moves an infinity, or a limit that is one."""
@@ -105,18 +104,7 @@ def _load_arrays() -> None:
 def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:  # noqa: ANN401 - numba's own
     """Compile; keep the machine code on disk where there is a place to keep it.
 
-    Parameters
-    ----------
-    function : callable
-        Of integers, tuples and arrays only.
-
-    Examples
-    --------
-    >>> @compiled
-    ... def twice(n):
-    ...     return 2 * n
-    >>> twice(21)
-    42
+    `function`: of integers, tuples and arrays only.
     """
     if numba is None:
         return function

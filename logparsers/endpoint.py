@@ -56,18 +56,8 @@ Endpoint = Socket | Serial
 def parse_endpoint(text: str) -> Endpoint:
     """Read what a user wrote; whatever is not one of these kinds is refused, and nothing is ever executed.
 
-    Parameters
-    ----------
-    text : str
-        ``udpin:``, ``udpout:``, ``tcp:`` or ``tcpin:`` with ``HOST:PORT``, or with ``PORT`` alone for this machine;
-        or a serial device, ``DEVICE`` or ``DEVICE,BAUD``.
-
-    Examples
-    --------
-    >>> str(parse_endpoint("udpin:14550")), str(parse_endpoint("tcp:10.0.0.2:5760"))
-    ('udpin:127.0.0.1:14550', 'tcp:10.0.0.2:5760')
-    >>> parse_endpoint("/dev/ttyACM0,57600")
-    Serial(device='/dev/ttyACM0', baud=57600)
+    `text`: ``udpin:``, ``udpout:``, ``tcp:`` or ``tcpin:`` with ``HOST:PORT``, or with ``PORT`` alone for this machine;
+    or a serial device, ``DEVICE`` or ``DEVICE,BAUD``.
     """
     device, comma, baud = text.partition(",")
     if _DEVICE.fullmatch(device):

@@ -7,15 +7,15 @@ import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.archive import IN_MEMORY_MB, check_size
 from logparsers.errors import UnreadableLog, decoding
+from logparsers.source import Source
 
 if TYPE_CHECKING:
     import h5py
-    from numpy.typing import NDArray
 
-    from logparsers.source import Source
 
 SIGNATURE = re.compile(rb"\x89HDF\r\n\x1a\n")
 TREE_HEAD = struct.Struct("<4sBBHQQ")

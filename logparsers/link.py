@@ -8,13 +8,11 @@ import os
 import select
 import socket
 import time
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from collections.abc import Sequence
+from typing import Any, Final, Protocol, Self
 
 from logparsers.endpoint import Endpoint, Serial, Socket
 from logparsers.errors import LinkError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _PIECE: Final = 65_536
 """Bytes that are read at once: the longest datagram."""
@@ -41,19 +39,7 @@ class Link(Protocol):
 
 
 def open_link(endpoint: Endpoint) -> Link:
-    """Open an endpoint.
-
-    Examples
-    --------
-    >>> from logparsers.endpoint import Socket
-    >>> ground = open_link(Socket("udpin", "127.0.0.1", 14791))
-    >>> vehicle = open_link(Socket("udpout", "127.0.0.1", 14791))
-    >>> vehicle.send(b"here")
-    >>> ground.receive(5.0)
-    b'here'
-    >>> ground.close(), vehicle.close()
-    (None, None)
-    """
+    """Open an endpoint."""
     try:
         if isinstance(endpoint, Serial):
             return _SerialLink(endpoint)

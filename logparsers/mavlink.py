@@ -10,39 +10,23 @@ import importlib
 import inspect
 import pkgutil
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType, SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pymavlink.dialects.v20
+from numpy.typing import NDArray
 
 from logparsers.errors import LogError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
+from logparsers.units import C_NUMBERS
 
 DEFAULT_DIALECT = "all"
 """Knows every message of every dialect, except where two dialects use one number twice."""
 
-_DTYPES = {
-    "char": "u1",
-    "uint8_t": "u1",
-    "int8_t": "i1",
-    "uint16_t": "<u2",
-    "int16_t": "<i2",
-    "uint32_t": "<u4",
-    "int32_t": "<i4",
-    "uint64_t": "<u8",
-    "int64_t": "<i8",
-    "float": "<f4",
-    "double": "<f8",
-    "uint8_t_mavlink_version": "u1",
-}
-
+_DTYPES = {**C_NUMBERS, "char": "u1", "uint8_t_mavlink_version": "u1"}
 _CLOCK_FIELDS = {
     "time_boot_ms": 1e-3,
     "time_usec": 1e-6,
@@ -169,15 +153,7 @@ def _module(name: str) -> Any:  # noqa: ANN401 - a generated module
 def dialect(name: str = DEFAULT_DIALECT) -> Dialect:
     """Message types of a dialect.
 
-    Parameters
-    ----------
-    name : str
-        One of `dialect_names`.
-
-    Returns
-    -------
-    Dialect
-        Shared between callers; read only.
+    `name`: one of `dialect_names`. Result: shared between callers; read only.
 
     Examples
     --------

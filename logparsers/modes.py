@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from logparsers.mavlink import enum_name
-
-if TYPE_CHECKING:
-    from logparsers.records import FlightLog
+from logparsers.records import FlightLog
 
 _PX4_STATES = {
     **dict(enumerate(("manual", "altitude", "position", "mission", "hold", "return", "position slow"))),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from numpy.typing import NDArray
 
+if TYPE_CHECKING:
     import numpy as np
-    from numpy.typing import NDArray
 
 _PREFIXES: Final = {
     "Autopilot": "MAV_AUTOPILOT_",

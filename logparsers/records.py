@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,8 +20,6 @@ from logparsers.errors import MissingChannel
 from logparsers.only import Only
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     import pandas as pd
 
 FloatArray = NDArray[np.float64]
@@ -276,10 +275,7 @@ class FlightLog:
     def __getitem__(self, name: str) -> Channel:
         """Channel by name.
 
-        Raises
-        ------
-        MissingChannel
-            If the log has no such channel; the message names the nearest ones.
+        Raises `MissingChannel` if the log has no such channel; the message names the nearest ones.
         """
         try:
             return self.channels[name]

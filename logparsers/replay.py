@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import dialect
 from logparsers.protocol import frame_bytes
-from logparsers.source import mapped
+from logparsers.source import LogBytes, mapped
 from logparsers.telemetry import frames
 from logparsers.units import S_PER_US
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from logparsers.source import LogBytes
 
 
 def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
     """Good frames of a telemetry log, and when each arrived [s since 1970].
 
-    Parameters
-    ----------
-    source : str, PathLike, bytes or BinaryIO
-        A ``.tlog``.
+    `source`: a ``.tlog``.
 
     Examples
     --------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import re
+from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -11,15 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.archive import beginning, inflated, is_packed, members
 from logparsers.errors import EmptyLog, MissingLog, SeveralRuns, UnreadableLog, reason_of
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
-
-    from numpy.typing import NDArray
-
     from logparsers.records import Damage, FlightLog
 
 LogFile = str | PathLike[str] | BinaryIO

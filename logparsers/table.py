@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.assemble import Column, assemble
 from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog, decoding
@@ -16,10 +18,6 @@ from logparsers.texts import split_rows
 from logparsers.units import COMMANDS, SECONDS, faser_unit, is_faser, suffix_unit
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from logparsers.records import FlightLog, FloatArray
     from logparsers.source import Source
     from logparsers.text import Cells, Grid

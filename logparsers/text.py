@@ -10,24 +10,17 @@ import csv
 import io
 import re
 from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.channels import MOST_CHANNELS
 from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog
-from logparsers.records import Damage, rows_text
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from logparsers.records import FloatArray
-
+from logparsers.records import Damage, FloatArray, rows_text
 
 CONTROL = bytes(c for c in range(32) if c not in b"\t\n\f\r") + b"\x7f"
 """Control characters, which no text has, apart from tabulator and ends of lines."""
@@ -65,7 +58,6 @@ def read_grid(path: Path, content: bytes, columns: tuple[str, ...] = ()) -> Grid
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> grid = read_grid(Path("a.csv"), b"# bench\ntime_s;x\n0,00;1\n0,02;2\n")
     >>> grid.names, grid.delimiter, grid.decimal, grid.line[0].item()
     (('time_s', 'x'), ';', ',', 3)
@@ -154,7 +146,6 @@ def check_names(path: Path, count: int) -> None:
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> check_names(Path("a.csv"), 12)
     """
     if count > MOST_CHANNELS:
@@ -322,8 +313,6 @@ def convert(grid: Grid, texts: Collection[str] = ()) -> dict[str, Cells]:
 
     Examples
     --------
-    >>> from pathlib import Path
-    >>> from logparsers.text import read_grid
     >>> cells = convert(read_grid(Path("a.csv"), b"time_s,x\n0,1\n1,NaN\n2,off\n"))["x"]
     >>> cells.values, cells.strange, cells.first_strange
     (array([ 1., nan, nan]), 1, (2, 'off'))

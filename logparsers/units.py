@@ -1,4 +1,4 @@
-"""Units, from the names of channels."""
+"""Units, from the names of channels; and types of numbers."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ S_PER_HOUR = 3600.0
 """Seconds in an hour."""
 SECONDS = {"s": 1.0, "ms": S_PER_MS, "us": S_PER_US, "ns": S_PER_NS}
 """Length of a tick of a clock [s], by its unit."""
+C_NUMBERS = {
+    "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
+    "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8",
+}  # fmt: skip
+"""Types of numbers as MAVLink and PX4 call them, and as numpy does."""
 
 COMMANDS = ("de", "dr", "da_l", "da_r", "df_l", "df_r")
 """FASER's surface commands [rad]: elevator, rudder, ailerons, flaps; ``_pos`` behind them is the measured position."""

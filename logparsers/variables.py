@@ -7,9 +7,12 @@ positions may be raw counts.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.assemble import Column, assemble
 from logparsers.channels import together
@@ -20,11 +23,6 @@ from logparsers.text import check_names
 from logparsers.units import SECONDS, faser_unit, is_faser, suffix_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from logparsers.only import Only
     from logparsers.source import Source
     from logparsers.table import TableLayout

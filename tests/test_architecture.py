@@ -29,10 +29,9 @@ ONLY_IN = {
     "numba": {"logparsers/compiled.py"},
     "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
     "serial": {"logparsers/link.py"},
-    "pyulog": {"logparsers/ulog/bounded.py"},
     "h5py": {"logparsers/hdf5.py"},
     "control": {"servofd/servo/transfer.py"},
-    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "forms", "guard")},
+    "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard")},
     "uvicorn": {"servofd/serve/guard.py"},
 }
 
@@ -174,7 +173,6 @@ def test_import_and_help_load_no_heavy_package() -> None:
         "rich",
         "h5py",
         "pymavlink",
-        "pyulog",
         "serial",
         "shtab",
     )

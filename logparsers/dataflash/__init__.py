@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from logparsers.dataflash.file import DataFlashFile
 from logparsers.dataflash.formats import Field, Layout
 from logparsers.dataflash.store import Step, Stretch
-
-if TYPE_CHECKING:
-    from logparsers.only import Only
-    from logparsers.records import FlightLog
-    from logparsers.source import Source
+from logparsers.only import Only
+from logparsers.records import FlightLog
+from logparsers.source import Source
 
 __all__ = ["DataFlashFile", "Field", "Layout", "Step", "Stretch", "read_dataflash"]
 

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from array import array
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.dataflash import scan
 from logparsers.dataflash.formats import FMT, Field, Layout, decode_text, is_consistent, parse_fmt
 from logparsers.dataflash.store import LISTED, Step, Store, Stretch
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 LAYOUT_LIMIT: Final = 2048
 """Message definitions that are taken: a log has at most 255 types, while forged ones could define a new one every 89

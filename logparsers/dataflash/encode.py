@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from logparsers.dataflash.formats import FMT, HEADER_SIZE, Layout, define, stored_size
 from logparsers.interleave import interleave, places
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
 
 FIRST_FREE_TYPE: Final = 129
 """First type number that is given to messages; 128 is that of FMT."""
@@ -32,17 +29,9 @@ MULTIPLIERS: Final[Mapping[str, float]] = {
 class Message:
     """All rows of one message.
 
-    Parameters
-    ----------
-    name : str
-        Up to four characters.
-    format : str
-        One format character per column.
-    columns : Mapping[str, array_like of shape (n,)]
-        In the unit a reader shall see: scaled characters (``c``, ``L``, ...) are scaled here. The first
-        column orders the log; it should be ``TimeUS``.
-    units, multipliers : str
-        One id per column, for FMTU; empty to leave it out.
+    `name`: up to four characters. `format`: one format character per column. `columns` (shape (n,)): in the unit a
+    reader shall see: scaled characters (``c``, ``L``, ...) are scaled here. The first column orders the log; it should
+    be ``TimeUS``. `units`, `multipliers`: one id per column, for FMTU; empty to leave it out.
     """
 
     name: str
@@ -62,16 +51,9 @@ class Message:
 class Rows:
     """A log and where its rows are, for whoever sends it row by row.
 
-    Parameters
-    ----------
-    content : bytes
-        Definitions, then all rows in the order of time.
-    ends : ndarray of int64, shape (n,)
-        Where each row ends; the definitions end where the first row begins.
-    time_us : ndarray of int64, shape (n,)
-        When each row was written [us].
-    named : ndarray of str, shape (n,)
-        Message of each row.
+    `content`: definitions, then all rows in the order of time. `ends` (shape (n,)): where each row ends; the
+    definitions end where the first row begins. `time_us` (shape (n,)): when each row was written [us]. `named` (shape
+    (n,)): message of each row.
     """
 
     content: bytes
@@ -83,22 +65,7 @@ class Rows:
 def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes:
     """Write a log: definitions first, then all rows in the order of time.
 
-    Parameters
-    ----------
-    start_us : int or None
-        Time of the definitions [us]; None for that of the first row.
-
-    Returns
-    -------
-    bytes
-        The content of a ``.bin`` file.
-
-    Examples
-    --------
-    >>> from logparsers.dataflash import DataFlashFile
-    >>> rcou = Message("RCOU", "QH", {"TimeUS": [10, 20], "C1": [1500, 1510]}, "sY", "F-")
-    >>> DataFlashFile.open(encode([rcou])).formats["RCOU"].fields["C1"].unit
-    'us'
+    `start_us`: time of the definitions [us]; None for that of the first row. Result: the content of a ``.bin`` file.
     """
     head, _, times, records = _parts(messages, start_us)
     return head + interleave(times, records)

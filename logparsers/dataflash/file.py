@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.channels import MOST_CHANNELS, Series, recorded_log
 from logparsers.dataflash.binary import BinaryStore
@@ -17,23 +20,15 @@ from logparsers.dataflash.formats import DICTIONARY, NUMBER, WORDS
 from logparsers.dataflash.report import Boots, describe
 from logparsers.dataflash.text import TextStore
 from logparsers.errors import MissingChannel, UnreadableLog
+from logparsers.only import Only
 from logparsers.protocol import kind_of
-from logparsers.records import Text, settings_changed
-from logparsers.source import mapped
+from logparsers.records import Damage, FlightLog, Setting, Text, settings_changed
+from logparsers.source import LogBytes, mapped
 from logparsers.texts import split_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-    from typing import Self
-
-    from numpy.typing import NDArray
-
     from logparsers.dataflash.formats import Layout
     from logparsers.dataflash.store import Store, Stretch
-    from logparsers.only import Only
-    from logparsers.records import Damage, FlightLog, Setting
-    from logparsers.source import LogBytes
 
     Group = tuple[str, Any]
     """Message and instance."""

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 HEADER_SIZE: Final = 3
 """Bytes before a record's fields: A3 95 and the message type."""
@@ -26,28 +23,12 @@ HEADER_SIZE: Final = 3
 # One character per column: how it is stored, and the divisor that turns it into its unit. Dividing by 100
 # is what pymavlink does; multiplying by 0.01 gives other last bits.
 CHARACTERS: Final[Mapping[str, tuple[str, float | None]]] = {
-    "a": ("(32,)<i2", None),
-    "b": ("i1", None),
-    "B": ("u1", None),
-    "h": ("<i2", None),
-    "H": ("<u2", None),
-    "i": ("<i4", None),
-    "I": ("<u4", None),
-    "f": ("<f4", None),
-    "d": ("<f8", None),
-    "g": ("<f2", None),
-    "n": ("S4", None),
-    "N": ("S16", None),
-    "Z": ("S64", None),
-    "c": ("<i2", 100.0),
-    "C": ("<u2", 100.0),
-    "e": ("<i4", 100.0),
-    "E": ("<u4", 100.0),
-    "L": ("<i4", 1.0e7),
-    "M": ("i1", None),
-    "q": ("<i8", None),
+    "a": ("(32,)<i2", None), "b": ("i1", None), "B": ("u1", None), "h": ("<i2", None), "H": ("<u2", None),
+    "i": ("<i4", None), "I": ("<u4", None), "f": ("<f4", None), "d": ("<f8", None), "g": ("<f2", None),
+    "n": ("S4", None), "N": ("S16", None), "Z": ("S64", None), "c": ("<i2", 100.0), "C": ("<u2", 100.0),
+    "e": ("<i4", 100.0), "E": ("<u4", 100.0), "L": ("<i4", 1.0e7), "M": ("i1", None), "q": ("<i8", None),
     "Q": ("<u8", None),
-}
+}  # fmt: skip
 TEXT: Final = "nNZ"
 DICTIONARY: Final = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what the log says about itself
 NUMBER, WORDS = True, False  # what a column holds

@@ -36,15 +36,7 @@ class LiveRow:
 
 
 class RowDecoder:
-    r"""Decodes rows as bytes come in; skips what is no row.
-
-    Examples
-    --------
-    >>> fmt = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 9, 13, b"RCOU", b"QH", b"TimeUS,C1")
-    >>> decoder = RowDecoder()
-    >>> decoder.feed(fmt), decoder.feed(b"\xa3\x95\x09" + struct.pack("<QH", 2_000_000, 1500))
-    ([], [LiveRow(time_s=2.0, values={'RCOU.C1': 1500.0})])
-    """
+    r"""Decodes rows as bytes come in; skips what is no row."""
 
     def __init__(self) -> None:
         self._layouts: dict[int, Layout] = {FMT.type: FMT}
@@ -117,16 +109,7 @@ def _struct_code(character: str) -> str:
 
 
 class BlockStream:
-    """Puts numbered blocks in order, and says what to answer.
-
-    Examples
-    --------
-    >>> stream = BlockStream()
-    >>> stream.take(0, b"a", 0.0), stream.take(2, b"c", 0.0), stream.take(1, b"b", 0.1)
-    ([b'a'], [], [b'b', b'c'])
-    >>> stream.answers(0.1)
-    [(0, True), (2, True), (1, True)]
-    """
+    """Puts numbered blocks in order, and says what to answer."""
 
     def __init__(self) -> None:
         self._next = 0

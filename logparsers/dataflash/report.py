@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.dataflash.scan import BACK_US
-from logparsers.dataflash.store import Step
+from logparsers.dataflash.store import Step, Store, Stretch
 from logparsers.records import Damage
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from logparsers.dataflash.store import Store, Stretch
 
 REBOOT_US: Final = 1_000_000
 """Pause that is put between two runs of the clock in one file [us]; the true one is unknown."""

@@ -5,20 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from logparsers.dataflash.formats import NUMBER, WORDS, with_units
+from logparsers.dataflash.formats import NUMBER, WORDS, Layout, with_units
 from logparsers.dataflash.scan import NO_TIME, clock_steps
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from logparsers.dataflash.formats import Layout
 
 MOST_US: Final = 2**48
 """Latest time stamp [us]: more than eight years."""

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from logparsers.dataflash.formats import DICTIONARY, FMT, Layout, define
+from logparsers.dataflash.formats import DICTIONARY, FMT, Field, Layout, define
 from logparsers.dataflash.store import LISTED, MOST_US, Store, Stretch
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from logparsers.dataflash.formats import Field
 
 NAME_SIZE: Final = 4
 """Characters of a message's name at most."""

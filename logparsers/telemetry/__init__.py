@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from logparsers.channels import recorded_log
+from logparsers.only import Only
 from logparsers.protocol import kind_of
+from logparsers.records import FlightLog
+from logparsers.source import Source
 from logparsers.telemetry.file import TelemetryFile, Vehicle
 from logparsers.telemetry.messages import Sender
 from logparsers.telemetry.remote_log import BLOCKS, RemoteLogs, WithRemoteLog, remote_logs
-
-if TYPE_CHECKING:
-    from logparsers.only import Only
-    from logparsers.records import FlightLog
-    from logparsers.source import Source
 
 __all__ = ["Sender", "TelemetryFile", "Vehicle", "read_telemetry"]
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.clock import utc_date
 from logparsers.protocol import Component
@@ -15,10 +17,6 @@ from logparsers.telemetry.unwrap import despike, unwrap
 from logparsers.units import S_PER_US
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
-    from numpy.typing import NDArray
-
     from logparsers.telemetry.messages import MessageTable, Sender
 
     FloatArray = NDArray[np.float64]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from logparsers.compiled import compiled
 from logparsers.interleave import places
@@ -13,12 +15,7 @@ from logparsers.mavlink import DEFAULT_DIALECT, Layout, dialect
 from logparsers.protocol import CHECK_BYTES, HEADER_2, MARKER_2
 from logparsers.telemetry.frames import STAMP_BYTES, check_sum
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    Bytes = NDArray[np.uint8]
+Bytes = NDArray[np.uint8]
 
 _AROUND = STAMP_BYTES + HEADER_2 + CHECK_BYTES
 """Bytes around a message's fields: arrival time, header, check-sum."""
@@ -28,14 +25,8 @@ _AROUND = STAMP_BYTES + HEADER_2 + CHECK_BYTES
 class Message:
     """All frames of one message.
 
-    Parameters
-    ----------
-    name : str
-        As MAVLink calls it.
-    arrival_us : array_like, shape (n,)
-        When each frame was received [us since 1970].
-    columns : Mapping[str, array_like of shape (n,) or (n, k)]
-        Fields by name; texts as bytes or str; a field left out is zero.
+    `name`: as MAVLink calls it. `arrival_us` (shape (n,)): when each frame was received [us since 1970]. `columns`
+    (shape (n,) or (n, k)): fields by name; texts as bytes or str; a field left out is zero.
     """
 
     name: str
@@ -46,18 +37,7 @@ class Message:
 def encode(messages: Sequence[Message], *, source: tuple[int, int] = (1, 1)) -> bytes:
     """Write a log of one sender: frames in the order of their arrival.
 
-    Returns
-    -------
-    bytes
-        The content of a ``.tlog`` file.
-
-    Examples
-    --------
-    >>> from logparsers.telemetry import TelemetryFile
-    >>> said = Message("NAMED_VALUE_FLOAT", [2_000_000], {"time_boot_ms": [7], "name": ["POS"], "value": [1.5]})
-    >>> log = TelemetryFile.open(encode([said]))
-    >>> log.column("NAMED_VALUE_FLOAT", "value").tolist(), log.damage
-    ([1.5], ())
+    Result: the content of a ``.tlog`` file.
     """
     if not messages:
         return b""

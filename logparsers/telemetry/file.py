@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.channels import MOST_CHANNELS, Series, as_float
 from logparsers.errors import UnreadableLog
@@ -21,18 +24,12 @@ from logparsers.mavlink import DEFAULT_DIALECT, Dialect, enum_name, rival_names,
 from logparsers.mavlink import dialect as dialect_called
 from logparsers.protocol import LONGEST_TEXT, Autopilot, Capability, Kind, ParameterType
 from logparsers.records import Damage, Setting, Text, settings_changed
-from logparsers.source import mapped
+from logparsers.source import LogBytes, mapped
 from logparsers.telemetry import frames
 from logparsers.telemetry.clock import TelemetryClock
 from logparsers.telemetry.messages import MessageTable
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
-    from datetime import datetime
-
-    from numpy.typing import NDArray
-
-    from logparsers.source import LogBytes
     from logparsers.telemetry.messages import Sender
     from logparsers.telemetry.timeline import Timeline
 

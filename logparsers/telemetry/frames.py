@@ -6,18 +6,16 @@ The position of a frame is that of its first byte, the marker; its arrival time 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.compiled import compiled
 from logparsers.protocol import CHECK_BYTES, HEADER_1, HEADER_2, MARKER_1, MARKER_2, SIGNATURE_BYTES, SIGNED
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Bytes = NDArray[np.uint8]
-    Slots = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+Slots = NDArray[np.int32]
 
 STAMP_BYTES = 8
 """Bytes of the arrival time before each frame."""
@@ -158,19 +156,6 @@ def _scan(
 
 
 @compiled
-def _group(markers: NDArray[Any], kinds: NDArray[np.uint16], starts: NDArray[np.int64], grouped: NDArray[Any]) -> None:
-    """Sort by counting, which keeps the order of the file within a kind."""
-    for i in range(kinds.size):
-        starts[kinds[i] + 1] += 1
-    for slot in range(starts.size - 1):
-        starts[slot + 1] += starts[slot]
-    filled = starts[:-1].copy()
-    for i in range(kinds.size):
-        grouped[filled[kinds[i]]] = markers[i]
-        filled[kinds[i]] += 1
-
-
-@compiled
 def _gather(data: Bytes, markers: NDArray[Any], offset: int, out: Bytes) -> None:
     for i in range(markers.size):
         at = np.int64(markers[i])
@@ -179,15 +164,6 @@ def _gather(data: Bytes, markers: NDArray[Any], offset: int, out: Bytes) -> None
         source = at + header + offset
         for k in range(out.shape[1]):
             out[i, k] = data[source + k] if k < available else 0
-
-
-@compiled
-def _copy(data: Bytes, markers: NDArray[Any], back: int, out: Bytes) -> None:
-    for i in range(markers.size):
-        at = np.int64(markers[i])
-        first = at + back if back < 0 else at + (3 if data[at] == MARKER_1 else 5)
-        for k in range(out.shape[1]):
-            out[i, k] = data[first + k]
 
 
 def scan(
@@ -219,10 +195,8 @@ def scan(
 
 def group(markers: NDArray[Any], kinds: NDArray[np.uint16], count: int) -> list[NDArray[Any]]:
     """Positions of the frames of each of `count` kinds, in the order of the file."""
-    starts = np.zeros(count + 1, dtype=np.int64)
-    grouped = np.empty_like(markers)
-    _group(markers, kinds, starts, grouped)
-    return [grouped[starts[k] : starts[k + 1]] for k in range(count)]
+    ends = np.cumsum(np.bincount(kinds, minlength=count))
+    return np.split(markers[np.argsort(kinds, kind="stable")], ends[:-1])
 
 
 def gather(data: Bytes, markers: NDArray[Any], offset: int, width: int) -> Bytes:
@@ -237,13 +211,13 @@ def gather(data: Bytes, markers: NDArray[Any], offset: int, width: int) -> Bytes
 
 def arrivals_us(data: Bytes, markers: NDArray[Any]) -> NDArray[np.uint64]:
     """Arrival times before each frame [us since 1970]. Positions below 8 have none: do not ask."""
-    out = np.empty((markers.size, STAMP_BYTES), dtype=np.uint8)
-    _copy(data, markers, -STAMP_BYTES, out)
-    return out.view(">u8")[:, 0].astype(np.uint64)
+    anywhere: NDArray[Any] = np.ndarray((data.size - STAMP_BYTES + 1,), ">u8", data.data, 0, (1,))
+    stamps: NDArray[np.uint64] = anywhere[markers - STAMP_BYTES].astype(np.uint64)
+    return stamps
 
 
 def origins(data: Bytes, markers: NDArray[Any]) -> NDArray[np.uint16]:
     """System * 256 + component of each frame."""
-    out = np.empty((markers.size, 2), dtype=np.uint8)
-    _copy(data, markers, 0, out)
-    return out.view(">u2")[:, 0].astype(np.uint16)
+    at = markers + np.where(data[markers] == MARKER_1, 3, 5).astype(markers.dtype)
+    senders: NDArray[np.uint16] = data[at].astype(np.uint16) << 8 | data[at + 1]
+    return senders

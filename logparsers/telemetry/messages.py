@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.channels import MOST_CHANNELS
 from logparsers.errors import MissingChannel
+from logparsers.mavlink import Layout
 from logparsers.telemetry import frames
 from logparsers.texts import distinct_texts, split_rows
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from logparsers.mavlink import Layout
 
 
 class Sender(NamedTuple):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from logparsers.channels import Recording, Series
 from logparsers.dataflash.file import DataFlashFile
 from logparsers.dataflash.live import BlockStream, RowDecoder
 from logparsers.errors import LogError
@@ -14,11 +17,6 @@ from logparsers.records import Damage
 from logparsers.units import S_PER_US
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from logparsers.channels import Recording, Series
     from logparsers.telemetry.file import TelemetryFile
 
 BLOCKS = "REMOTE_LOG_DATA_BLOCK"

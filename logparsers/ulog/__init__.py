@@ -1,17 +1,14 @@
-"""PX4 logs (``.ulg``), decoded by pyulog topic by topic."""
+"""PX4 logs (``.ulg``), decoded topic by topic."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from logparsers.channels import recorded_log
+from logparsers.only import Only
+from logparsers.records import FlightLog
+from logparsers.source import Source
 from logparsers.ulog.file import UlogFile
-
-if TYPE_CHECKING:
-    from logparsers.only import Only
-    from logparsers.records import FlightLog
-    from logparsers.source import Source
 
 __all__ = ["UlogFile", "read_ulog"]
 

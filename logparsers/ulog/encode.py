@@ -3,41 +3,27 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from logparsers.interleave import interleave
-from logparsers.units import US_PER_S
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from logparsers.records import Text
+from logparsers.records import Text
+from logparsers.units import C_NUMBERS, US_PER_S
 
 _MAGIC: Final = b"ULog\x01\x12\x35\x01"
-_TYPES: Final[Mapping[str, str]] = {
-    "u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "u8": "uint64_t", "i1": "int8_t", "i2": "int16_t",
-    "i4": "int32_t", "i8": "int64_t", "f4": "float", "f8": "double",
-}  # fmt: skip
+_TYPES: Final = {kind.strip("<"): name for name, kind in C_NUMBERS.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Topic:
     """All samples of one topic.
 
-    Parameters
-    ----------
-    name : str
-        As PX4 calls it.
-    columns : Mapping[str, ndarray of shape (n,) or (n, k)]
-        Fields by name; their types become those of the log, bytes become characters. The first is
-        ``timestamp`` [us since boot].
-    instance : int
-        Which of several sources.
+    `name`: as PX4 calls it. `columns` (shape (n,) or (n, k)): fields by name; their types become those of the log,
+    bytes become characters. The first is ``timestamp`` [us since boot]. `instance`: which of several sources.
     """
 
     name: str
@@ -60,28 +46,9 @@ def encode(
 ) -> bytes:
     """Write a log: definitions and parameters first, then all samples in the order of time.
 
-    Parameters
-    ----------
-    parameters : Mapping[str, int or float], optional
-        Settings of the autopilot; the type of the number decides that in the log (32 bits).
-    information : Mapping[str, int or str], optional
-        What the log says about itself, for example ``ver_sw_release``.
-    texts : sequence of Text
-        What the autopilot said; those without severity are information.
-
-    Returns
-    -------
-    bytes
-        The content of a ``.ulg`` file.
-
-    Examples
-    --------
-    >>> from logparsers.ulog import UlogFile
-    >>> stamps = np.array([10_000, 20_000], np.uint64)
-    >>> servos = Topic("actuator_servos", {"timestamp": stamps, "control": np.zeros((2, 8), np.float32)})
-    >>> log = UlogFile.open(encode([servos], parameters={"MAV_TYPE": 1}))
-    >>> log.vehicle, log.count("actuator_servos")
-    ('fixed wing', 2)
+    `parameters`: settings of the autopilot; the type of the number decides that in the log (32 bits). `information`:
+    what the log says about itself, for example ``ver_sw_release``. `texts`: what the autopilot said; those without
+    severity are information. Result: the content of a ``.ulg`` file.
     """
     stamps = [topic.columns["timestamp"] for topic in topics]
     begin_us = min((int(t[0]) for t in stamps if t.size), default=0)

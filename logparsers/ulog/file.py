@@ -1,18 +1,17 @@
-"""PX4 logs (``.ulg``): read by pyulog, of which only the topics that are asked for reach memory.
-
-What pyulog skips becomes `Damage`, what stops it becomes `LogError`.
-"""
+"""PX4 logs (``.ulg``): of their samples only those of the topics that are asked for reach memory."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
+from collections.abc import Mapping, Sequence
+from datetime import datetime
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.channels import Series
 from logparsers.clock import utc_date
@@ -20,22 +19,12 @@ from logparsers.errors import EmptyLog, MissingChannel
 from logparsers.mavlink import enum_name, version_text
 from logparsers.only import Only
 from logparsers.records import Damage, Setting, Text, settings_changed
-from logparsers.source import mapped
+from logparsers.source import LogBytes, mapped
 from logparsers.texts import distinct_texts, split_rows
-from logparsers.ulog.bounded import load
-from logparsers.ulog.sieve import NotPlain, chain, is_cut, set_aside
+from logparsers.ulog.messages import Samples, read_content
 from logparsers.units import S_PER_MS, S_PER_US
 
-if TYPE_CHECKING:
-    from collections.abc import Container, Mapping, Sequence
-    from datetime import datetime
-
-    from numpy.typing import NDArray
-
-    from logparsers.source import LogBytes
-    from logparsers.ulog.bounded import Reader
-
-    FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 
 _CLOCK_TOPICS = ("vehicle_gps_position", "sensor_gps", "vehicle_global_position")
 """Small topics that know the date; always read, shown only if they are asked for."""
@@ -44,21 +33,9 @@ _NAME_FIELDS = {"debug_key_value": "key", "debug_vect": "name", "debug_array": "
 """Topics that several senders share, and the text that tells them apart."""
 
 _UNITS = {
-    "_m_s2": "m/s/s",
-    "_m_s": "m/s",
-    "_rad_s": "rad/s",
-    "_celsius": "degC",
-    "_celcius": "degC",
-    "_rad": "rad",
-    "_deg": "deg",
-    "_rpm": "rpm",
-    "_pa": "Pa",
-    "_hz": "Hz",
-    "_us": "us",
-    "_ms": "ms",
-    "_v": "V",
-    "_a": "A",
-}
+    "_m_s2": "m/s/s", "_m_s": "m/s", "_rad_s": "rad/s", "_celsius": "degC", "_celcius": "degC", "_rad": "rad",
+    "_deg": "deg", "_rpm": "rpm", "_pa": "Pa", "_hz": "Hz", "_us": "us", "_ms": "ms", "_v": "V", "_a": "A",
+}  # fmt: skip
 """Endings by which PX4 names units, longer ones first; the log itself has none."""
 
 
@@ -95,21 +72,14 @@ class UlogFile:
     """
 
     def __init__(self, data: NDArray[np.uint8], name: str, only: Only) -> None:
-        self.name = name
-        is_sound, (self._log, self._said, self._stopped) = _loaded(data, name, _WithClock(only))
-        if not self._log.data_list and not self._log.announced:
+        self.name, self._log = name, read_content(data, name, _WithClock(only))
+        if not self._log.topics and not self._log.announced:
             raise EmptyLog(f"{name}: the log has no topics")
-        self._tail = int(data.size - chain(data)) if is_sound else 0
-        self._topics: dict[tuple[str, int], list[Any]] = {}
-        self._extra: dict[str, list[Any]] = {}
+        self._topics: dict[tuple[str, int], list[Samples]] = {}
         self._named: dict[tuple[str, int], dict[str, NDArray[np.intp]]] = {}
-        for found in self._log.data_list:
-            if "timestamp" not in found.data:
-                continue
-            if found.name in only:
-                self._topics.setdefault((found.name, found.multi_id), []).append(found)
-            if found.name in _CLOCK_TOPICS:
-                self._extra.setdefault(found.name, []).append(found)
+        for found in self._log.topics:
+            if "timestamp" in found.types and found.name in only:
+                self._topics.setdefault((found.name, found.instance), []).append(found)
 
     @classmethod
     def open(cls, source: LogBytes, *, only: Sequence[str] | None = None) -> UlogFile:
@@ -126,7 +96,7 @@ class UlogFile:
     @property
     def begin_s(self) -> float:
         """When logging began, by the head of the file [s since boot]."""
-        return float(self._log.start_timestamp) * S_PER_US
+        return self._log.start_us * S_PER_US
 
     @property
     def announced(self) -> tuple[str, ...]:
@@ -140,18 +110,18 @@ class UlogFile:
 
     def count(self, topic: str, instance: int = 0) -> int:
         """Count the samples of a topic; 0 if it was not read."""
-        return sum(len(part.data["timestamp"]) for part in self._topics.get((topic, instance), ()))
+        return sum(part.places.size for part in self._topics.get((topic, instance), ()))
 
     def fields(self, topic: str, instance: int = 0) -> Mapping[str, str]:
         """Type of each field of a topic; arrays and nested messages are spread out."""
-        return {field.field_name: field.type_str for field in self._parts(topic, instance)[0].field_data}
+        return self._parts(topic, instance)[0].types
 
     def column(self, topic: str, field: str, *, instance: int = 0) -> NDArray[Any]:
-        """Values of one field in the order of the file, shape (n,), in the type that pyulog gives them."""
+        """Values of one field in the order of the file, shape (n,), in the type of the log."""
         parts = self._parts(topic, instance)
-        columns = [part.data[field] for part in parts if field in part.data]
+        columns = [part.rows[field] for part in parts if field in part.types]
         if len(columns) < len(parts):
-            raise MissingChannel(f"{topic} has no field {field!r}; it has {', '.join(parts[0].data)}")
+            raise MissingChannel(f"{topic} has no field {field!r}; it has {', '.join(parts[0].types)}")
         return columns[0] if len(columns) == 1 else np.concatenate(columns)
 
     def time_s(self, topic: str, *, instance: int = 0) -> FloatArray:
@@ -200,23 +170,21 @@ class UlogFile:
     @cached_property
     def parameters(self) -> Mapping[str, float]:
         """Parameters, as changed in flight: the last value counts."""
-        changed = {name: value for _, name, value in self._log.changed_parameters}
-        known = {**self._log.initial_parameters, **changed}
+        known = self._log.initial | {name: value for _, name, value in self._log.changed}
         return MappingProxyType({k: float(v) for k, v in known.items() if isinstance(v, int | float)})
 
     @property
     def changed(self) -> tuple[Setting, ...]:
         """Parameters that became other ones while the log ran."""
-        first = [(-np.inf, *each) for each in self._log.initial_parameters.items()]
-        later = [(time_us * S_PER_US, name, value) for time_us, name, value in self._log.changed_parameters]
+        first = [(-np.inf, *each) for each in self._log.initial.items()]
+        later = [(time_us * S_PER_US, name, value) for time_us, name, value in self._log.changed]
         return settings_changed((t, name, float(v)) for t, name, v in (*first, *later) if isinstance(v, int | float))
 
     @cached_property
     def texts(self) -> tuple[Text, ...]:
         """What the autopilot logged in words, in the order of time."""
-        tagged = [said for group in self._log.logged_messages_tagged.values() for said in group]
-        said = sorted([*self._log.logged_messages, *tagged], key=lambda entry: entry.timestamp)
-        return tuple(Text(s.timestamp * S_PER_US, s.message.rstrip("\t\0"), s.log_level - ord("0")) for s in said)
+        said = sorted(self._log.said, key=lambda entry: entry[:2])
+        return tuple(Text(t * S_PER_US, text.rstrip("\t\0"), level - ord("0")) for t, _, level, text in said)
 
     @cached_property
     def vehicle(self) -> str:
@@ -227,15 +195,15 @@ class UlogFile:
     @cached_property
     def firmware(self) -> str:
         """For example ``"PX4 1.15.0"``; without a number if the log does not say."""
-        release = self._log.msg_info_dict.get("ver_sw_release")
+        release = self._log.information.get("ver_sw_release")
         return f"PX4 {version_text(release)}" if isinstance(release, int) else "PX4"
 
     @cached_property
     def start_utc(self) -> datetime | None:
         """Date and time at 0 s, when the autopilot was booted, by the first GPS fix; None without one."""
         for field in ("time_utc_usec", "gps_time_utc_usec"):
-            for part in (part for parts in self._extra.values() for part in parts if field in part.data):
-                stamps, utc = part.data["timestamp"], part.data[field]
+            for part in (one for one in self._log.topics if one.name in _CLOCK_TOPICS and field in one.types):
+                stamps, utc = part.rows["timestamp"], part.rows[field]
                 fixed = np.flatnonzero(utc)
                 if fixed.size:
                     return utc_date((float(utc[fixed[0]]) - float(stamps[fixed[0]])) * S_PER_US)
@@ -245,37 +213,29 @@ class UlogFile:
     def damage(self) -> tuple[Damage, ...]:
         """Everything found to be wrong so far."""
         found = []
-        for drop in self._log.dropouts:
-            start_s, lasted_s = drop.timestamp * S_PER_US, drop.duration * S_PER_MS
-            note = f"the logger was too slow for {drop.duration} ms"
-            found.append(Damage("gap", note, 1, start_s, start_s + lasted_s))
-        if self._log.file_corruption:
-            words = "; ".join(self._said) or "parts were skipped"
-            found.append(Damage("corrupt", f"the file is corrupt: {words}", max(self._log.skips, 1)))
-        if self._stopped:
-            found.append(Damage("truncated", self._stopped))
-        if self._tail:
-            note = f"the file ends inside a message: {self._tail} bytes"
-            found.append(Damage("truncated", note, self._tail))
+        for time_us, lasted_ms in self._log.dropouts:
+            start_s, note = time_us * S_PER_US, f"the logger was too slow for {lasted_ms} ms"
+            found.append(Damage("gap", note, 1, start_s, start_s + lasted_ms * S_PER_MS))
+        log = self._log
+        if log.stretches or log.odd:
+            lost = f"{log.lost_bytes} bytes in {log.stretches} places are no message" if log.stretches else ""
+            odd = f"{log.odd} messages contradict what it says of itself" if log.odd else ""
+            found.append(
+                Damage(
+                    "corrupt",
+                    f"the file is corrupt: {' and '.join(filter(None, (lost, odd)))}",
+                    log.stretches + log.odd,
+                )
+            )
+        if log.cut_bytes:
+            found.append(Damage("truncated", f"the file ends inside a message: {log.cut_bytes} bytes"))
         return tuple(found)
 
-    def _parts(self, topic: str, instance: int) -> list[Any]:
+    def _parts(self, topic: str, instance: int) -> list[Samples]:
         if (topic, instance) not in self._topics:
             known = ", ".join(f"{name}[{number}]" for name, number in self._topics)
             raise MissingChannel(f"{self.name}: no topic {topic}[{instance}] was read; there are {known}")
         return self._topics[topic, instance]
-
-
-def _loaded(
-    data: NDArray[np.uint8], name: str, wanted: Container[str]
-) -> tuple[bool, tuple[Reader, tuple[str, ...], str]]:
-    """Whether every message is sound, and what pyulog makes of it; it need not look at samples that are plain."""
-    aside = set_aside(data, wanted)
-    if aside is not None:
-        rest, samples = aside
-        with contextlib.suppress(NotPlain):
-            return True, load(rest, name, wanted, samples)
-    return is_cut(data, chain(data)), load(data, name, wanted)
 
 
 class _WithClock:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -12,9 +13,6 @@ from servofd.aircraft.calibration import Entry
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -105,19 +103,7 @@ def symmetric(rows: tuple[tuple[float, ...], ...]) -> FloatArray:
 
 
 class CalibratedServo(BaseModel):
-    """A servo fitted to good flights, how far it may differ between them, and where each test alarms.
-
-    Examples
-    --------
-    >>> servo = CalibratedServo(
-    ...     parameters={prior.name: prior.value for prior in PRIORS},
-    ...     between=[[prior.between**2 * (i == k) for k in range(i + 1)] for i, prior in enumerate(PRIORS)],
-    ...     noise={"still_deg": 0.1, "lag_s": 0.003, "colour": (0.4, 0.2), "innovation": 0.8, "period_s": 0.02},
-    ...     reach_deg=(-20.0, 20.0),
-    ... )
-    >>> servo.theta.shape, servo.covariance.shape
-    ((13,), (13, 13))
-    """
+    """A servo fitted to good flights, how far it may differ between them, and where each test alarms."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 from pydantic import ValidationError
 
 from servofd.aircraft.schema import Aircraft, Surface, Table
 from servofd.core.errors import ConfigError, suggest
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _TIME = re.compile(r"time_(s|ms|us|ns)")
 _PART = re.compile(r"(?P<surface>.+)_(?P<what>cmd|pos)_(?P<unit>deg|rad|us)")
@@ -26,17 +24,10 @@ _FORMS = "time_s (or _ms, _us, _ns), run, <surface>_cmd_deg and <surface>_pos_de
 def aircraft_of_columns(columns: Mapping[str, str]) -> Aircraft:
     """The aircraft that a table with these columns describes.
 
-    Parameters
-    ----------
-    columns : mapping of str to str
-        What columns of the table are, as `pandas.DataFrame.rename` takes it: ``{"t": "time_ms", "de":
-        "elevator_cmd_rad", "de_meas": "elevator_pos_rad"}``. A time is in s, ms, us or ns; a command or position in
-        degrees, radians, or microseconds of pulse, whose scale is that of a hobby servo until it is fitted.
-
-    Raises
-    ------
-    ConfigError
-        If a name is of no such form, or a surface has no command.
+    `columns`: what columns of the table are, as `pandas.DataFrame.rename` takes it: ``{"t": "time_ms", "de":
+    "elevator_cmd_rad", "de_meas": "elevator_pos_rad"}``. A time is in s, ms, us or ns; a command or position in
+    degrees, radians, or microseconds of pulse, whose scale is that of a hobby servo until it is fitted. Raises
+    `ConfigError` if a name is of no such form, or a surface has no command.
 
     Examples
     --------
@@ -81,10 +72,7 @@ def aircraft_of_columns(columns: Mapping[str, str]) -> Aircraft:
 def check_columns(columns: Mapping[str, str], known: list[str]) -> None:
     """Refuse columns that a table does not have.
 
-    Raises
-    ------
-    ConfigError
-        For the first of them.
+    Raises `ConfigError` for the first of them.
     """
     for name in columns:
         if name not in known:

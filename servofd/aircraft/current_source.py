@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
+from logparsers.records import FlightLog
 from servofd.aircraft.current import AMPERES, CurrentSource
 from servofd.aircraft.marks import refresh_of
 from servofd.aircraft.outputs import counts_from_1, output_of
+from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import SURROUNDINGS, signal_of
 from servofd.core.errors import NoMeasurement
-
-if TYPE_CHECKING:
-    from logparsers.records import FlightLog
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import BoolArray, FloatArray
+from servofd.core.types import BoolArray, FloatArray
 
 _VOLTS: Final = {"mV": 1e-3, "cV": 1e-2}
 """Volts for each unit in which MAVLink reports batteries and rails."""
@@ -66,10 +64,7 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
     What the aircraft file names comes first, then a column of the surface's name, then what the servo, or a hub,
     reports of its output; of a table with one surface, the current of the servo.
 
-    Raises
-    ------
-    NoMeasurement
-        If a column is a current in no unit.
+    Raises `NoMeasurement` if a column is a current in no unit.
 
     Examples
     --------
@@ -117,10 +112,7 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
 def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     """The same aircraft, whose surfaces name where a log holds their currents, and no position that it does not hold.
 
-    Raises
-    ------
-    NoMeasurement
-        If a column is a current in no unit.
+    Raises `NoMeasurement` if a column is a current in no unit.
     """
     surfaces = dict(aircraft.surfaces)
     for name, source in current_sources(log, aircraft).items():
@@ -134,10 +126,7 @@ def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:
 def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     """Read a current and the supply beside it.
 
-    Raises
-    ------
-    NoMeasurement
-        If the channel is none, in words.
+    Raises `NoMeasurement` if the channel is none, in words.
     """
     if source.channel not in log.channels:
         raise NoMeasurement(f"no current: the log has no channel {source.channel!r}")

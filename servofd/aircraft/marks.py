@@ -9,20 +9,16 @@ that shows only later that it stands: what came before is judged in flight, and 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servofd.core.series import latest
+from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
 from servofd.servo.loops import compiled, inner
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
 
 
 class Why(IntEnum):
@@ -263,18 +259,7 @@ def moved(position_deg: FloatArray) -> FloatArray:
 
 
 def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
-    """Why each row does not count, shape (n,), and how many of them are decided; all of them if nothing more comes.
-
-    Examples
-    --------
-    >>> time_s = np.arange(0.0, 2.0, 0.02)
-    >>> position_deg = 10.0 * np.sin(3.0 * time_s)
-    >>> position_deg[[30, 31, 32]], position_deg[60] = position_deg[29], 40.0
-    >>> none, never = np.full(100, -1, dtype=np.int8), np.zeros(100, dtype=np.int8)
-    >>> why, _ = marked(Rows(time_s, position_deg, 10.0 * np.sin(3.0 * time_s + 0.1), none, never))
-    >>> [(int(k), Why(why[k]).name) for k in np.flatnonzero(why)]
-    [(30, 'DUPLICATE'), (31, 'DUPLICATE'), (32, 'DUPLICATE'), (60, 'SPIKE')]
-    """
+    """Why each row does not count, shape (n,), and how many of them are decided; all of them if nothing more comes."""
     why = np.zeros(rows.time_s.size, dtype=np.int8)
     if why.size < 2:
         return why, why.size if final else 0

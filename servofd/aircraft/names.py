@@ -4,39 +4,18 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable
 from itertools import count
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 _WORDS = {
-    "AILERON": "AIL",
-    "ELEVATOR": "ELEV",
-    "RUDDER": "RUD",
-    "ELEVON": "EVON",
-    "RUDDERVATOR": "RVTR",
-    "FLAPERON": "FLPR",
-    "SPOILER": "SPOIL",
-    "THROTTLE": "THR",
-    "SURFACE": "SURF",
-    "INNER": "IN",
-    "OUTER": "OUT",
-    "LEFT": "L",
-    "RIGHT": "R",
-}
+    "AILERON": "AIL", "ELEVATOR": "ELEV", "RUDDER": "RUD", "ELEVON": "EVON", "RUDDERVATOR": "RVTR",
+    "FLAPERON": "FLPR", "SPOILER": "SPOIL", "THROTTLE": "THR", "SURFACE": "SURF", "INNER": "IN", "OUTER": "OUT",
+    "LEFT": "L", "RIGHT": "R",
+}  # fmt: skip
 
 
 def short_names(names: Iterable[str], room: int) -> dict[str, str]:
-    """Plain capitals for each name, of `room` characters at most; its number or side, at its end, is kept.
-
-    Examples
-    --------
-    >>> short_names(["servo_10", "aileron_left", "aileron_right"], 7)
-    {'servo_10': 'SERVO10', 'aileron_left': 'AIL_L', 'aileron_right': 'AIL_R'}
-    >>> short_names(["höhenruder", "hohenruder"], 10)
-    {'höhenruder': 'HOHENRUD~1', 'hohenruder': 'HOHENRUDER'}
-    """
+    """Plain capitals for each name, of `room` characters at most; its number or side, at its end, is kept."""
     names = list(names)
     plain = {name: _plain(name) for name in names}
     wanted = {name: _fitted(plain[name], room) for name in names}

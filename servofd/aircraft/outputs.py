@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from servofd.aircraft.calibration import DegreeCalibration, NormCalibration, PulseCalibration, RadianCalibration
+from logparsers.records import Channel, FlightLog
+from servofd.aircraft.calibration import (
+    Calibration,
+    DegreeCalibration,
+    NormCalibration,
+    PulseCalibration,
+    RadianCalibration,
+)
 from servofd.aircraft.current import CurrentSource
-from servofd.aircraft.schema import plain_channels
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from logparsers.records import Channel, FlightLog
-    from servofd.aircraft.calibration import Calibration
-    from servofd.aircraft.schema import Aircraft, Surface
-
+from servofd.aircraft.schema import Aircraft, Surface, plain_channels
 
 _COMMANDS_OF_OUTPUT = re.compile(r"(?:.*:)?(?:RCOU\.C|RCO2\.C|RCO3\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
 COMMANDS_OF_SERVO = re.compile(r"CSRV\[(\d+)\]\.PosCmd")
@@ -67,30 +66,12 @@ WITHOUT_SURFACES = {
 """What the outputs of vehicles do that have no control surfaces."""
 
 SURFACE_FUNCTIONS = {
-    2: "flap",
-    3: "flap",
-    4: "aileron",
-    16: "spoiler_left",
-    17: "spoiler_right",
-    19: "elevator",
-    21: "rudder",
-    24: "flaperon_left",
-    25: "flaperon_right",
-    26: "ground_steering",
-    41: "tilt",
-    45: "tilt_rear_left",
-    46: "tilt_rear_right",
-    47: "tilt_rear",
-    75: "tilt_left",
-    76: "tilt_right",
-    77: "elevon_left",
-    78: "elevon_right",
-    79: "vtail_left",
-    80: "vtail_right",
-    86: "spoiler_left_2",
-    87: "spoiler_right_2",
+    2: "flap", 3: "flap", 4: "aileron", 16: "spoiler_left", 17: "spoiler_right", 19: "elevator", 21: "rudder",
+    24: "flaperon_left", 25: "flaperon_right", 26: "ground_steering", 41: "tilt", 45: "tilt_rear_left",
+    46: "tilt_rear_right", 47: "tilt_rear", 75: "tilt_left", 76: "tilt_right", 77: "elevon_left",
+    78: "elevon_right", 79: "vtail_left", 80: "vtail_right", 86: "spoiler_left_2", 87: "spoiler_right_2",
     110: "airbrake",
-}
+}  # fmt: skip
 """ArduPilot's SERVOn_FUNCTION numbers of outputs that turn something."""
 _OF_PX4 = (
     "aileron_left aileron_right elevator rudder elevon_left elevon_right vtail_left vtail_right flap_left flap_right "
@@ -108,16 +89,8 @@ knows."""
 class LoggedOutput:
     """One servo output.
 
-    Parameters
-    ----------
-    number : int
-        From 1, as printed on the autopilot.
-    function : int or None
-        SERVOn_FUNCTION; None if the log does not tell.
-    trim_us, min_us, max_us : float
-        Pulse widths at neutral and at the ends [us].
-    reversed : bool
-        SERVOn_REVERSED.
+    `number`: from 1, as printed on the autopilot. `function`: SERVOn_FUNCTION; None if the log does not tell.
+    `trim_us`, `min_us`, `max_us`: pulse widths at neutral and at the ends [us]. `reversed`: SERVOn_REVERSED.
     """
 
     number: int
@@ -276,10 +249,7 @@ def find_pairs(log: FlightLog) -> tuple[Pair, ...]:
     Ids start at 0 or at 1, depending on the servo's bus. Parameters tell which (the bit masks of the drivers);
     without them the base is the one under which positions go with the commands.
 
-    Returns
-    -------
-    tuple of Pair
-        By output number; motors are left out.
+    Result: by output number; motors are left out.
     """
     outputs = outputs_of(log.parameters)
     numbered: dict[int, Position] = {}
@@ -400,21 +370,8 @@ _OTHER_PATH_S = 0.06
 def resolved(log: FlightLog, aircraft: Aircraft) -> Aircraft:
     """Return the same aircraft with the channels of a log, where its own are not in it.
 
-    Parameters
-    ----------
-    log : FlightLog
-        Of an autopilot, or a plain table whose columns bear the names of the surfaces.
-    aircraft : Aircraft
-        Whose surfaces name their outputs, or channels from which these follow.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> from servofd.aircraft.schema import load_aircraft
-    >>> log = logparsers.read("sample_logs/ardupilot_volz_stuck.bin")
-    >>> rudder = resolved(log, load_aircraft("simulated")).surfaces["rudder"]
-    >>> rudder.command.channel, rudder.measured.channel
-    ('RCOU.C4', 'CSRV[3].Pos')
+    `log`: of an autopilot, or a plain table whose columns bear the names of the surfaces. `aircraft`: whose surfaces
+    name their outputs, or channels from which these follow.
     """
     if all(_is_there(log, surface) for surface in aircraft.surfaces.values()):
         return aircraft
@@ -431,18 +388,6 @@ def streamed(aircraft: Aircraft, *, has_card: bool = False) -> Aircraft:
 
     A command that servos repeat in degrees becomes the pulse that asks for it; without that pulse it stays. Where the
     log on the card comes as well (`has_card`), its channels stay.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import Surface, load_aircraft
-    >>> angle = {"channel": "CSRV[3].PosCmd", "unit": "deg", "pulse": [1500.0, 0.2]}
-    >>> rudder = Surface.model_validate(
-    ...     {"servo": "s9254", "command": angle, "measured": {"channel": "CSRV[3].Pos", "unit": "deg"}}
-    ... )
-    >>> plane = load_aircraft("simulated").model_copy(update={"surfaces": {"rudder": rudder}})
-    >>> rudder = streamed(plane).surfaces["rudder"]
-    >>> rudder.command.channel, rudder.command.slope_deg_per_us, rudder.measured.channel
-    ('SERVO_OUTPUT_RAW.servo4_raw', 0.2, 'NAMED_VALUE_FLOAT[SRVP4].value')
     """
     surfaces = {name: _streamed(surface, has_card=has_card) for name, surface in aircraft.surfaces.items()}
     return aircraft.model_copy(update={"surfaces": surfaces})

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
+from servofd.core.types import FloatArray
 
 OUTAGE_S = 1.0
 """Longer steps are pauses of a link."""
@@ -58,15 +57,6 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
 
     Those of the warm-up, so that a monitor in flight works with the same numbers as an audit of the whole log; all of
     them if the pace changed after that.
-
-    Examples
-    --------
-    >>> pace_steps(np.arange(1000) * 0.5).size, pace_steps(np.arange(1000) * 0.01).size
-    (20, 100)
-    >>> pace_steps(np.concatenate([np.arange(0.0, 10.0, 0.25), np.arange(10.0, 100.0, 0.02)])).size
-    4539
-    >>> pace_steps(np.zeros(4))
-    array([0., 0., 0.])
     """
     last = int(np.searchsorted(time_s, time_s[:1] + WARM_UP_S, side="right").sum()) - 1
     first_s = np.diff(time_s[: 1 + max(1, min(WARM_UP_STEPS, last))])
@@ -79,15 +69,7 @@ def pace_steps(time_s: FloatArray) -> FloatArray:
 
 
 def sent_period_s(time_s: FloatArray) -> float | None:
-    """Period of a steady stream of which more than half is lost [s], from stamps of what arrived [s]; None if less is.
-
-    Examples
-    --------
-    >>> sent_s = np.arange(400) * 0.02
-    >>> sent_period_s(sent_s[np.random.default_rng(1).random(400) < 0.25]).__round__(3)
-    0.02
-    >>> sent_period_s(sent_s)
-    """
+    """Period of a steady stream of which more than half is lost [s], from stamps of what arrived [s]; else None."""
     steps_s = _unbroken(time_s)
     if not steps_s.size:
         return None
@@ -97,15 +79,7 @@ def sent_period_s(time_s: FloatArray) -> float | None:
 
 
 def link_period_s(time_s: FloatArray) -> float | None:
-    """Period of what a steady stream brings some of [s], from stamps of what arrived [s]; None if it is none.
-
-    Examples
-    --------
-    >>> sent_s = np.arange(400) * 0.02
-    >>> link_period_s(sent_s[np.random.default_rng(1).random(400) < 0.7]).__round__(3)
-    0.02
-    >>> link_period_s(np.cumsum(np.random.default_rng(1).exponential(0.02, 400)))
-    """
+    """Period of what a steady stream brings some of [s], from stamps of what arrived [s]; None if it is none."""
     steps_s = _unbroken(time_s)
     if not steps_s.size:
         return None

@@ -6,12 +6,10 @@ Those of every servo come first, in a fixed order; then those of effects that sa
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
+from servofd.servo.effect import Effect
 from servofd.servo.registry import everything
-
-if TYPE_CHECKING:
-    from servofd.servo.effect import Effect
 
 
 class Prior(NamedTuple):

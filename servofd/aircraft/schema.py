@@ -5,7 +5,9 @@ from __future__ import annotations
 import datetime
 import itertools
 import os
+from collections.abc import Iterable, Mapping
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -26,9 +28,6 @@ from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel, plant_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from importlib.resources.abc import Traversable
-
     from pydantic_core import ErrorDetails
 
 
@@ -376,10 +375,7 @@ def explained_in(name: str) -> Aircraft | None:
 def check_servo(name: str) -> None:
     """Refuse what ``--servo`` cannot take.
 
-    Raises
-    ------
-    ConfigError
-        If it is neither in the library nor a file that describes a servo.
+    Raises `ConfigError` if it is neither in the library nor a file that describes a servo.
 
     Examples
     --------

@@ -7,6 +7,7 @@ looks for it again.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from logparsers.errors import MissingChannel
 from logparsers.mavlink import dialect
-from logparsers.records import own
+from logparsers.records import Channel, FlightLog, own
 from servofd.aircraft.marks import (
     LAST_WITH_VALUE,
     NO_OTHERS,
@@ -30,15 +31,12 @@ from servofd.aircraft.marks import (
 from servofd.aircraft.pace import OUTAGE_S, WARM_UP_STEPS, link_period_s, pace_steps
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import latest, stretches
+from servofd.core.types import BoolArray, FloatArray, Marks
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from logparsers.records import Channel, FlightLog
     from servofd.aircraft.calibration import Calibration
     from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.core.types import BoolArray, FloatArray, Marks
 
 FINEST_S: Final = 0.01
 """Time between measurements below which more of them tell nothing new of a servo, whose lag is longer [s]."""
@@ -360,17 +358,7 @@ def is_unsettled(
 
 
 def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, Marks]:
-    """When the telemetry of an aircraft stood still, by surface, for each row of its position channel that has a value.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> log = logparsers.read("sample_logs/table_three_faults.csv")
-    >>> stands = bus_of(log, plain_aircraft(["aileron", "elevator", "rudder"]))
-    >>> sorted(stands), sum(int(rows.sum()) for rows in stands.values())
-    (['aileron', 'elevator', 'rudder'], 0)
-    """
+    """When the telemetry of an aircraft stood still, by surface, for each value of its position channel."""
     reported = {}
     for name, surface in aircraft.surfaces.items():
         if surface.measured is None or surface.measured.channel not in log.channels:
@@ -463,10 +451,7 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
 def asked(surface: Surface, command: Channel) -> tuple[FloatArray, FloatArray]:
     """What a surface is asked: times [s] and deflections [deg], shape (n,) each.
 
-    Raises
-    ------
-    NoMeasurement
-        If the channel holds no command.
+    Raises `NoMeasurement` if the channel holds no command.
     """
     command_deg = surface.command.to_deg(command.values)
     given = np.isfinite(command_deg)
@@ -616,10 +601,7 @@ def take_off_s(log: FlightLog) -> float | None:
 def channel_of(log: FlightLog, name: str, kind: str) -> Channel:
     """A channel that holds values; `kind` says what is missing.
 
-    Raises
-    ------
-    NoMeasurement
-        If there is none of that name, or it is empty.
+    Raises `NoMeasurement` if there is none of that name, or it is empty.
     """
     try:
         channel = log[name]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,11 +23,7 @@ from servofd.aircraft.marks import (
     standing,
 )
 from servofd.core.series import latest
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
+from servofd.core.types import BoolArray, FloatArray
 
 STANDS_STILL_S: Final = 1.0
 """A bus that stands still for so long is reported [s]: where any surface is, is not known then."""
@@ -46,20 +43,7 @@ class New(NamedTuple):
 
 
 class Bus:
-    """Tells of rows of several surfaces, as they come, whether the telemetry of all of them stands still.
-
-    Examples
-    --------
-    >>> bus = Bus(["left", "right"])
-    >>> found = []
-    >>> for k in range(100):
-    ...     at_s, moved_deg = np.array([0.02 * k]), np.array([9.0 * np.sin(0.06 * min(k, 60))])
-    ...     asked_deg = np.array([9.0 * np.sin(0.06 * k)])
-    ...     rows = bus.take({name: New(at_s, asked_deg, at_s, moved_deg) for name in ("left", "right")})
-    ...     found.append(bool(rows["left"][0]))
-    >>> found.index(True), all(found[66:]), bus.since_s
-    (65, True, 1.3)
-    """
+    """Tells of rows of several surfaces, as they come, whether the telemetry of all of them stands still."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._index = {name: k for k, name in enumerate(names)}
@@ -104,19 +88,7 @@ class Bus:
 
 @dataclass(slots=True)
 class Watch:
-    """What the marks leave of the positions of one surface, as they come.
-
-    Examples
-    --------
-    >>> watch, time_s = Watch(), 0.02 * np.arange(60)
-    >>> position_deg, asked_deg = 10.0 * np.sin(3.0 * time_s), 10.0 * np.sin(3.0 * time_s + 0.1)
-    >>> position_deg[[30, 31, 32]], position_deg[50] = position_deg[29], 40.0
-    >>> came = []
-    >>> for k in range(60):
-    ...     came += watch.take(time_s[k : k + 1], position_deg[k : k + 1], asked_deg[k : k + 1])
-    >>> sorted(set(range(60)) - {round(at_s / 0.02) for at_s, _ in came})
-    [30, 31, 32, 50]
-    """
+    """What the marks leave of the positions of one surface, as they come."""
 
     _rows: list[tuple[float, float, float, bool]] = field(default_factory=list)
     """Times [s], positions, commands [deg] and whether the bus stood still, of the last rows."""
@@ -141,14 +113,8 @@ class Watch:
     ) -> list[tuple[float, float]]:
         """Take rows, of shape (n,), and pass on those that are decided and count: their times [s] and `values`.
 
-        Parameters
-        ----------
-        time_s, position_deg, asked_deg : ndarray
-            As `Rows` has them; a position that is no number is not passed on.
-        values : ndarray, optional
-            What is passed on; positions if left out.
-        stands : ndarray of bool, optional
-            Whether the bus stood still; never if left out.
+        `time_s`, `position_deg`, `asked_deg`: as `Rows` has them; a position that is no number is not passed on.
+        `values`: what is passed on; positions if left out. `stands`: whether the bus stood still; never if left out.
         """
         passed: list[tuple[float, float]] = []
         flags = stands.tolist() if stands is not None else [False] * time_s.size

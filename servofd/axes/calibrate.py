@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -26,13 +27,11 @@ from servofd.axes.model import (
 from servofd.axes.windows import LAG, SIZES, Windows, part, sliding
 from servofd.core.errors import CalibrationError
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sizes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray
 
 _WINDOWS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 """Lengths of windows that are tried [s]."""
@@ -69,10 +68,7 @@ _OWN_SHARE = 0.05
 def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float = 1.0) -> MotionModel:
     """Fit the axes of an aircraft to healthy flights.
 
-    Parameters
-    ----------
-    flights : sequence of Motion
-        Healthy, of one aircraft and one rate of samples; the more days, the better.
+    `flights`: healthy, of one aircraft and one rate of samples; the more days, the better.
     """
     flights = [flight for flight in flights if flight.present.any()]
     if not flights:
@@ -593,16 +589,8 @@ _FAULT_PER_HOUR = 0.01
 class Tail:
     """Power law of the largest statistic of a flight (Hill 1975) above the median flight's.
 
-    Parameters
-    ----------
-    base : float
-        Statistic of the median flight.
-    index : float
-        How steeply the rate falls.
-    rate_per_hour : float
-        How often a flight exceeds `base`.
-    days : int
-        Calibrated.
+    `base`: statistic of the median flight. `index`: how steeply the rate falls. `rate_per_hour`: how often a flight
+    exceeds `base`. `days`: calibrated.
     """
 
     base: float

@@ -33,12 +33,12 @@ from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatu
 from servofd.axes.windows import LAG, SIZES, Windows, part
 from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR, Z_95, Estimate
+from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sizes, fitted, split
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, MotionModel, Spread
     from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray
 
 _KNOWN_WITHIN = 0.3
 """Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sums
 
 if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, Regime
     from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray
 
 
 _DAMPING = 0.8
@@ -70,16 +70,8 @@ def _run(coefficients: tuple[FloatArray, FloatArray], values: FloatArray) -> Flo
 class Regression:
     """A form's columns, all filtered.
 
-    Parameters
-    ----------
-    answer : ndarray, shape (n,)
-        The motion of a forward form; zero of an inverse one.
-    command : ndarray, shape (n,)
-        F(g u) [us].
-    offset : ndarray, shape (n,)
-        F(g).
-    others : ndarray, shape (k, n)
-        What else moves the aircraft.
+    `answer` (shape (n,)): the motion of a forward form; zero of an inverse one. `command` (shape (n,)): f(g u) [us].
+    `offset` (shape (n,)): f(g). `others` (shape (k, n)): what else moves the aircraft.
     """
 
     answer: FloatArray

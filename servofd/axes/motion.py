@@ -3,60 +3,33 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
-from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
+from logparsers.records import Channel, FlightLog
+from servofd.aircraft.outputs import WITHOUT_SURFACES, LoggedOutput, named_outputs, outputs_of, pulse_channel
 from servofd.core.errors import NoMeasurement
+from servofd.core.types import BoolArray, FloatArray
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from logparsers.records import Channel, FlightLog
-    from servofd.aircraft.outputs import LoggedOutput
-    from servofd.core.types import BoolArray, FloatArray
-
-    Asked = tuple[dict[str, FloatArray], FloatArray, BoolArray]
-    """Commands of the axes [us], throttle, and where motors lift the aircraft, on a grid of time."""
+Asked = tuple[dict[str, FloatArray], FloatArray, BoolArray]
+"""Commands of the axes [us], throttle, and where motors lift the aircraft, on a grid of time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """What was asked of an aircraft and how it moved, in body axes forward, right, down.
 
-    Parameters
-    ----------
-    name : str
-        Of the flight, for messages.
-    day : str
-        On which it was flown; flights of one day share their trim, air and payload.
-    time_s : ndarray, shape (n,)
-        Uniform [s].
-    commands_us : mapping of str to ndarray, shape (n,)
-        For ``"roll"``, ``"pitch"``, ``"yaw"`` what was asked of the axis, as pulse width about trim [us]; never what a
-        servo received or did.
-    rates_deg_s : ndarray, shape (3, n)
-        Body rates [deg/s].
-    accelerations_m_s2 : ndarray, shape (3, n)
-        Specific force [m/s2].
-    roll_deg, pitch_deg : ndarray, shape (n,)
-        Attitude [deg].
-    airspeed_m_s : ndarray, shape (n,)
-        From a sensor, or from ground speed and wind [m/s].
-    throttle : ndarray, shape (n,)
-        What was asked of the engine, 0 to 1.
-    present : ndarray of bool, shape (n,)
-        False where a channel has a gap.
-    airspeed_source : str
-        In words.
-    members : mapping of str to tuple of str
-        Surfaces that serve each axis.
-    parameters : mapping of str to float
-        SERVOn_... of the outputs that do.
-    lifted_share : float
-        Share of the log in which motors lifted a VTOL aircraft, which is not `present`.
+    `name`: of the flight, for messages. `day`: on which it was flown; flights of one day share their trim, air and
+    payload. `time_s` (shape (n,)): uniform [s]. `commands_us` (shape (n,)): for ``"roll"``, ``"pitch"``, ``"yaw"`` what
+    was asked of the axis, as pulse width about trim [us]; never what a servo received or did. `rates_deg_s` (shape (3,
+    n)): body rates [deg/s]. `accelerations_m_s2` (shape (3, n)): specific force [m/s2]. `roll_deg`, `pitch_deg` (shape
+    (n,)): attitude [deg]. `airspeed_m_s` (shape (n,)): from a sensor, or from ground speed and wind [m/s]. `throttle`
+    (shape (n,)): what was asked of the engine, 0 to 1. `present` (shape (n,)): false where a channel has a gap.
+    `airspeed_source`: in words. `members`: surfaces that serve each axis. `parameters`: SERVOn_... of the outputs that
+    do. `lifted_share`: share of the log in which motors lifted a VTOL aircraft, which is not `present`.
     """
 
     name: str
@@ -230,14 +203,8 @@ class Share:
 class Airframe:
     """Outputs by what they serve.
 
-    Parameters
-    ----------
-    commands : mapping of str to tuple of Share
-        For ``"roll"``, ``"pitch"``, ``"yaw"``.
-    throttles, lift_motors : tuple of LoggedOutput
-        Engines that pull forward, and motors that lift.
-    members : mapping of str to tuple of str
-        Surfaces of each axis; one that serves two axes stands in both.
+    `commands`: for ``"roll"``, ``"pitch"``, ``"yaw"``. `throttles`, `lift_motors`: engines that pull forward, and
+    motors that lift. `members`: surfaces of each axis; one that serves two axes stands in both.
     """
 
     commands: Mapping[str, tuple[Share, ...]]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.records import FlightLog
 from servofd.aircraft.outputs import PX4_TYPES, WITHOUT_SURFACES
 from servofd.axes.motion import (
     GPS,
+    Asked,
+    Motion,
     Series,
     airspeed_among,
     at_times_of_first,
@@ -18,13 +21,7 @@ from servofd.axes.motion import (
     through_the_wind,
 )
 from servofd.core.errors import NoMeasurement
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from logparsers.records import FlightLog
-    from servofd.axes.motion import Asked, Motion
-    from servofd.core.types import BoolArray, FloatArray
+from servofd.core.types import BoolArray, FloatArray
 
 _MOST_SERVOS = 8
 """Surfaces that PX4's control allocation knows at most (CA_SV_CSk)."""

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
-from servofd.axes.motion import motion_of_autopilot, motion_of_table
+from logparsers.records import FlightLog
+from servofd.axes.motion import Motion, motion_of_autopilot, motion_of_table
 from servofd.axes.px4 import motion_of_px4
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from logparsers.records import FlightLog
-    from servofd.axes.motion import Motion
 
 
 def motion_of(log: FlightLog, rate_hz: float | None = None, parameters: Mapping[str, float] | None = None) -> Motion:
     """Commands and motion of a log on one grid of time.
 
-    Parameters
-    ----------
-    log : FlightLog
-        Of an autopilot, or a table with the columns of `servofd.axes.motion`.
-    rate_hz : float, optional
-        Of the grid; None: what the log has.
-    parameters : mapping of str to float, optional
-        SERVOn_... of an autopilot, to assume where the log has none.
+    `log`: of an autopilot, or a table with the columns of `servofd.axes.motion`. `rate_hz`: of the grid; None: what the
+    log has. `parameters`: SERVOn_... of an autopilot, to assume where the log has none.
     """
     if log.format == "ulog":
         return motion_of_px4(log, rate_hz)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -11,13 +12,11 @@ import numpy as np
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
 from servofd.core.series import outline
 from servofd.core.statistics import Estimate
+from servofd.core.types import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from servofd.aircraft.axes import AxisModel, MotionModel
     from servofd.axes.model import Inputs
-    from servofd.core.types import FloatArray
 
 AxisStatus = Literal["healthy", "suspect", "fault", "unknown"]
 
@@ -200,7 +199,6 @@ def shown(smallest: AxisDetectable) -> str:
 
     Examples
     --------
-    >>> from servofd.axes.verdict import AxisDetectable
     >>> shown(AxisDetectable(0.31, 44.2)), shown(AxisDetectable(math.inf, 44.2))
     ('a loss of 31% of its effect, or 44 us away', '44 us away')
     """

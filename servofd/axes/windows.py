@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servofd.core.types import FloatArray
 from servofd.core.windows import Sizes, Sums, distance, fitted, known_from, lasting, least
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from servofd.aircraft.axes import AxisModel, Spread
     from servofd.axes.model import Inputs
-    from servofd.core.types import FloatArray
 
 _ENOUGH = 0.9
 """Share of a window that must be usable."""

@@ -8,21 +8,17 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import logparsers
-from logparsers import EmptyLog, LogError
+from logparsers import EmptyLog, LogError, TableLayout
 from logparsers.detect import detect
 from logparsers.source import HEAD_BYTES, heads
 from servofd.core.errors import ConfigError, needs, without
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from logparsers import TableLayout
 
 META_FILE = "fleet.json"
 """Marks a folder of results, in which no logs are looked for."""
@@ -64,12 +60,8 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
     A file that is named is taken whatever it is. Files of folders, patterns and addresses are recognised by content;
     hidden ones, and folders of results, are passed over.
 
-    Parameters
-    ----------
-    inputs : sequence of str
-        Files, folders, patterns such as ``"2026/**/*.bin"``, addresses such as ``"s3://bucket/logs"``.
-    layout : TableLayout, optional
-        How text tables are read.
+    `inputs`: files, folders, patterns such as ``"2026/**/*.bin"``, addresses such as ``"s3://bucket/logs"``. `layout`:
+    how text tables are read.
 
     Examples
     --------

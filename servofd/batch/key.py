@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from servofd.aircraft.schema import UNKNOWN_SERVO, explained_in
+from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, explained_in
 from servofd.batch.find import is_address
 from servofd.core.files import distinct_file_names
 from servofd.servo.library import find_servo, levels_in
 from servofd.version import __version__
 
 if TYPE_CHECKING:
-    from servofd.aircraft.schema import Aircraft
     from servofd.detection.residual import ThresholdKind
 
 _DIGEST_BYTES = 16
@@ -28,20 +27,10 @@ _OF_DIGEST = 8
 class Job:
     """What to judge logs with, the same for all of them.
 
-    Parameters
-    ----------
-    aircraft : Aircraft, optional
-        None: each log's own, as far as the log shows it.
-    servo : str, optional
-        Servo to assume for all surfaces.
-    threshold_deg : float, optional
-        Constant alarm level [deg].
-    threshold : {"constant", "interval"}, optional
-        Kind of threshold.
-    surfaces : tuple of str
-        Which to judge; all if empty.
-    pages : bool
-        Whether each log gets its page; it changes no verdict, and is no part of the key.
+    `aircraft`: none: each log's own, as far as the log shows it. `servo`: servo to assume for all surfaces.
+    `threshold_deg`: constant alarm level [deg]. `threshold` ({"constant", "interval"}): kind of threshold. `surfaces`:
+    which to judge; all if empty. `pages`: whether each log gets its page; it changes no verdict, and is no part of the
+    key.
 
     Examples
     --------

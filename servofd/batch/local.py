@@ -8,18 +8,15 @@ import signal
 import sys
 import threading
 from collections import deque
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from servofd.core.errors import ServofdError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from concurrent.futures import Future
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -50,12 +47,8 @@ def run_local(
     A process that dies (killed, out of memory, crashed) takes no other with it: what was handed out by then is done
     again, each item in a process of its own, and only the one that dies again is given up.
 
-    Parameters
-    ----------
-    task : callable
-        A function of a module, or a partial of one.
-    workers : int, optional
-        Number of processes; one per core if None; 0: no process but this one, which then nothing protects.
+    `task`: a function of a module, or a partial of one. `workers`: number of processes; one per core if None; 0: no
+    process but this one, which then nothing protects.
 
     Examples
     --------

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.calibration import DegreeCalibration
 from servofd.aircraft.priors import NAMES, PRIORS
-from servofd.aircraft.schema import Aircraft
+from servofd.aircraft.schema import Aircraft, Surface
 from servofd.calibrating.result import CalibratedSurface, Calibration
 from servofd.core.errors import CalibrationError
-from servofd.core.evidence import USUAL_GAINS, ModelOrigin, what_is_unknown
+from servofd.core.evidence import USUAL_GAINS, Detectable, ModelOrigin, what_is_unknown
 from servofd.core.statistics import Z_95, Estimate
+from servofd.core.types import FloatArray
 from servofd.detection.changes import detectable, watched
 from servofd.detection.evidence import is_blind
+from servofd.detection.flights import Flight
 from servofd.detection.known import (
     SPOKEN,
     after_more_flights,
@@ -33,18 +36,9 @@ from servofd.detection.known import (
     tolerance_of,
 )
 from servofd.estimate.family import PRESSURE_PA
-from servofd.estimate.fit import WIDTHS, fit
+from servofd.estimate.fit import WIDTHS, Fit, fit
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
 from servofd.servo.context import AIR_KG_M3
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from servofd.aircraft.schema import Surface
-    from servofd.core.evidence import Detectable
-    from servofd.core.types import FloatArray
-    from servofd.detection.flights import Flight
-    from servofd.estimate.fit import Fit
 
 _FAST_M_S: Final = 25.0
 """Airspeed for which the deflection under air load is given [m/s]."""
@@ -236,28 +230,8 @@ def calibrate_aircraft(
 ) -> Calibration:
     """Fit every surface of an aircraft to flights that are known to be good.
 
-    Parameters
-    ----------
-    aircraft : Aircraft
-        What is known so far; its servos may be rough drafts.
-    flights : mapping of surface to Flights
-        Surfaces without any stay as they are.
-    force : bool
-        Calibrate also where the loss of a third of travel and of two thirds of speed would not show.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.detection.flights import Flight
-    >>> from servofd.aircraft.series import Series
-    >>> from servofd.simulation.flight import simulate_flight
-    >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=30.0, seed=1, noise_deg=0.05)
-    >>> segment = Series("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
-    >>> rough = plain_aircraft(["rudder"], "s9256")
-    >>> calibrated = calibrate_aircraft(rough, {"rudder": [Flight("good.csv", segment)]})
-    >>> calibrated.surfaces[0].held_out_rms_deg < 0.1
-    True
+    `aircraft`: what is known so far; its servos may be rough drafts. `flights`: surfaces without any stay as they are.
+    `force`: calibrate also where the loss of a third of travel and of two thirds of speed would not show.
     """
     kept = {name: "not asked for" for name in aircraft.surfaces if name not in flights}
     kept |= {name: "no measured deflection" for name, those in flights.items() if not those}

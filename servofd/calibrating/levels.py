@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.schema import plain_aircraft
-from servofd.aircraft.series import cut
+from logparsers.records import FlightLog
+from servofd.aircraft.schema import Aircraft, plain_aircraft
+from servofd.aircraft.series import Series, cut
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
-from servofd.detection.changes import STATISTICS, exceeded, thresholds_of
+from servofd.detection.changes import STATISTICS, Watched, exceeded, thresholds_of
 from servofd.detection.faults import watched_segment
 from servofd.detection.named import NamedMoving, with_hold
-from servofd.detection.residual import ResidualGenerator, noise_deg
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from logparsers.records import FlightLog
-    from servofd.aircraft.schema import Aircraft
-    from servofd.aircraft.series import Series
-    from servofd.detection.changes import Watched
-    from servofd.detection.residual import ThresholdKind
-    from servofd.servo.servo_model import ServoModel
+from servofd.detection.residual import ResidualGenerator, ThresholdKind, noise_deg
+from servofd.servo.servo_model import ServoModel
 
 PERSISTENCE = 3
 """Judged samples in a row that make an alarm: a reading may be as old as the interval since the one before it, and so
@@ -94,10 +87,7 @@ def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     None if nothing of it can be judged. The fewer blocks there are, the wider they become. Where the model is wrong by
     more than any tolerance allows, the run is healthy under a constant threshold above its largest residual.
 
-    Raises
-    ------
-    DesignError
-        If no residual filter suits the servo at this pace.
+    Raises `DesignError` if no residual filter suits the servo at this pace.
     """
     segment, _ = with_hold(model, segment)
     residuals = ResidualGenerator.fitting(model, segment).run(segment)

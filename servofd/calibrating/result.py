@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from servofd.aircraft.calibrated import calibrated_to_toml
-from servofd.aircraft.current import current_to_toml
+from servofd.aircraft.calibrated import CalibratedServo, calibrated_to_toml
+from servofd.aircraft.calibration import Calibration as Scale
+from servofd.aircraft.current import CalibratedCurrent, current_to_toml
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
+from servofd.core.statistics import Estimate
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.detection.seen import FALSE_ALARMS_PER_HOUR
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.aircraft.calibrated import CalibratedServo
-    from servofd.aircraft.calibration import Calibration as Scale
-    from servofd.aircraft.current import CalibratedCurrent
     from servofd.aircraft.schema import Aircraft
-    from servofd.core.statistics import Estimate
     from servofd.core.tolerance import Tolerance
     from servofd.servo.library import Servo
 

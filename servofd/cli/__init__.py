@@ -15,16 +15,13 @@ import pydoc
 import signal
 import sys
 import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from servofd.cli.options import COULD_NOT_TELL, VERBS, WAYS, Options, build_parser, look_parser, way_parser
 from servofd.cli.terminal import complain, say, say_aside
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
 
 __all__ = ["build_parser", "interruptible", "main", "parsed"]
 
@@ -44,10 +41,7 @@ _AGAIN_S = 0.01
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb and return its exit code.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words after the program's name; those of the process if left out.
+    `arguments`: words after the program's name; those of the process if left out.
 
     Examples
     --------

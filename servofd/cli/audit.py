@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo
 from servofd.batch.find import is_address, is_folder, is_pattern
 from servofd.batch.key import Job
+from servofd.cli.options import Options
 from servofd.cli.terminal import (
     check_targets,
     complain,
@@ -23,19 +25,14 @@ from servofd.cli.terminal import (
 )
 from servofd.core.errors import ConfigError, needs
 from servofd.core.files import distinct_file_names, make_folder
+from servofd.detection.verdict import LogAudit
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
+from servofd.outputs.document import Document
 from servofd.outputs.page import FLEET_PAGE, is_page_of, open_page
 from servofd.outputs.sentence import LEAST_CLEARED, answers, whole_sentence
 from servofd.outputs.sentence import worst as worst_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.cli.options import Options
-    from servofd.detection.verdict import LogAudit
-    from servofd.outputs.document import Document
 
 _A_FEW = 16
 """Logs up to which each has a table of its own."""

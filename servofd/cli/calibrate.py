@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servofd.aircraft.axes import motion_to_toml
 from servofd.aircraft.outputs import is_numbered
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
+from servofd.cli.options import Options
 from servofd.cli.terminal import check_targets, print_document, progress, say
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import write_whole
 from servofd.jobs.workflow import calibrate, calibrate_axes, drafted_aircraft
 from servofd.outputs.calibrate_report import calibrate_report, motion_report
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
 
 _PER_HOUR = 1.0
 

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from logparsers.units import MS_PER_S
+from servofd.cli.options import Options
 from servofd.cli.terminal import print_table, say
 from servofd.core.errors import DesignError, NoMeasurement
+from servofd.core.types import ComplexArray
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
 from servofd.feedback.draft import draft_aircraft, draft_to_toml, fitted_to_toml
 from servofd.feedback.flown import flown_aircraft, one_log
-from servofd.servo.library import library, servo_named
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
-    from servofd.core.types import ComplexArray
-    from servofd.servo.library import Servo
+from servofd.servo.library import Servo, library, servo_named
 
 _SHOWN_S = 0.3
 """Time after the onset of a fault that is shown [s]."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from servofd.cli.options import Options
 from servofd.cli.terminal import check_targets, complain, one_line, progress, show
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
@@ -13,9 +13,6 @@ from servofd.discrepancy.explanation import KEEP
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.explain_report import explain_report
 from servofd.outputs.model_file import model_file
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
 
 _STEPS = 30
 """Effects in the catalogue, for the progress bar."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from servofd.batch.find import find_logs
-from servofd.batch.key import page_name
+from servofd.batch.find import Found, LogSource, find_logs
+from servofd.batch.key import Job, page_name
+from servofd.cli.options import Options
 from servofd.cli.terminal import (
     complain,
     give_json,
@@ -25,19 +27,11 @@ from servofd.core.files import make_folder, write_whole
 from servofd.detection.kinds import KINDS
 from servofd.feedback.flown import layout_of
 from servofd.fleets.overview import Overview, overview
-from servofd.fleets.run import audit_fleet
+from servofd.fleets.run import JudgedLog, audit_fleet
 from servofd.fleets.store import FleetStore, by_path, read_logs
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import FLEET_PAGE
 from servofd.outputs.sentence import gravity_of, spoken
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.batch.find import Found, LogSource
-    from servofd.batch.key import Job
-    from servofd.cli.options import Options
-    from servofd.fleets.run import JudgedLog
 
 _SHOWN = 3
 """Files passed over that are listed by name."""

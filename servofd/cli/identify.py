@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from servofd.cli.options import Options
 from servofd.cli.terminal import check_targets, complain, progress, show
 from servofd.core.files import write_whole
 from servofd.feedback.flown import known_aircraft
 from servofd.jobs.bench import identify
 from servofd.outputs.identify_report import identify_report
 from servofd.outputs.model_file import servo_file
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
 
 _STEPS = 3
 """That `identify` tells of."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from servofd.cli.options import Options
 from servofd.cli.terminal import print_document, say
 from servofd.jobs.survey import survey
 from servofd.outputs.document import Bullets, Document, Table
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
 
 _SHOWN = 3
 """Alarms of another program whose times are listed."""

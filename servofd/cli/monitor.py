@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from logparsers.codec import Codec
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
 from servofd.aircraft.current_source import with_current_sources
 from servofd.aircraft.outputs import resolved, streamed
-from servofd.aircraft.schema import load_aircraft
+from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli.monitor_outputs import Outputs
+from servofd.cli.options import Options
 from servofd.cli.terminal import complain
 from servofd.core.errors import ConfigError
 from servofd.core.files import beginning
@@ -22,12 +23,6 @@ from servofd.live.channels import ChannelTable
 from servofd.live.run import Pace, replay_log, replay_telemetry, watch_link
 from servofd.live.session import Session
 from servofd.live.threads import Receiver, Speaker, signature_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.aircraft.schema import Aircraft
-    from servofd.cli.options import Options
 
 _ON_THE_CARD, _HEAD_BYTES = b"CSRV", 16_000_000
 """A log that holds what ArduPilot writes on its card names this message in its beginning."""

@@ -6,29 +6,26 @@ import contextlib
 import json
 import os
 import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from servofd.aircraft.schema import Aircraft
+from servofd.cli.options import Options
 from servofd.cli.terminal import complain, has_screen, say, screen, tell
 from servofd.core.errors import ConfigError
-from servofd.live.threads import Worker
-from servofd.live.view import View, event_line
+from servofd.detection.event import Inputs
+from servofd.detection.stream import Piece
+from servofd.live.alarms import Published
+from servofd.live.threads import Receiver, Worker
+from servofd.live.view import Picture, View, event_line
 from servofd.outputs.json_report import finite
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from servofd.aircraft.schema import Aircraft
-    from servofd.cli.options import Options
-    from servofd.detection.event import Inputs
-    from servofd.detection.stream import Piece
-    from servofd.live.alarms import Published
     from servofd.live.session import Session
-    from servofd.live.threads import Receiver
-    from servofd.live.view import Picture
     from servofd.outputs.live_recording import LiveRecording
 
 _DRAW_S: Final = 0.2

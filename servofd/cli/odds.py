@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, plain_aircraft
 from servofd.batch.key import Job
+from servofd.cli.options import Options
 from servofd.cli.terminal import complain, progress, show
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.detection.probability import smallest_offset_deg
+from servofd.detection.verdict import LogAudit
 from servofd.feedback.flown import known_aircraft
-from servofd.jobs.odds import odds_from_design, odds_from_logs
+from servofd.jobs.odds import SurfaceOdds, odds_from_design, odds_from_logs
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.document import Bullets, Document, Table
 from servofd.servo.library import servo_named
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.cli.options import Options
-    from servofd.detection.verdict import LogAudit
-    from servofd.jobs.odds import SurfaceOdds
 
 _PLAIN_SURFACE = "surface"
 _WITHIN_S = 0.2

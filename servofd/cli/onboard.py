@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import load_aircraft
+from servofd.cli.options import Options
 from servofd.cli.terminal import check_targets, complain, say
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
 from servofd.onboard.plan import outputs_of, plan_onboard
 from servofd.onboard.script import stream_script, watch_script
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
 
 
 def run(options: Options) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from servofd.outputs.page import FLEET_PAGE
@@ -11,8 +12,6 @@ from servofd.outputs.plain import plain
 from servofd.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from _typeshed import SupportsWrite
 
 Options = argparse.Namespace

@@ -5,9 +5,10 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servofd.batch.key import Job
+from servofd.cli.options import Options
 from servofd.cli.terminal import (
     check_targets,
     complain,
@@ -26,6 +27,7 @@ from servofd.outputs.audit_report import audit_report
 from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
+from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.read import contradictions, is_recording, read_recording, rejudged
 from servofd.outputs.recording.stream import shown
 from servofd.outputs.recording.surface import events
@@ -34,10 +36,6 @@ from servofd.outputs.recording.viewer import check_display, open_viewer
 from servofd.outputs.recording.write import save_recording
 from servofd.outputs.sentence import STATUSES, whole_sentence
 from servofd.outputs.sentence import worst as worst_of
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
-    from servofd.outputs.recording.content import Recording
 
 
 def run(options: Options) -> int:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo, load_aircraft
 from servofd.batch.key import Job
+from servofd.cli.options import Options
 from servofd.cli.terminal import say
 from servofd.core.errors import ConfigError
 from servofd.serve.app import application
 from servofd.serve.flights import Flights
 from servofd.serve.guard import serve
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
 
 _HOST = "127.0.0.1"
 """Nobody but this computer can talk to the page."""

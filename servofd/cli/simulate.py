@@ -6,11 +6,13 @@ import dataclasses
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from logparsers.codec import Codec
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
+from servofd.aircraft.schema import Aircraft
+from servofd.cli.options import Options
 from servofd.cli.terminal import complain, say
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.files import write_whole
@@ -18,16 +20,11 @@ from servofd.jobs.simulating import aircraft_to_fly, simulate
 from servofd.live.threads import signature_of
 from servofd.simulation.airframe import AirframeFault, airframe_log, fly_airframe
 from servofd.simulation.ardupilot import rate_hz as rate_of
+from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.vehicle.fly import fly, legs
-from servofd.simulation.vehicle.troubles import TROUBLES, Air
+from servofd.simulation.vehicle.troubles import TROUBLES, Air, Trouble
 from servofd.simulation.vehicle.vehicle import Settings
 from servofd.simulation.words import numbers_of
-
-if TYPE_CHECKING:
-    from servofd.aircraft.schema import Aircraft
-    from servofd.cli.options import Options
-    from servofd.simulation.flight import SimulatedFlight
-    from servofd.simulation.vehicle.troubles import Trouble
 
 _LOOP_HZ = 50.0
 """Main loop of a simulated vehicle, as ArduPlane's [Hz]."""

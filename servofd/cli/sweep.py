@@ -6,22 +6,20 @@ and zero are within its tolerances; no-go, what it calls suspect or at fault, or
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from servofd.aircraft.schema import Surface
+from servofd.cli.options import Options
 from servofd.cli.terminal import complain, give_json, print_table
 from servofd.core.statistics import Estimate, correlation_factor
+from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
+from servofd.detection.residual import Residuals
+from servofd.detection.verdict import SurfaceAudit
 from servofd.feedback.flown import flown_aircraft, known_aircraft, one_log
 from servofd.outputs.sentence import seen
-
-if TYPE_CHECKING:
-    from servofd.aircraft.schema import Surface
-    from servofd.cli.options import Options
-    from servofd.core.types import FloatArray
-    from servofd.detection.residual import Residuals
-    from servofd.detection.verdict import SurfaceAudit
 
 _LEAST_DEG = 3.0
 """Smallest travel to either side that a sweep needs [deg]."""

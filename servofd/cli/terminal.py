@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from servofd.core.errors import ConfigError
 from servofd.core.files import write_whole
-from servofd.outputs.document import Bullets, Items, Section, Table, Words
+from servofd.outputs.document import Bullets, Document, Items, Part, Section, Table, Words
 from servofd.outputs.plain import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from rich.console import Console, RenderableType
 
-    from servofd.outputs.document import Document, Part
 
 _WIDEST = 100
 """Columns of a terminal that a table of sentences uses: longer lines are hard to read."""
@@ -266,15 +264,7 @@ def give_json(target: str | None, document: Mapping[str, Any]) -> bool:
 def check_targets(
     outputs: Iterable[str | None], inputs: Mapping[str, Iterable[str | None]], *, folder: str | None = None
 ) -> None:
-    """Refuse outputs that cannot be written, or would overwrite an input or each other.
-
-    Examples
-    --------
-    >>> check_targets(["-", None], {"a log": ["flight.csv"]})
-    >>> check_targets(["flight.csv"], {"a log": ["flight.csv"]})
-    Traceback (most recent call last):
-    servofd.core.errors.ConfigError: flight.csv: is a log already; choose another file for this output
-    """
+    """Refuse outputs that cannot be written, or would overwrite an input or each other."""
     taken = {Path(name).resolve(): what for what, names in inputs.items() for name in names if name}
     for name in outputs:
         if name is None or name == "-":

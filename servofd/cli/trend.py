@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
+from servofd.cli.options import Options
 from servofd.cli.terminal import check_targets, complain, progress, show, worst
 from servofd.outputs.page import beside
 from servofd.outputs.trend_report import trend_report
 from servofd.wear.trend import trend_document, trend_logs
-
-if TYPE_CHECKING:
-    from servofd.cli.options import Options
 
 _SHOWN = 5
 """Logs that could not be used and are listed by name."""

@@ -72,10 +72,7 @@ EXTRAS = MappingProxyType(
 def needs(*packages: str) -> None:
     """Refuse what packages are needed for that are not installed, and say how to get them.
 
-    Parameters
-    ----------
-    *packages : str
-        Some of `EXTRAS`.
+    `*packages`: some of `EXTRAS`.
 
     Examples
     --------

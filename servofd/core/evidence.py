@@ -50,18 +50,9 @@ NAMED = ModelOrigin()
 class Detectable:
     """The smallest fault of each kind that a log would have shown, 19 times in 20; None where none could be shown.
 
-    Parameters
-    ----------
-    bias_deg : float or None
-        Constant offset [deg].
-    slow_share : float or None
-        Share of its speed that the servo has left.
-    loss_share : float or None
-        Share of the travel that is lost.
-    deadband_deg : float or None
-        Full width of dead band or play [deg].
-    oscillation_deg : float or None
-        Amplitude of an oscillation [deg].
+    `bias_deg`: constant offset [deg]. `slow_share`: share of its speed that the servo has left. `loss_share`: share of
+    the travel that is lost. `deadband_deg`: full width of dead band or play [deg]. `oscillation_deg`: amplitude of an
+    oscillation [deg].
 
     Examples
     --------

@@ -17,16 +17,14 @@ no further.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from servofd.core.types import FloatArray, IntArray
+from servofd.core.types import FloatArray, IntArray
 
 _DAMPING, _MOST_DAMPED, _BOLDER, _TIMIDER = 1e-4, 1e6, 6.0, 10.0
 """Share of each curvature that is added, and by how much it changes after a step that helps, or does not."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import sqrt
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _GOLDEN = (3.0 - sqrt(5.0)) / 2.0
 """Share of an interval at which golden-section search places its next point."""

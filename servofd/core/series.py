@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray, IntArray
+from servofd.core.types import BoolArray, FloatArray, IntArray
 
 
 def latest(known_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import FloatArray
+from servofd.core.types import FloatArray
 
 Z_95: Final = 1.96
 """Standard deviations of a 95 % interval."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from collections.abc import Mapping
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servofd.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from importlib.resources.abc import Traversable
-    from pathlib import Path
 
 _ACTS = re.compile(r"[\x7f-\x9f\u200b-\u200f\u2028-\u202e\ud800-\udfff]")
 """What JSON leaves as it is, and no reader of TOML should meet."""

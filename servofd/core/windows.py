@@ -19,15 +19,13 @@ the square of the score test of `servofd.detection.changes`, which a compiled lo
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from servofd.core.types import BoolArray, FloatArray, IntArray
+from servofd.core.types import BoolArray, FloatArray, IntArray
 
 _ALIKE = 1e-9
 """Share of a column's square that the columns before it must leave of it: less is rounding, and tells nothing."""
@@ -42,12 +40,8 @@ _LEAST_VAR = 1e-12
 class Sums:
     """Products of columns, summed up to each edge of a grid, or in windows.
 
-    Parameters
-    ----------
-    products : ndarray, shape (q (q + 1) / 2, n + 1) or (q (q + 1) / 2, n)
-        Of all pairs of columns, row by row of the upper triangle.
-    samples : ndarray, shape (n + 1,) or (n,)
-        How many were usable.
+    `products` (shape (q (q + 1) / 2, n + 1) or (q (q + 1) / 2, n)): of all pairs of columns, row by row of the upper
+    triangle. `samples` (shape (n + 1,) or (n,)): how many were usable.
     """
 
     products: FloatArray
@@ -210,24 +204,10 @@ def fitted(
 ) -> Fitted:
     """Fit the last columns of windows before the residual to it, beside those that come first.
 
-    Parameters
-    ----------
-    window : Sums
-        Of what a healthy one may differ by, of `patterns` columns of a change, and of the residual.
-    patterns : int
-        How many sizes are asked for.
-    precision : ndarray, shape (q - 1, q - 1) or (q - 1, q - 1, n), optional
-        Inverse covariance of differences and sizes before the window, times the variance of the noise; None: free.
-    columns : sequence of int, optional
-        Which columns, in which order, and which of them more than once; None: all as they are.
-
-    Examples
-    --------
-    >>> e, x, a = np.array([2.0, 2.0, 2.0, 2.0]), np.ones(4), np.array([1.0, -1.0, 1.0, -1.0])
-    >>> sums = Sums.of(np.array([a, x, e]), np.ones(4, dtype=bool)).trailing(4)
-    >>> found = fitted(sums, 1, np.diag([1.0, 4.0]))  # as likely near zero as four readings make it otherwise
-    >>> float(found.sizes.value[0, -1]), float(found.explained[-1])
-    (1.0, 8.0)
+    `window`: of what a healthy one may differ by, of `patterns` columns of a change, and of the residual. `patterns`:
+    how many sizes are asked for. `precision` (shape (q - 1, q - 1) or (q - 1, q - 1, n), optional): inverse covariance
+    of differences and sizes before the window, times the variance of the noise; None: free. `columns`: which columns,
+    in which order, and which of them more than once; None: all as they are.
     """
     rows = window.rows(range(window.width) if columns is None else columns)
     if precision is not None:

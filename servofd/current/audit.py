@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from logparsers.records import FlightLog
+from servofd.aircraft.current import CalibratedCurrent, CurrentSource
 from servofd.aircraft.current_source import current_sources, read_current, supplies
 from servofd.aircraft.pace import OUTAGE_S
+from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
+from servofd.core.types import FloatArray
 from servofd.current.evidence import largest_of
 from servofd.current.judge import faults_of, limits_of, pushed, tells_motion, verdict_of
 from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
@@ -21,17 +26,16 @@ from servofd.current.wear import features_of, wear_of
 from servofd.detection.causes import with_common_causes
 from servofd.detection.evidence import LEAST_OF_THE_LOG, MOST_OF_THE_LOG
 from servofd.detection.kinds import STANDS_STILL
-from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, CurrentAudit, SurfaceAudit, describe
+from servofd.detection.verdict import (
+    SERVO_OR_SENSOR,
+    CommonCause,
+    CurrentAudit,
+    Fault,
+    LogAudit,
+    SurfaceAudit,
+    describe,
+)
 from servofd.servo.context import Context
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from logparsers.records import FlightLog
-    from servofd.aircraft.current import CalibratedCurrent, CurrentSource
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray
-    from servofd.detection.verdict import Fault, LogAudit
 
 _GRAVEST: Final = ("fault", "suspect", "healthy", "unknown", "no_data")
 _AGREE_S: Final = 15.0
@@ -131,13 +135,8 @@ def healthy_currents(
 ) -> tuple[dict[str, CalibratedCurrent], dict[str, str]]:
     """Currents of good flights by surface, and why there is none of others.
 
-    Parameters
-    ----------
-    flown : iterable of (FlightLog, Aircraft)
-        Flights, or cycles of a bench, in their order, and the aircraft in the channels of each, with the servos whose
-        motion the currents belong to.
-    spans : sequence of (from_s, to_s)
-        Which parts of each log are good [s]; all of it if empty.
+    `flown`: flights, or cycles of a bench, in their order, and the aircraft in the channels of each, with the servos
+    whose motion the currents belong to. `spans`: which parts of each log are good [s]; all of it if empty.
     """
     wires: dict[tuple[str, ...], list[dict[str, CurrentSeries]]] = {}
     reasons: dict[str, str] = {}
@@ -189,10 +188,7 @@ def _healthy(flights: Sequence[CurrentSeries], *, is_alone: bool) -> CalibratedC
 def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: CurrentSource) -> CurrentSeries:
     """What a log holds of the current of a surface, beside the motion that its commands ask for.
 
-    Raises
-    ------
-    NoMeasurement
-        If it holds none, or no command.
+    Raises `NoMeasurement` if it holds none, or no command.
     """
     read = read_current(log, source)
     surface = aircraft.surfaces[name]

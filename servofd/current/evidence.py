@@ -15,21 +15,17 @@ away from a place; *binding* leaves the logarithm of how many times as much it d
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sizes, Sums, distance, fitted
-from servofd.current.model import Seen
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.current.model import CurrentSeries
+from servofd.current.model import CurrentSeries, Seen
 
 GRID_S: Final = 0.5
 """Windows end so often [s]."""

@@ -8,24 +8,19 @@ of whom on a wire, is what explains most of the readings between its onset and s
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
+from servofd.aircraft.current import CalibratedCurrent
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
+from servofd.core.types import FloatArray
 from servofd.core.windows import Sums, lasting, split
-from servofd.current.evidence import GRID_S, KINDS, LOOKS_S, PUSHES, SLACK_DEG, Evidence, least_stall
+from servofd.current.evidence import GRID_S, KINDS, LOOKS_S, PUSHES, SLACK_DEG, Change, Evidence, least_stall
+from servofd.current.model import Seen
 from servofd.current.wear import worn
-from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, describe
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-
-    from servofd.aircraft.current import CalibratedCurrent
-    from servofd.core.types import FloatArray
-    from servofd.current.evidence import Change
-    from servofd.current.model import Seen
-    from servofd.detection.verdict import Status
+from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, Status, describe
 
 SURE_NATS: Final = 9.0
 """Nats by which one explanation must be likelier than another to exclude it: one in 8000 by chance."""

@@ -14,9 +14,10 @@ since the one before: both are found by which fits best.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -25,14 +26,10 @@ from servofd.aircraft.current import NAMES, CalibratedCurrent, CurrentNoise
 from servofd.core.errors import CalibrationError
 from servofd.core.series import latest
 from servofd.core.statistics import MAD_TO_SIGMA
+from servofd.core.types import BoolArray, FloatArray
 from servofd.estimate.record import load_at, loads, usual_airspeed_m_s, usual_supply_v
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.servo.context import Context
-    from servofd.servo.servo_model import ServoModel
+from servofd.servo.context import Context
+from servofd.servo.servo_model import ServoModel
 
 _GRID_S: Final = 0.02
 """Steps of the motion: a fifth of the lag of the fastest hobby servo."""
@@ -70,18 +67,8 @@ _ENDS_OF: Final = np.array([name.endswith(("_1", "_2")) for name in NAMES])
 class CurrentSeries:
     """What a log holds of the current of one servo.
 
-    Parameters
-    ----------
-    surface : str
-        Whose it is.
-    time_s, current_a : ndarray, shape (m,)
-        When it was read [s], rising, and what it was [A].
-    motion : Motion
-        Of the healthy servo on its commands.
-    context : Context
-        Airspeed and supply.
-    notes : tuple of str
-        What to know of it.
+    `surface`: whose it is. `time_s`, `current_a` (shape (m,)): when it was read [s], rising, and what it was [A].
+    `motion`: of the healthy servo on its commands. `context`: airspeed and supply. `notes`: what to know of it.
     """
 
     surface: str
@@ -213,10 +200,7 @@ class CurrentFit:
 def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
     """Fit a healthy current to good flights; its covariance between flights is yet to be said.
 
-    Raises
-    ------
-    CalibrationError
-        If there is too little motion or current.
+    Raises `CalibrationError` if there is too little motion or current.
     """
     moved = [part.motion.deflection_deg[part.motion.is_known(part.motion.time_s)] for part in parts]
     inside = [_between(part) for part in parts]

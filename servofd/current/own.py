@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from servofd.aircraft.current import CalibratedCurrent
 from servofd.core.errors import CalibrationError
 from servofd.current.judge import EXPLAINED_OWN, limits_of
-from servofd.current.model import fit_current, see, widened
-
-if TYPE_CHECKING:
-    from servofd.aircraft.current import CalibratedCurrent
-    from servofd.current.model import CurrentSeries
+from servofd.current.model import CurrentSeries, fit_current, see, widened
 
 _PARTS: Final = (3, 2, 1)
 """Into how many parts a log is cut, one after the other."""
@@ -22,10 +19,7 @@ _PARTS: Final = (3, 2, 1)
 def own_current(series: CurrentSeries) -> CalibratedCurrent:
     """Return the healthy current that a log shows by itself: of the part that predicts the whole most sharply.
 
-    Raises
-    ------
-    CalibrationError
-        If no part of the log has enough motion and current.
+    Raises `CalibrationError` if no part of the log has enough motion and current.
     """
     first_s, last_s = float(series.time_s[0]), float(series.time_s[-1])
     found: list[tuple[bool, float, CalibratedCurrent]] = []

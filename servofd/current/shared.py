@@ -7,25 +7,20 @@ for the same, or the opposite, at once cannot be distinguished by what they draw
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from servofd.current.evidence import Evidence
+from servofd.aircraft.current import CalibratedCurrent
+from servofd.core.types import FloatArray
+from servofd.current.evidence import Change, Evidence
 from servofd.current.judge import SURE_NATS, events_of, named, would_show
-from servofd.current.model import fit_current, terms
+from servofd.current.model import CurrentSeries, Seen, fit_current, terms
 from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import CommonCause, Fault, two_digits
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence, Set
-
-    from servofd.aircraft.current import CalibratedCurrent
-    from servofd.core.types import FloatArray
-    from servofd.current.evidence import Change
-    from servofd.current.model import CurrentSeries, Seen
 
 _RIDGE: Final = 1e-3
 """Share of a column's square by which a joint fit prefers a small term: servos that move alike share what they draw."""
@@ -49,10 +44,7 @@ def own_currents(
 def parted(flights: Sequence[Mapping[str, CurrentSeries]]) -> list[dict[str, CurrentSeries]]:
     """Return good flights with a current of its own for each of the servos on one wire.
 
-    Raises
-    ------
-    CalibrationError
-        If there is too little motion or current.
+    Raises `CalibrationError` if there is too little motion or current.
     """
     drafts = {name: fit_current([flight[name] for flight in flights]).known for name in flights[0]}
     blocks = [

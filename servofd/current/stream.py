@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.aircraft.schema import UNKNOWN_SERVO
+from servofd.aircraft.current import CalibratedCurrent, CurrentSource
+from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft
 from servofd.core.errors import DesignError
+from servofd.core.types import BoolArray, FloatArray
 from servofd.current.evidence import GRID_S, LOOKS_S, Evidence
 from servofd.current.judge import faults_of, held, is_witness, no_witness, shares_of
-from servofd.current.model import CurrentSeries, Motion, see
-from servofd.detection.faults import Found
+from servofd.current.model import CurrentSeries, Motion, Seen, see
+from servofd.detection.faults import Found, Named
 from servofd.detection.residual import Residuals, Threshold
 from servofd.detection.stream import (
     BY_WINDOWS,
@@ -25,18 +27,12 @@ from servofd.detection.stream import (
     Remembered,
 )
 from servofd.detection.verdict import WITHIN_SIGMAS
-from servofd.servo.context import NO_CONTEXT
+from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.library import ORDINARY
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
-    from servofd.aircraft.current import CalibratedCurrent, CurrentSource
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.current.model import Seen
-    from servofd.detection.faults import Named
     from servofd.detection.seen import Pace
-    from servofd.servo.context import Context
 
 SLOWEST_HZ: Final = 0.5
 """Two readings in the shortest manoeuvre: a current at 1 Hz still tells a servo that is blocked within 20 s."""
@@ -88,10 +84,7 @@ class OfCurrent:
     def stream(self, pace: Pace) -> CurrentStream:
         """See a stream beside it.
 
-        Raises
-        ------
-        DesignError
-            If the current of its good flights goes with nothing that it is asked to do.
+        Raises `DesignError` if the current of its good flights goes with nothing that it is asked to do.
         """
         if not is_witness(self.known):
             raise DesignError(no_witness(self.known))

@@ -8,23 +8,18 @@ differs from cycle to cycle averages out, and what differs from day to day does 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from servofd.aircraft.calibrated import lower_triangle
-from servofd.aircraft.current import FEATURES, NAMES, Wear
+from servofd.aircraft.current import FEATURES, NAMES, CalibratedCurrent, Wear
 from servofd.core.statistics import Estimate
+from servofd.core.types import FloatArray
 from servofd.core.windows import Sizes, distance
-from servofd.current.model import APART, HUBER
+from servofd.current.model import APART, HUBER, Seen
 from servofd.detection.verdict import Fault
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.aircraft.current import CalibratedCurrent
-    from servofd.core.types import FloatArray
-    from servofd.current.model import Seen
 
 _MOVES, _RESTS = 0.8, 0.1
 """Share of a direction from which on a reading is of motion, and up to which it is of rest."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.types import BoolArray, FloatArray, IntArray
+from servofd.discrepancy.fit import Fit
 from servofd.discrepancy.noise import (
     COARSE_STEP_DEG,
     SMALLEST_DEG,
@@ -17,12 +18,8 @@ from servofd.discrepancy.noise import (
     noise_within_deg,
     stepped_noise_deg,
 )
+from servofd.discrepancy.record import Record
 from servofd.servo.effects.sensor import Quantization
-
-if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray, IntArray
-    from servofd.discrepancy.fit import Fit
-    from servofd.discrepancy.record import Record
 
 _RATIO = 1.1
 """Held-out error over the noise floor, beyond which something is left."""

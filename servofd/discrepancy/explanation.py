@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from servofd.aircraft.series import Series
 from servofd.core.series import rms
 from servofd.core.statistics import Z_95
-from servofd.discrepancy.fit import Fitter
+from servofd.core.types import BoolArray, FloatArray
+from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.known import A_TYPE, Known
 from servofd.discrepancy.locate import Block, Oscillation, blocks, oscillation, sentences
 from servofd.discrepancy.noise import at_rest, noise_floor_deg, rest_sentence
-from servofd.discrepancy.record import joined, record_of, simulate
+from servofd.discrepancy.record import Record, joined, record_of, simulate
 from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, step_size_deg
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
-from servofd.discrepancy.validity import check, clear_of, driven, share_followed
+from servofd.discrepancy.validity import Undriven, check, clear_of, driven, share_followed
+from servofd.discrepancy.varying import Varying
 from servofd.servo.catalogue import effects_named, is_law, plain, told_apart
+from servofd.servo.effect import Effect
 from servofd.servo.loop import AFTER, BEFORE, scaled, split
+from servofd.servo.physics import Physics
 from servofd.servo.registry import is_built_in
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.discrepancy.fit import Fit
-    from servofd.discrepancy.record import Record
-    from servofd.discrepancy.validity import Undriven
-    from servofd.discrepancy.varying import Varying
-    from servofd.servo.effect import Effect
-    from servofd.servo.physics import Physics
-    from servofd.servo.servo_model import ServoModel
+from servofd.servo.servo_model import ServoModel
 
 _HEALTHY_S = 3.0
 """Seconds at the beginning in which no fault is looked for."""
@@ -353,7 +347,6 @@ def explain_gap(
     --------
     >>> from servofd.servo.effects.commands import Delay
     >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.series import Series
     >>> from servofd.servo.library import servo_named
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> command = 5.0 * np.sin(0.5 * t**2)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,13 +31,11 @@ from servofd.discrepancy.noise import (
 )
 from servofd.discrepancy.record import Record, simulate, thinned
 from servofd.servo.catalogue import installed
+from servofd.servo.effect import Effect, Parameter
 from servofd.servo.effects.linkage import Gain
 from servofd.servo.effects.sensor import Bias, Quantization
 from servofd.servo.loop import split
 from servofd.servo.physics import Physics
-
-if TYPE_CHECKING:
-    from servofd.servo.effect import Effect, Parameter
 
 SHORT, LONG, _CLOSE = 24, 60, 0.1
 """Steps of a descent that shall show what a structure is worth, and of one to the end; and the misfit, of which one

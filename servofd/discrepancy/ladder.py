@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.discrepancy.search import common_places, taken_off
-
-if TYPE_CHECKING:
-    from servofd.discrepancy.fit import Fit
-    from servofd.discrepancy.search import Search
-    from servofd.servo.effect import Effect
+from servofd.discrepancy.fit import Fit
+from servofd.discrepancy.search import Search, common_places, taken_off
+from servofd.servo.effect import Effect
 
 _FALLS, BETTER, _SWAPS, _RIVALS = 0.999, 0.97**2, 4, 4
 """Of the mean square on two folds, each predicted from the other: what a step must fall below, of the one before it, or

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servofd.core.series import stretches
+from servofd.core.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray, IntArray
     from servofd.discrepancy.record import Record
 
 _BINS, _FEWEST_PER_BIN = 14, 12
@@ -83,24 +83,7 @@ class Spectrum(NamedTuple):
 def spectrum(record: Record, error_deg: FloatArray) -> Spectrum | None:
     """Welch's estimates, on evenly spaced samples; None if the record is too short for an average.
 
-    Parameters
-    ----------
-    error_deg : ndarray, shape (n,)
-        Measured minus simulated position [deg].
-
-    Examples
-    --------
-    >>> from servofd.discrepancy.record import record_of
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.aircraft.series import Series
-    >>> from servofd.servo.library import servo_named
-    >>> rng, t = np.random.default_rng(0), np.arange(0.0, 60.0, 0.01)
-    >>> asked = np.repeat(rng.standard_normal(1500), 4)
-    >>> error = 0.5 * np.sin(2.0 * np.pi * 3.0 * t)
-    >>> record = record_of(Series("x", t, asked, t, asked + error), ServoModel.of(servo_named("s9254")))
-    >>> low_hz, high_hz = excess_band_hz(spectrum(record, error), 0.0)
-    >>> 2.5 < low_hz <= high_hz < 3.5
-    True
+    `error_deg` (shape (n,)): measured minus simulated position [deg].
     """
     from scipy.signal import coherence, welch
 
@@ -167,10 +150,7 @@ class Oscillation(NamedTuple):
 def oscillation(record: Record, error_deg: FloatArray, sigma_deg: float) -> Oscillation | None:
     """The oscillation that most of an error is, and when it lasts; None if it is none.
 
-    Parameters
-    ----------
-    error_deg : ndarray, shape (n,)
-        Measured minus simulated position [deg].
+    `error_deg` (shape (n,)): measured minus simulated position [deg].
     """
     found = spectrum(record, error_deg)
     if found is None:
@@ -223,10 +203,7 @@ class Map(NamedTuple):
 def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, ...]:
     """What the disagreement depends on, most telling first.
 
-    Parameters
-    ----------
-    error_deg : ndarray, shape (n,)
-        Measured minus simulated position [deg].
+    `error_deg` (shape (n,)): measured minus simulated position [deg].
     """
     where = record.counts
     error = error_deg[where]

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.statistics import MAD_TO_SIGMA, correlation_factor
+from servofd.core.types import BoolArray, FloatArray
 from servofd.discrepancy.known import A_TYPE
-from servofd.discrepancy.record import SLOWEST_RATE_HZ, comb_step_deg
-
-if TYPE_CHECKING:
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.discrepancy.record import Record
+from servofd.discrepancy.record import SLOWEST_RATE_HZ, Record, comb_step_deg
 
 _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""

@@ -16,10 +16,8 @@ from servofd.servo.registry import check_name
 def load_own_effect(path: str | Path) -> type[Effect]:
     """Run a Python file and return the one effect that it defines.
 
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or run, defines no effect or several, or an effect that cannot be simulated.
+    Raises `ConfigError` if the file cannot be read or run, defines no effect or several, or an effect that cannot be
+    simulated.
     """
     path = Path(path)
     name = f"servofd_own_{path.stem}"

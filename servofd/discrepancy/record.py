@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from servofd.aircraft.pace import rhythm
+from servofd.aircraft.series import Series
+from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.known import A_TYPE, Known
 from servofd.estimate.record import Commands, commands_at_servo
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
 from servofd.servo.motion import machine_of, received
 from servofd.servo.physics import Physics, Plant, loose_shares
-from servofd.servo.servo_model import plant_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.aircraft.series import Series
-    from servofd.core.types import BoolArray, FloatArray, IntArray
-    from servofd.servo.servo_model import ServoModel
+from servofd.servo.servo_model import ServoModel, plant_of
 
 _DOUBTFUL = 1.45
 """Times the usual interval, from which on a lost command may hide among time stamps that jitter."""

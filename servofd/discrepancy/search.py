@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.core.types import FloatArray
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import COARSE_STEP_DEG
-from servofd.discrepancy.record import liveliest, only, simulate
+from servofd.discrepancy.record import Record, liveliest, only, simulate
 from servofd.estimate.record import Commands
 from servofd.servo.catalogue import installed
-from servofd.servo.effect import Slot
+from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.commands import CommandSteps, Delay, PwmFrame
 from servofd.servo.effects.own import SlowDynamics
 from servofd.servo.effects.sensor import Quantization, SensorLag
 from servofd.servo.effects.shaft import ExternalLoad, TiltedLoad
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
+from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue, everything
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from servofd.core.types import FloatArray
-    from servofd.discrepancy.record import Record
-    from servofd.servo.effect import Effect
-    from servofd.servo.physics import Physics
 
 
 def common_places(effects: tuple[type[Effect], ...]) -> tuple[float, ...]:

@@ -8,15 +8,17 @@ probability of a name is the sum over its places and forms.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.core.types import FloatArray
 from servofd.discrepancy.adequacy import Adequacy, adequacy, floor_of
 from servofd.discrepancy.fit import LONG, OWN_FIELDS, Fit, Fitter
 from servofd.discrepancy.ladder import BETTER, Step, climbed
+from servofd.discrepancy.record import Record
 from servofd.discrepancy.search import (
     LIMITS,
     OCCAM,
@@ -30,18 +32,12 @@ from servofd.discrepancy.search import (
     taken_off,
 )
 from servofd.servo.catalogue import by_condition, is_law, plain
+from servofd.servo.effect import Effect
 from servofd.servo.effects.linkage import Gain
 from servofd.servo.effects.motor import MotorRate
 from servofd.servo.effects.own import SlowDynamics
 from servofd.servo.effects.sensor import Bias
 from servofd.servo.effects.shaft import AirLoad, GravityLoad, TiltedLoad
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.core.types import FloatArray
-    from servofd.discrepancy.record import Record
-    from servofd.servo.effect import Effect
 
 _MOST, _MOST_ON_BENCH = 3, 4
 """Effects; one more where whole runs are held out, which no flexible combination survives for long."""

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from servofd.discrepancy.record import simulate
+from servofd.core.types import FloatArray
+from servofd.discrepancy.fit import Fit, Fitter
+from servofd.discrepancy.record import Record, simulate
 from servofd.discrepancy.search import LIMITS, STEPS_OF_TWO_SIZES
+from servofd.discrepancy.select import Selection
 from servofd.estimate.record import Commands
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from servofd.core.types import FloatArray
-    from servofd.discrepancy.fit import Fit, Fitter
-    from servofd.discrepancy.record import Record
-    from servofd.discrepancy.select import Selection
-
 
 _RATE_HZ, _DURATION_S = 100.0, 24.0
 """Rate [Hz] and length [s] of a manoeuvre."""

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.series import Series
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import stretches
 from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
+from servofd.core.types import BoolArray, FloatArray
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
-from servofd.discrepancy.record import SLOWEST_RATE_HZ, simulate
+from servofd.discrepancy.record import SLOWEST_RATE_HZ, Record, simulate
 from servofd.estimate.record import Commands
 from servofd.identification.records import DRIFT_SHARE, drift_deg
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.aircraft.series import Series
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.discrepancy.record import Record
-    from servofd.servo.physics import Physics
+from servofd.servo.physics import Physics
 
 _SHORTEST_RECORD_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
 """The shorter one for runs that begin at rest with a step, of which nothing is lost."""

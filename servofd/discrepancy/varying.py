@@ -5,21 +5,20 @@ The search fits it as a line over what was logged beside the runs. Here it is re
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.series import rms
+from servofd.core.types import FloatArray
 from servofd.discrepancy.record import simulate
 from servofd.servo.catalogue import ALIKE, is_law
+from servofd.servo.effect import Effect
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.core.types import FloatArray
     from servofd.discrepancy.select import Selection
-    from servofd.servo.effect import Effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +75,8 @@ class Varying:
 def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple[Varying, ...]:
     """Values of the final effects that were found to go with a condition of the runs.
 
-    Parameters
-    ----------
-    selection : Selection
-        What was found in several runs; in a single one there is nothing to compare.
-    conditions : mapping of str to ndarray, shape (r,)
-        What was logged beside the servo, one number for each run, by the name of its channel.
+    `selection`: what was found in several runs; in a single one there is nothing to compare. `conditions` (shape (r,)):
+    what was logged beside the servo, one number for each run, by the name of its channel.
     """
     final, first = selection.final, 0
     found = []

@@ -16,11 +16,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from servofd.aircraft.priors import ADDED, FITTED, NAMES, PRIORS
+from servofd.core.types import FloatArray
+from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import CommandGain
 from servofd.servo.effects.linkage import Backlash
 from servofd.servo.effects.motor import DeadBand, MotorRate, Torque
@@ -29,10 +31,6 @@ from servofd.servo.effects.shaft import AirLoad, AirTrim, Friction, ServoStop, S
 from servofd.servo.motion import Machine, State, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
-    from servofd.servo.effect import Effect
 
 PRESSURE_PA: Final = 300.0
 """Dynamic pressure that loads refer to: 22 m/s at sea level."""

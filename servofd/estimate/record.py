@@ -11,25 +11,20 @@ the same lag, driven by the standard deviation, bounds that of the position.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from servofd.aircraft.pace import NO_RHYTHM, Rhythm, gap_s, rhythm
 from servofd.aircraft.priors import NAMES
-from servofd.aircraft.series import settled_from_s
+from servofd.aircraft.series import Series, settled_from_s
 from servofd.core.series import latest, subdivided
+from servofd.core.types import BoolArray, FloatArray
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
-from servofd.servo.context import AIR_KG_M3
+from servofd.servo.context import AIR_KG_M3, Context
 from servofd.servo.loops import compiled
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.aircraft.series import Series
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.servo.context import Context
 
 LONGEST_S: Final = 0.25
 """Between two commands; in more a servo goes a long way and comes back, and nothing shows it."""
@@ -109,14 +104,6 @@ def unknown_deg(
 
     Commands are those that arrived, up to the first after the last of the times; `theta` (13,) is the servo,
     `memory` from `new_memory` and carried on. A gap longer than the longest [s] is no loss, but a hole.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.priors import PRIORS
-    >>> theta = np.array([prior.value for prior in PRIORS])
-    >>> asked = np.array([0.0, 0.02, 0.22, 0.24, 0.26]), np.array([0.0, 0.0, 9.0, 9.0, 9.0])
-    >>> unknown_deg(asked, Rhythm.of_link(0.02), theta, np.array([0.02, 0.22, 0.26]), new_memory()).round(1)
-    array([0. , 3.4, 2.8])
     """
     lag_s = 2.0 * np.exp(theta[_LN_DAMPING] - theta[_LN_BANDWIDTH])
     out = np.zeros(time_s.size)

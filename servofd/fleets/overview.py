@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from logparsers.units import S_PER_HOUR
 from servofd.batch.key import page_name
 from servofd.outputs.json_report import worst_outline
 from servofd.outputs.sentence import STATUSES, gravity_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _RANK = ("fault", "suspect", "not_judged", "unknown", "no_data", "healthy")
 

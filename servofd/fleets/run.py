@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from servofd.batch.find import fetched
+from servofd.batch.find import LogSource, fetched
 from servofd.batch.key import Job, content_key
 from servofd.batch.local import run_local
 from servofd.core.errors import ConfigError
+from servofd.detection.verdict import LogAudit
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.page import FLEET_PAGE, html_page
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from servofd.batch.find import LogSource
-    from servofd.detection.verdict import LogAudit
 
 
 class RunVerdict(NamedTuple):
@@ -53,7 +49,6 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
     Examples
     --------
     >>> from servofd.batch.find import LogSource
-    >>> from servofd.batch.key import Job
     >>> judge_log(LogSource("no_such.csv", 0), Job()).runs[0].not_judged[:24]
     'no_such.csv: no such fil'
     """
@@ -96,25 +91,8 @@ def _not_judged(failure: FailedLog) -> RunVerdict:
 def audit_fleet(logs: Sequence[LogSource], job: Job, *, workers: int | None = None) -> Iterator[JudgedLog]:
     """Judge many logs side by side; results come as they are ready.
 
-    Parameters
-    ----------
-    logs : sequence of LogSource
-        What to judge (`servofd.batch.find.find_logs`).
-    workers : int, optional
-        Number of processes; one per core if None, 0: this one.
-
-    Yields
-    ------
-    JudgedLog
-        One per log: a log that cannot be read, or that its process dies of, says so in its result.
-
-    Examples
-    --------
-    >>> from servofd.batch.find import find_logs
-    >>> from servofd.batch.key import Job
-    >>> logs = find_logs(["sample_logs/faser_stuck_flight.mat"]).logs
-    >>> [one.runs[0].document["surfaces"]["elevator"]["status"] for one in audit_fleet(logs, Job(), workers=0)]
-    ['fault']
+    `logs`: what to judge (`servofd.batch.find.find_logs`). `workers`: number of processes; one per core if None, 0:
+    this one. Result: one per log: a log that cannot be read, or that its process dies of, says so in its result.
     """
     task = partial(judge_log, job=job)
     for source, outcome in run_local(task, logs, workers):

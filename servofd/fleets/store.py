@@ -11,23 +11,21 @@ import re
 import sys
 import time
 import uuid
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
-from servofd.batch.find import META_FILE
+from servofd.batch.find import META_FILE, LogSource
 from servofd.batch.key import content_key
 from servofd.core.errors import ConfigError
 from servofd.core.files import whole_file, write_whole
 from servofd.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import pyarrow as pa
 
-    from servofd.batch.find import LogSource
     from servofd.fleets.run import JudgedLog
 
 
@@ -128,12 +126,7 @@ class FleetStore:
     Results of another aircraft file, other options or another version are moved into the folder ``earlier``, and come
     back when they are asked for again.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it does not exist.
-    key : str
-        Of the `servofd.batch.key.Job`.
+    `folder`: made if it does not exist. `key`: of the `servofd.batch.key.Job`.
     """
 
     def __init__(self, folder: Path, key: str) -> None:

@@ -14,20 +14,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from servofd.axes.model import FORMS, Filtered
-from servofd.axes.motion import FLIES_M_S
+from servofd.axes.model import FORMS, Filtered, Form, Regression
+from servofd.axes.motion import FLIES_M_S, Motion
 from servofd.axes.verdict import excludes_none, left_out, named
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
+from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.core.windows import Sizes, Sums, distance, fitted, lasting, least, split
-
-if TYPE_CHECKING:
-    from servofd.axes.model import Form, Regression
-    from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray, IntArray
 
 Status = Literal["ok", "look", "unknown"]
 """Of a check on one flight, which never is a fault."""

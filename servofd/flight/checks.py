@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.axes.motion import FLIES_M_S, Series
 from servofd.core.statistics import LEAST_DIVISOR
-from servofd.flight.change import first_turns
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.flight.change import AxisChange, Status
-    from servofd.flight.columns import Flight, Output
+from servofd.core.types import BoolArray, FloatArray
+from servofd.flight.change import AxisChange, Status, first_turns
+from servofd.flight.columns import Flight, Output
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,42 +3,28 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.records import FlightLog
 from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
-from servofd.axes.motion import FLIES_M_S, SHARES, Series, airspeed_of, series_of
+from servofd.axes.motion import FLIES_M_S, SHARES, Motion, Series, airspeed_of, series_of
 from servofd.axes.px4 import controls_of
 from servofd.axes.read import motion_of
 from servofd.core.errors import NoMeasurement
+from servofd.core.types import BoolArray, FloatArray
 from servofd.flight.change import airborne
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from logparsers.records import FlightLog
-    from servofd.axes.motion import Motion
-    from servofd.core.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Output:
     """One output that turns a surface.
 
-    Parameters
-    ----------
-    name : str
-        Of the surface.
-    axes : mapping of str to float
-        Axes that it serves, with its sign in each.
-    time_s, share : ndarray, shape (n,)
-        What was asked of it: -1 at the MIN of its output, 1 at MAX, reversed outputs turned round.
-    trim_share : float
-        Its trim in the same unit.
-    span_us : float
-        From MIN to MAX [us].
+    `name`: of the surface. `axes`: axes that it serves, with its sign in each. `time_s`, `share` (shape (n,)): what was
+    asked of it: -1 at the MIN of its output, 1 at MAX, reversed outputs turned round. `trim_share`: its trim in the
+    same unit. `span_us`: from MIN to MAX [us].
     """
 
     name: str

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from logparsers.records import FlightLog
+from servofd.axes.motion import Motion
 from servofd.flight import checks
-from servofd.flight.change import judge_motion_alone
+from servofd.flight.change import AxisChange, judge_motion_alone
+from servofd.flight.checks import Check
 from servofd.flight.columns import flight_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from logparsers.records import FlightLog
-    from servofd.axes.motion import Motion
-    from servofd.flight.change import AxisChange
-    from servofd.flight.checks import Check
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import DesignError, IdentificationError
-from servofd.core.fitting import Noise, Problem, fit
+from servofd.core.fitting import Noise, Problem, Solution, fit
 from servofd.core.statistics import LEAST_DIVISOR, Estimate, correlation_factor
+from servofd.core.types import ComplexArray, FloatArray
+from servofd.identification.records import Run
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from servofd.core.fitting import Solution
-    from servofd.core.types import ComplexArray, FloatArray
-    from servofd.identification.records import Run
 
 HIGHEST_ORDER = 3
 """Of thesis Fig. 3.10."""
@@ -41,15 +37,9 @@ _LOG_RANGE = 14.0
 class LinearServo:
     r"""Servo :math:`g\,a_0 e^{-\tau s} / (s^n + \dots + a_0)`, driven through a zero-order hold.
 
-    Parameters
-    ----------
-    shape : tuple of float
-        Logarithms: of the pole p (order 1), of wn² and 2 zeta wn of a second-order factor (order 2), of all three
-        (order 3). Every value is a stable servo; a real pair of poles needs no other form than a complex one.
-    delay_s : float
-        Transport delay without the hold [s].
-    gain : float
-        dc gain [deg/deg]; negative if the position runs against the command.
+    `shape`: logarithms: of the pole p (order 1), of wn² and 2 zeta wn of a second-order factor (order 2), of all three
+    (order 3). Every value is a stable servo; a real pair of poles needs no other form than a complex one. `delay_s`:
+    transport delay without the hold [s]. `gain`: dc gain [deg/deg]; negative if the position runs against the command.
     """
 
     shape: tuple[float, ...]
@@ -139,16 +129,9 @@ _SMOOTH_STEP, _KINKED_STEP = 1e-6, 2e-3
 class ServoCandidate:
     """A servo with everything that a bench test can show.
 
-    Parameters
-    ----------
-    linear : LinearServo
-        Delay, dc gain, poles.
-    rate_up_deg_s, rate_down_deg_s : float or None
-        Rate limits [deg/s].
-    dead_band_deg : float or None
-        Full width of the zone in which the command may move without effect [deg].
-    fixed_gain : bool
-        True if the dc gain is known, and not fitted.
+    `linear`: delay, dc gain, poles. `rate_up_deg_s`, `rate_down_deg_s`: rate limits [deg/s]. `dead_band_deg`: full
+    width of the zone in which the command may move without effect [deg]. `fixed_gain`: true if the dc gain is known,
+    and not fitted.
     """
 
     linear: LinearServo

@@ -11,10 +11,10 @@ from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.core.series import latest
 from servofd.core.statistics import LEAST_DIVISOR
+from servofd.core.types import FloatArray
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
-    from servofd.core.types import FloatArray
 
 _FAR_AWAY_S = 60.0
 """The servo rests for so long before a run that nothing is left of how it came there."""
@@ -31,14 +31,9 @@ _REGULAR = 0.01
 class Run:
     """One test with one servo, prepared for simulation.
 
-    Parameters
-    ----------
-    servo : int
-        Which servo of several; runs of one servo share their offset.
-    command_s, command_deg : ndarray, shape (n,)
-        Commands that hold until the next, the first long before the test [s], [deg].
-    measured_s, measured_deg : ndarray, shape (m,)
-        Position, without missing values.
+    `servo`: which servo of several; runs of one servo share their offset. `command_s`, `command_deg` (shape (n,)):
+    commands that hold until the next, the first long before the test [s], [deg]. `measured_s`, `measured_deg` (shape
+    (m,)): position, without missing values.
     """
 
     servo: int

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.series import stretches
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, ComplexArray, FloatArray
+from servofd.core.types import BoolArray, ComplexArray, FloatArray
 
 LAGS_S = 4.0
 """Reach of the lag window: 400 lags at 100 Hz. With 100 (thesis Appendix A) poles come out four times as wrong,
@@ -35,18 +31,10 @@ _LEAST_POWER = 1e-100
 class FrequencyResponse:
     """Response of sampled position to sampled command; it contains the hold of the command.
 
-    Parameters
-    ----------
-    frequency_rad_s : ndarray, shape (m,)
-        Rising, above zero [rad/s].
-    response : ndarray, shape (m,)
-        Complex gain [deg/deg].
-    coherence : ndarray, shape (m,)
-        Between 0 and 1: share of the position's power that a linear servo explains.
-    command_power : ndarray, shape (m,)
-        Spectral density of the command, of any scale.
-    sample_time_s : float
-        Period of the samples and of the hold [s].
+    `frequency_rad_s` (shape (m,)): rising, above zero [rad/s]. `response` (shape (m,)): complex gain [deg/deg].
+    `coherence` (shape (m,)): between 0 and 1: share of the position's power that a linear servo explains.
+    `command_power` (shape (m,)): spectral density of the command, of any scale. `sample_time_s`: period of the samples
+    and of the hold [s].
     """
 
     frequency_rad_s: FloatArray
@@ -64,10 +52,7 @@ class FrequencyResponse:
     def band_rad_s(self) -> tuple[float, float] | None:
         """Range of frequencies that were excited and in which the position follows the command.
 
-        Returns
-        -------
-        tuple of float, or None
-            Lowest and highest frequency [rad/s]; None if the coherence is nowhere above 0.8.
+        Result: lowest and highest frequency [rad/s]; None if the coherence is nowhere above 0.8.
         """
         per_octave = self.frequency_rad_s * self.command_power
         excited = (self.command_power >= _EXCITED_SHARE * self.command_power.max()) | (

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.evidence import what_is_unknown
+from servofd.core.statistics import Estimate
+from servofd.core.types import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
-    from servofd.core.statistics import Estimate
-    from servofd.core.types import ComplexArray, FloatArray
     from servofd.identification.motion import ServoCandidate
     from servofd.identification.records import Run
     from servofd.identification.response import FrequencyResponse

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -13,17 +13,14 @@ from logparsers.units import MS_PER_S
 from servofd.core.errors import IdentificationError
 from servofd.core.evidence import USUAL_GAINS
 from servofd.core.statistics import Estimate
-from servofd.identification.choice import choose_linear
+from servofd.identification.choice import Choice, choose_linear
 from servofd.identification.motion import (
     LONGEST_DELAY_S,
     MotionFit,
     ServoCandidate,
     fit_motion,
 )
-
-if TYPE_CHECKING:
-    from servofd.identification.choice import Choice
-    from servofd.identification.records import Run
+from servofd.identification.records import Run
 
 _UNIDENTIFIABLE = 1.0
 """Standard deviation of the logarithm of a pole: a factor of e either way is no knowledge."""

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers import FlightLog, LogFile
+from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, NoMeasurement
+from servofd.core.types import FloatArray
 from servofd.feedback.flown import log_files, logs_of, scaled_aircraft
 from servofd.identification.identify import identify as identify_records
+from servofd.identification.result import Identification
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
-    from logparsers import FlightLog, LogFile
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray
     from servofd.feedback.flown import Log
-    from servofd.identification.result import Identification
 
 _CHIRP_COMMAND, _CHIRP_POSITION = "SCRP.PWM", "SCRP.Pos"
 """Written by ArduPilot's applet ``actuator_chirp.lua``: pulse [us] and position of the servo's telemetry [deg]."""

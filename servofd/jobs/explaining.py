@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers import FlightLog, LogFile
 from servofd.aircraft.schema import Aircraft, Surface
-from servofd.aircraft.series import cut
+from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
+from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
@@ -20,17 +22,10 @@ from servofd.discrepancy.validity import Undriven, undriven
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, scaled_aircraft, surfaces_of
 from servofd.jobs.bench import label_of
+from servofd.servo.effect import Effect
 from servofd.servo.library import Servo
 from servofd.servo.loop import scaled
 from servofd.servo.registry import include
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from logparsers import FlightLog, LogFile
-    from servofd.aircraft.series import Series
-    from servofd.core.types import FloatArray
-    from servofd.servo.effect import Effect
 
 _SAME_FAULT_S = 3.0
 """Two onsets closer than this are one fault [s]."""

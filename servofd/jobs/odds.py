@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,6 @@ from servofd.detection.probability import Noise, crossings
 from servofd.detection.pulse import PulseFilter, design_pulse_filter, fastest_pole_rad_s
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from servofd.aircraft.schema import Aircraft
     from servofd.detection.verdict import LogAudit, SurfaceAudit
 
@@ -71,12 +70,8 @@ def odds_from_design(
 ) -> list[SurfaceOdds]:
     """Odds of each surface if its position carries white Gaussian noise and the model is right.
 
-    Parameters
-    ----------
-    noise_deg : float
-        Standard deviation of the noise of the measured deflection [deg], at most 10.
-    surfaces : tuple of str
-        Which; all that are measured if empty.
+    `noise_deg`: standard deviation of the noise of the measured deflection [deg], at most 10. `surfaces`: which; all
+    that are measured if empty.
 
     Examples
     --------

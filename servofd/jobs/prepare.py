@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from servofd.estimate.family import EFFECTS
 from servofd.servo.generate import is_compiling, is_kept, mark_kept, path_of, wait_for
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _ONCE = "preparing, once: compiling the servo's simulation (some six seconds)"
 _KEEP = "from servofd.jobs.prepare import keep_{0}; keep_{0}()"
@@ -20,10 +17,7 @@ _KEEP = "from servofd.jobs.prepare import keep_{0}; keep_{0}()"
 def compile_ahead(say: Callable[[str], None]) -> None:
     """Have other processes compile the stepper and the detector's windows, if nothing of it is kept yet, and say so.
 
-    Parameters
-    ----------
-    say : callable
-        Shows a sentence to whoever waits.
+    `say`: shows a sentence to whoever waits.
     """
     if is_compiling() or is_prepared():
         return

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from servofd.aircraft.schema import UNKNOWN_SERVO, load_aircraft, plain_aircraft
+from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, load_aircraft, plain_aircraft
 from servofd.core.errors import ConfigError
 from servofd.feedback.flown import known_aircraft
 from servofd.servo.library import servo_named
-from servofd.simulation.flight import simulate_flight
+from servofd.simulation.flight import SimulatedFlight, simulate_flight
 from servofd.simulation.pulses import outputs_of
 from servofd.simulation.words import effects_of, faults_of
 from servofd.simulation.writers import write_flight, writer_for
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.aircraft.schema import Aircraft
-    from servofd.simulation.flight import SimulatedFlight
 
 _SURFACES = ("elevator", "aileron", "rudder")
 _USUAL_HZ, _USUAL_S = 100.0, 60.0

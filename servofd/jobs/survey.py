@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from logparsers import Channel, FlightLog
 from servofd.aircraft.current_source import current_sources, read_current
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.pace import SLOWEST_RATE_HZ
@@ -16,12 +19,6 @@ from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import what_to_log
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.onboard.seen import seen_on_board
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from logparsers import Channel, FlightLog
 
 _GAP_PERIODS = 5.0
 """Longer than so many sample periods is a gap."""
@@ -37,12 +34,8 @@ def survey(
 ) -> list[dict[str, Any]]:
     """Look into a log; what each run holds, and what can be done with it, as plain dictionaries and lists.
 
-    Parameters
-    ----------
-    aircraft : str or Path, optional
-        Aircraft file; left out, the log's own description is used as far as there is one.
-    every_channel : bool
-        Survey all channels, not only those of surfaces.
+    `aircraft`: aircraft file; left out, the log's own description is used as far as there is one. `every_channel`:
+    survey all channels, not only those of surfaces.
 
     Examples
     --------

@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from logparsers import EmptyLog, LogError, MissingChannel, UnknownFormat
+from logparsers.records import FlightLog
+from servofd.aircraft.axes import MotionModel
 from servofd.aircraft.outputs import is_numbered
+from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import bus_of, cut
 from servofd.batch.key import Job
 from servofd.core.errors import CalibrationError, NoMeasurement, ServofdError, UnknownName, suggest
+from servofd.core.types import FloatArray
 from servofd.current.audit import healthy_currents, with_currents
 from servofd.detection.audit import audit_log
+from servofd.detection.flights import Flight, Span
 from servofd.detection.kinds import STANDS_STILL
+from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
 from servofd.feedback.flown import each_once, flown_aircraft, good_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from logparsers.records import FlightLog
-    from servofd.aircraft.axes import MotionModel
-    from servofd.aircraft.schema import Aircraft
     from servofd.axes.verdict import AxisAudit
     from servofd.calibrating.result import Calibration
-    from servofd.core.types import FloatArray
-    from servofd.detection.flights import Flight, Span
-    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
     from servofd.feedback.flown import Log
     from servofd.flight.judge import FlightAlone
 

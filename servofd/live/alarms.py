@@ -8,6 +8,7 @@ has ended does not return.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Final
 
@@ -16,8 +17,6 @@ from servofd.detection.event import Event, EventKind
 from servofd.detection.kinds import KINDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from servofd.aircraft.schema import Surface
     from servofd.detection.verdict import Fault
 
@@ -94,16 +93,8 @@ def travel_deg(surface: Surface) -> float:
 def severity_of(kind: str, fault: Fault | None, residual_deg: float, travel_deg: float) -> Severity:
     """What a fault does to the aircraft: control lost, control worse, or something to look at on the ground.
 
-    Parameters
-    ----------
-    kind : str
-        Of the fault; `unknown` until it has a name.
-    fault : Fault or None
-        Its parameters, where it has a name.
-    residual_deg : float
-        By how much the surface is off [deg]; NaN where nothing measures that.
-    travel_deg : float
-        From stop to stop [deg].
+    `kind`: of the fault; `unknown` until it has a name. `fault`: its parameters, where it has a name. `residual_deg`:
+    by how much the surface is off [deg]; NaN where nothing measures that. `travel_deg`: from stop to stop [deg].
 
     Examples
     --------
@@ -129,16 +120,7 @@ def severity_of(kind: str, fault: Fault | None, residual_deg: float, travel_deg:
 
 @dataclass(slots=True)
 class Alarms:
-    """Alarms of one vehicle.
-
-    Examples
-    --------
-    >>> alarms = Alarms(1)
-    >>> seen = [Event(3.0, "rudder", "alarm", "unknown", 9.0, 1.5), Event(3.1, "rudder", "alarm", "unknown", 9.0, 1.5)]
-    >>> seen += [Event(9.0, "rudder", "clear", "stuck"), Event(9.1, "rudder", "clear", "stuck")]
-    >>> [(event.event, event.id) for event in alarms.publish(seen)]
-    [('alarm', '1/rudder/1'), ('named', '1/rudder/1'), ('clear', '1/rudder/1')]
-    """
+    """Alarms of one vehicle."""
 
     vehicle: int
     """Its system id, with which the ids of its alarms begin."""

@@ -9,18 +9,16 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
 from servofd.aircraft.names import short_names
 from servofd.detection.kinds import KINDS, filled
-from servofd.live.alarms import over
+from servofd.live.alarms import Published, over
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from servofd.detection.monitor import SurfaceMonitor
-    from servofd.live.alarms import Published
 
 _NAME_LONGEST: Final = 10
 """Characters of the name of a NAMED_VALUE_FLOAT (MAVLink)."""
@@ -46,21 +44,7 @@ def health(monitor: SurfaceMonitor) -> float:
 
 
 class Alerts:
-    """Messages to send about one vehicle.
-
-    Examples
-    --------
-    >>> from servofd.live.alarms import Published
-    >>> alerts = Alerts(["elevator", "rudder"])
-    >>> alarm = Published(30.4, "elevator", "alarm", "unknown", -7.1, 1.5, severity=Severity.WARNING)
-    >>> alerts.take(alarm, 1000.0)
-    >>> [(name, fields["text"]) for name, fields in alerts.due(1000.0)]
-    [('STATUSTEXT', 'ELEVATOR ALARM, off by 7.1 deg')]
-    >>> alerts.take(Published(31.0, "elevator", "no_data", text="no position since 31.0 s"), 1000.5)
-    >>> alerts.take(Published(31.0, "rudder", "no_data", text="no position since 31.0 s"), 1000.5)
-    >>> [fields["text"] for _, fields in alerts.due(1001.6)]
-    ['ELEVATOR ALARM, off by 7.1 deg', 'ELEVATOR, RUDDER not watched: no position']
-    """
+    """Messages to send about one vehicle."""
 
     def __init__(self, surfaces: Iterable[str]) -> None:
         self._surfaces = list(surfaces)

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logparsers.records import Channel, FlightLog
+from servofd.aircraft.axes import MotionModel
 from servofd.axes.judge import judge_motion
 from servofd.axes.read import motion_of
-from servofd.axes.verdict import named
+from servofd.axes.verdict import AxisAudit, AxisEvent, named
 from servofd.core.errors import NoMeasurement
 from servofd.detection.event import Event
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from servofd.aircraft.axes import MotionModel
-    from servofd.axes.verdict import AxisAudit, AxisEvent
 
 STREAMED = {
     "SERVO_OUTPUT_RAW": tuple(f"servo{number}_raw" for number in range(1, 17)),
@@ -45,10 +40,7 @@ _NAMED_S = 2.0
 class AxisWatch:
     """What is known of one flying aircraft's axes.
 
-    Parameters
-    ----------
-    model : MotionModel
-        From calibration; it holds the mixer as well, so that no parameter need be asked for.
+    `model`: from calibration; it holds the mixer as well, so that no parameter need be asked for.
     """
 
     model: MotionModel

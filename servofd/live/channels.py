@@ -5,21 +5,18 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
+from logparsers.codec import Received
 from logparsers.mavlink import dialect
 from logparsers.protocol import Component
 from servofd.aircraft.series import SURROUNDINGS
 from servofd.detection.causes import AROUND_S, FALLEN, before_it_fell, fell_from
 from servofd.detection.stream import MEMORY_S
 from servofd.servo.context import NO_CONTEXT, Context
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from logparsers.codec import Received
 
 _LARGEST = 1e6
 """Degrees, microseconds and counts of no servo and no supply are as large."""
@@ -50,13 +47,6 @@ class ChannelTable:
 
     A channel without a source is the autopilot's, or that of the script on it; whoever else sends it is named in `news`
     once, and not obeyed. What is no number of a servo is dropped, and named once.
-
-    Examples
-    --------
-    >>> from logparsers.codec import Received
-    >>> table = ChannelTable(["NAMED_VALUE_FLOAT[SRVP2].value", "SERVO_OUTPUT_RAW.servo2_raw"])
-    >>> table.of(Received("NAMED_VALUE_FLOAT", 1, 1, {"name": "SRVP2", "value": 3.5}))
-    [('NAMED_VALUE_FLOAT[SRVP2].value', 3.5)]
     """
 
     def __init__(self, channels: Iterable[str]) -> None:

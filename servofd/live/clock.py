@@ -9,13 +9,10 @@ the link still brings, is not taken for the new one's.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from logparsers.codec import Received
 from logparsers.protocol import Component
 from servofd.live.channels import stamp_of
-
-if TYPE_CHECKING:
-    from logparsers.codec import Received
 
 _DRIFT = 1e-4
 """Most by which two clocks drift apart [s/s]; crystals have some 20 ppm, and 50 in the cold."""
@@ -30,21 +27,7 @@ _CALM_S = 5.0
 
 
 class Latency:
-    """Follows the delay of one vehicle's messages.
-
-    Examples
-    --------
-    A link that is 4 s later from 10 s on:
-
-    >>> latency, said = Latency(), []
-    >>> for k in range(300):
-    ...     made_s = 0.1 * k
-    ...     arrival_s = 1000.0 + made_s + (4.1 if made_s > 10.0 else 0.1)
-    ...     latency.take(arrival_s, made_s)
-    ...     said.append(latency.news(arrival_s))
-    >>> [text for text in said if text], round(latency.late_s, 1)
-    (['link 4 s late'], 4.0)
-    """
+    """Follows the delay of one vehicle's messages."""
 
     def __init__(self) -> None:
         self._lags_s = [math.inf, math.inf]
@@ -127,17 +110,7 @@ _WRAP_S = 2.0**32 * 1e-3
 
 
 class VehicleClock:
-    """Puts the messages of one vehicle on one time base.
-
-    Examples
-    --------
-    >>> from logparsers.codec import Received
-    >>> clock = VehicleClock()
-    >>> clock.time_s(Received("ATTITUDE", 1, 1, {"time_boot_ms": 4294950}), 100.0)
-    4294.95
-    >>> clock.time_s(Received("SERVO_OUTPUT_RAW", 1, 1, {"time_usec": 32704}), 100.05)
-    4295.0
-    """
+    """Puts the messages of one vehicle on one time base."""
 
     def __init__(self) -> None:
         self.latency = Latency()

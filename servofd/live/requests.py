@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from logparsers.codec import Received
 from logparsers.dataflash.live import BlockStream, RowDecoder
 from logparsers.mavlink import dialect
 from logparsers.protocol import Command, RemoteLogCommand, Result
-
-if TYPE_CHECKING:
-    from logparsers.codec import Received
 
 _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
 """ArduPlane grants 0.8 of its loop rate: 40 Hz with the usual 50 Hz loop."""

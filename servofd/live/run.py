@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
+from logparsers import FlightLog
+from servofd.live.alarms import Published
+from servofd.live.session import Session
+from servofd.live.threads import Receiver
 from servofd.live.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from logparsers import FlightLog
-    from servofd.live.alarms import Published
-    from servofd.live.session import Session
-    from servofd.live.threads import Receiver
 
 _STEP_S, _LONGEST_STEP_S, _CALM_STEP_S = 0.02, 0.1, 1.0
 """Of a replay: data is evaluated in steps of this length; of a longer one where the difference cannot be seen, and of

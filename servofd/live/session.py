@@ -4,30 +4,25 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from logparsers.codec import is_signed
+from logparsers.codec import Codec, Received, is_signed
 from logparsers.protocol import Autopilot, Component
 from logparsers.units import S_PER_NS, US_PER_S
 from servofd.aircraft.outputs import of_other_messages
-from servofd.aircraft.schema import plain_aircraft
+from servofd.aircraft.schema import Aircraft, plain_aircraft
+from servofd.detection.event import Event, Inputs, Look
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.stream import Piece
+from servofd.live.alarms import Published
 from servofd.live.channels import ChannelTable, stamp_of
 from servofd.live.requests import RemoteLog
 from servofd.live.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from logparsers.codec import Codec, Received
-    from servofd.aircraft.schema import Aircraft
-    from servofd.detection.event import Event, Inputs, Look
-    from servofd.detection.stream import Piece
-    from servofd.live.alarms import Published
 
 _GROUND_SYSTEM = 255
 """System id of ground stations, which are no vehicles."""

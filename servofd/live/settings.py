@@ -8,15 +8,11 @@ the pulse jumps. FUNCTION says what the output is for: nothing is known of the s
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from servofd.aircraft.calibration import PulseCalibration
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.aircraft.calibration import Calibration
+from servofd.aircraft.calibration import Calibration, PulseCalibration
 
 _RANGE: Final = "SERVO_VOLZ_RANGE"
 _CENTRE_US: Final = 1500.0

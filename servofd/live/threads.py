@@ -6,18 +6,15 @@ import contextlib
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from logparsers.codec import Codec, Signature, signing_key
+from logparsers.link import Link
 from logparsers.protocol import Command
 from servofd.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from logparsers.link import Link
 
 T = TypeVar("T")
 _POLL_S = 0.1

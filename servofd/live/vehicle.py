@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from logparsers.codec import Received
 from logparsers.protocol import NO_INDEX, Component
 from servofd.aircraft.outputs import output_of
+from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.watch import Bus
 from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
 from servofd.current.stream import OfCurrent, motion_model
 from servofd.detection.causes import cause_of_alarms
 from servofd.detection.event import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.verdict import CommonCause
 from servofd.live.alarms import Alarms, Published, travel_deg
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable, Surroundings
@@ -26,12 +31,6 @@ from servofd.live.requests import LOG_SILENCE_S, RemoteLog, Requests
 from servofd.live.settings import Settings, rescaled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from logparsers.codec import Received
-    from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.core.types import FloatArray
-    from servofd.detection.verdict import CommonCause
     from servofd.live.axes import AxisWatch
 
 Samples = tuple[list[float], list[float]]

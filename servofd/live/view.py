@@ -5,24 +5,22 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
+from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING, NamedTuple
 
 from logparsers.protocol import Severity
+from servofd.detection.event import Reading
 from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import describe
-from servofd.live.alarms import over
+from servofd.live.alarms import Alarm, Published, over
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from rich.console import Console, ConsoleOptions, RenderResult
     from rich.text import Text
 
     from servofd.axes.verdict import AxisAudit
-    from servofd.detection.event import Reading
     from servofd.detection.monitor import SurfaceMonitor
-    from servofd.live.alarms import Alarm, Published
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle
 

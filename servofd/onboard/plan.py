@@ -11,29 +11,26 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from logparsers.units import US_PER_S
+from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.calibration import DegreeCalibration, PulseCalibration, RadianCalibration
 from servofd.aircraft.names import short_names
 from servofd.aircraft.outputs import COMMANDS_OF_SERVO, POSITIONS_FROM_0, POSITIONS_FROM_1, output_of
+from servofd.aircraft.schema import Aircraft, Surface
 from servofd.core.errors import ConfigError, DesignError
+from servofd.core.types import FloatArray
 from servofd.detection.changes import thresholds_of
 from servofd.detection.named import named_servo
 from servofd.estimate.family import REACH_DEG, new_state, sensitivities, simulated, variants
 from servofd.estimate.record import load_at
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.aircraft.calibrated import CalibratedServo
-    from servofd.aircraft.schema import Aircraft, Surface
-    from servofd.core.types import FloatArray
 
 Setting = float | tuple[float, ...] | None
 """Of a surface in the script; None is left out."""
@@ -145,12 +142,8 @@ def plan_onboard(
 ) -> OnboardPlan:
     """Take from an aircraft what a script on board needs.
 
-    Parameters
-    ----------
-    surfaces : sequence of str
-        Which to watch; all that can be if empty.
-    instructions : int
-        Of Lua's virtual machine, that the autopilot gives a call (``SCR_VM_I_COUNT``).
+    `surfaces`: which to watch; all that can be if empty. `instructions`: of Lua's virtual machine, that the autopilot
+    gives a call (``SCR_VM_I_COUNT``).
 
     Examples
     --------

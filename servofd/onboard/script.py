@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servofd.core.errors import ConfigError
-from servofd.onboard.plan import LONGEST_NAME
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.onboard.plan import OnboardPlan, OnboardSurface, Setting
+from servofd.onboard.plan import LONGEST_NAME, OnboardPlan, OnboardSurface, Setting
 
 _STREAM_HZ = 25.0
 """Rate at which the script sends positions [Hz]."""
@@ -22,16 +18,7 @@ which takes 0.3 kB less memory a surface while a script is read."""
 
 
 def watch_script(plan: OnboardPlan, file_name: str = "servofd.lua") -> str:
-    """Text of the script that watches every surface of a plan.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import load_aircraft
-    >>> from servofd.onboard.plan import plan_onboard
-    >>> text = watch_script(plan_onboard(load_aircraft("simulated")))
-    >>> [line[:60] for line in text.splitlines() if "RUDDER" in line]
-    ['   { "name=RUDDER output=4 gain=0.09 offset=0.0 sense=1.0 ze']
-    """
+    """Text of the script that watches every surface of a plan."""
     return _rendered(
         "watch.lua",
         plan=plan,

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logparsers.records import FlightLog
 from servofd.aircraft.outputs import output_of
-
-if TYPE_CHECKING:
-    from logparsers.records import FlightLog
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray
+from servofd.aircraft.schema import Aircraft
+from servofd.core.types import FloatArray
 
 _RESIDUAL = re.compile(r"SFD\[(\d+)\]\.Res")
 

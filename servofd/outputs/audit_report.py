@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from logparsers.modes import modes_of
+from logparsers.records import FlightLog
 from logparsers.units import MS_PER_S
 from servofd.aircraft.outputs import WITHOUT_SURFACES
+from servofd.aircraft.schema import Aircraft
 from servofd.axes.model import FORMS
-from servofd.axes.verdict import named, shown
-from servofd.detection.verdict import meaning, next_step
+from servofd.axes.verdict import AxisAudit, named, shown
+from servofd.core.statistics import Estimate
+from servofd.core.types import FloatArray
+from servofd.detection.verdict import LogAudit, SurfaceAudit, meaning, next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.chart import (
     MOST_FAULTS,
@@ -28,7 +33,7 @@ from servofd.outputs.chart import (
     flight_chart,
     kind_of,
 )
-from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Section, Table, Words
+from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Part, Section, Table, Words
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.sentence import (
     LEAST_CLEARED,
@@ -45,18 +50,9 @@ from servofd.outputs.sentence import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from logparsers.records import FlightLog
-    from servofd.aircraft.schema import Aircraft
     from servofd.axes.motion import Motion
-    from servofd.axes.verdict import AxisAudit
-    from servofd.core.statistics import Estimate
-    from servofd.core.types import FloatArray
-    from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.flight.change import AxisChange
     from servofd.flight.judge import FlightAlone
-    from servofd.outputs.document import Part
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
 _MISSING = "none"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import exp
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,6 @@ from servofd.outputs.document import Bullets, Document, Table
 from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from servofd.aircraft.axes import MotionModel
     from servofd.aircraft.current import CalibratedCurrent
     from servofd.calibrating.result import CalibratedSurface, Calibration

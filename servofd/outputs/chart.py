@@ -9,19 +9,15 @@ done above, the residual below.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from servofd.detection.verdict import WITHIN_SIGMAS, gravest
+from servofd.core.types import FloatArray, IntArray
+from servofd.detection.verdict import WITHIN_SIGMAS, Fault, SurfaceAudit, gravest
 from servofd.outputs.sentence import clock, spoken
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import FloatArray, IntArray
-    from servofd.detection.verdict import Fault, SurfaceAudit
 
 WIDTH, HEIGHT = 2000, 500
 """Units of the drawing: two to a column of pixels of a wide screen, two to a row of a tall panel."""
@@ -264,13 +260,6 @@ def bridged(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
     """Leave out missing samples between others that are near, so that a line goes on there; longer silence breaks it.
 
     Readings that a logger wrote twice are missing the second time: every other sample then stands alone.
-
-    Examples
-    --------
-    >>> time_s = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 2.0, 4.0])
-    >>> values = np.array([1.0, np.nan, 1.5, np.nan, 2.0, np.nan, 3.0])
-    >>> bridged(time_s, values)[1]
-    array([1. , 1.5, 2. , nan, 3. ])
     """
     known = np.flatnonzero(np.isfinite(values))
     if known.size < 2 or known.size == values.size:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from servofd.core.types import FloatArray
+from servofd.detection.verdict import SurfaceAudit
 from servofd.outputs.chart import Chart, Curve, Panel, extremes
-from servofd.outputs.document import Cell, Document, Figures, Table
+from servofd.outputs.document import Cell, Document, Figures, Part, Table
 from servofd.outputs.sentence import STATUSES, spoken
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.core.types import FloatArray
-    from servofd.detection.verdict import SurfaceAudit
-    from servofd.outputs.document import Part
 
 _RANKS = (*STATUSES, "")
 _LEAST_DEG = 0.1
@@ -31,16 +27,8 @@ def compare_report(
 ) -> Document:
     """One row for each surface and axis that either flight knows, the worst first.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of both flights.
-    documents : sequence of mapping
-        Their audits, schema servofd.audit/1.
-    links : sequence of str
-        To their pages.
-    parts : sequence of Part
-        What stands below the table.
+    `names`: of both flights. `documents`: their audits, schema servofd.audit/1. `links`: to their pages. `parts`: what
+    stands below the table.
     """
     both = [_worst_runs(document["logs"]) for document in documents]
     entries = {name: [one.get(name) for one in both] for one in both for name in one}
@@ -113,7 +101,6 @@ def overlaid(name: str, tracks: Sequence[Track], names: Sequence[str], at_s: Seq
 
     Examples
     --------
-    >>> import numpy as np
     >>> one = Track(np.array([10.0, 11.0]), np.array([0.0, 1.0]), np.array([0.0, 0.0]))
     >>> other = one._replace(time_s=np.array([30.0, 32.0]))
     >>> chart = overlaid("rudder", (one, other), ("a.bin", "b.bin"), (10.0, 30.0))

@@ -7,6 +7,7 @@ than noise); ``/report``.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +17,10 @@ from servofd.discrepancy.locate import bad_seconds
 from servofd.outputs.document import markdown
 from servofd.outputs.explain_report import explain_report
 from servofd.outputs.recording.layout import REPORT, REPORT_VIEW, blueprint, curves, lanes, stacked
-from servofd.outputs.recording.stream import application_name, recording_file, shown, surface_place
+from servofd.outputs.recording.stream import Recorder, application_name, recording_file, shown, surface_place
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from servofd.discrepancy.explanation import Explanation
-    from servofd.outputs.recording.stream import Recorder
 
 
 _AROUND_S = 10.0

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servofd.core.statistics import Z_95
+from servofd.core.types import FloatArray
 from servofd.discrepancy.locate import SHOWN_SHARE, binned, maps, spectrum
 from servofd.discrepancy.separate import in_words
 from servofd.outputs.audit_report import quantity
@@ -17,9 +19,6 @@ from servofd.outputs.document import Bullets, Document, Figures, Section, Table,
 from servofd.outputs.sentence import LEAST_CLEARED, known_digits, spoken
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import FloatArray
     from servofd.discrepancy.explanation import Explanation
 
 _EXCERPT_S = 6.0

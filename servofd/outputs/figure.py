@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import textwrap
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -12,18 +13,15 @@ import numpy as np
 
 from servofd.core.errors import needs
 from servofd.core.files import write_whole
-from servofd.outputs.chart import flight_chart, thinned
+from servofd.detection.verdict import SurfaceAudit
+from servofd.outputs.chart import Chart, Curve, flight_chart, thinned
 from servofd.outputs.palette import COLOURS
 from servofd.outputs.plain import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from servofd.detection.verdict import SurfaceAudit
-    from servofd.outputs.chart import Chart, Curve
 
 _TITLE_COLUMNS = 130
 """Characters in a line of a figure's title."""

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
-from servofd.outputs.document import Cell, Document, Figures, Section, Table, Words
+from servofd.outputs.document import Cell, Document, Figures, Part, Section, Table, Words
 from servofd.outputs.sentence import clock, minute_of, spoken
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.outputs.document import Part
 
 _HIGHEST_SHARE = 3.0
 """Top of the chart of flights, in thresholds; what is higher is drawn there."""

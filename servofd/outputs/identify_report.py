@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logparsers.units import MS_PER_S
+from servofd.core.types import FloatArray
 from servofd.identification.choice import steps_of
 from servofd.identification.identify import is_stepwise
 from servofd.identification.records import longest_uniform
 from servofd.identification.response import raw_response
+from servofd.identification.result import Identification
 from servofd.outputs.chart import Chart, Curve, Panel, Span
 from servofd.outputs.document import Bullets, Document, Figures, Table
 from servofd.outputs.sentence import known_digits, spoken
-
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
-    from servofd.identification.result import Identification
 
 _FEWEST = 2
 """Samples from which on there is a response."""

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from logparsers.records import FlightLog
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
 from servofd.aircraft.series import take_off_s
+from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.sentence import whole_sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from logparsers.records import FlightLog
     from servofd.axes.verdict import AxisAudit, AxisEvent
-    from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
     from servofd.flight.change import AxisChange
     from servofd.flight.judge import FlightAlone
 

@@ -10,27 +10,24 @@ import contextlib
 import itertools
 import threading
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
 
 from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
+from servofd.detection.event import Event
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
 from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, breaks_s, ratio, send_curves, send_styles
 from servofd.outputs.recording.verdicts import MANY_VEHICLES
 from servofd.outputs.sentence import spoken
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.core.types import FloatArray
-    from servofd.detection.event import Event
-    from servofd.servo.context import Context
+from servofd.servo.context import Context
 
 _TO_VIEWER_S, _TO_FILE_S = 0.2, 2.0
 """Time between two batches to the viewer, and to the file [s]."""

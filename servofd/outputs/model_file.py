@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from logparsers.records import FlightLog
+from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.levels import good_levels, levels_of
 from servofd.core.toml_text import toml_key, toml_lines
-from servofd.servo.catalogue import OWN, table_of
+from servofd.servo.catalogue import OWN, EffectTable, table_of
+from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import Gain
 from servofd.servo.effects.sensor import Bias
@@ -18,14 +22,8 @@ from servofd.servo.loop import INSIDE
 from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from logparsers.records import FlightLog
-    from servofd.aircraft.schema import Aircraft
     from servofd.discrepancy.explanation import Explanation
     from servofd.identification.result import Identification
-    from servofd.servo.catalogue import EffectTable
-    from servofd.servo.effect import Effect
 
 _SCALES = {"slow_dynamics": "bandwidth_scale", "damping": "damping_scale"}
 _GROUPS = ("surfaces", "servos")

@@ -7,20 +7,17 @@ import platform
 import re
 import sys
 import webbrowser
+from collections.abc import Mapping
 from html import unescape
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from servofd.core.files import beginning
+from servofd.outputs.document import Document
 from servofd.outputs.palette import BANNER_COLOURS, STATUS_COLOURS
 from servofd.outputs.plain import plain
 from servofd.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.outputs.document import Document
 
 _TYPED = re.compile("`(.*?)`")
 _HEAD = re.compile(

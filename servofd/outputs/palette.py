@@ -7,10 +7,7 @@ viewer's black.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from collections.abc import Mapping
 
 COLOURS: Mapping[str, str] = {
     "command": "#8c8c8c",

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from servofd.core.evidence import Detectable
 from servofd.detection.kinds import KINDS, filled
-from servofd.detection.verdict import by_gravity, check, gravest, next_step
+from servofd.detection.verdict import (
+    CommonCause,
+    Fault,
+    LogAudit,
+    Status,
+    SurfaceAudit,
+    by_gravity,
+    check,
+    gravest,
+    next_step,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from servofd.axes.verdict import AxisAudit
-    from servofd.core.evidence import Detectable
-    from servofd.detection.verdict import CommonCause, Fault, LogAudit, Status, SurfaceAudit
 
 STATUSES: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 """Of surfaces, the one that decides first: what could not be judged does not count beside what could."""
@@ -51,18 +59,7 @@ def worst(surfaces: Sequence[SurfaceAudit | AxisAudit]) -> Status:
 
 
 def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
-    """What happened, and whether to fly.
-
-    Examples
-    --------
-    >>> from servofd.detection.verdict import SurfaceAudit
-    >>> rudder = SurfaceAudit("rudder", "healthy", "", "s9254", "constant", 1.5, True)
-    >>> flap = SurfaceAudit("flap", "no_data", "no position", "s9254", "constant", 1.5, True)
-    >>> sentence([rudder])
-    'Rudder followed its command.'
-    >>> sentence([rudder, flap])
-    'Rudder followed its command. No verdict on flap: no position.'
-    """
+    """What happened, and whether to fly."""
     faulty = [s for s in surfaces if s.status == "fault"]
     suspect = [s for s in surfaces if s.status == "suspect"]
     healthy = [s for s in surfaces if s.status == "healthy"]

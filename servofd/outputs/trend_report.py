@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from servofd.core.statistics import Z_95, Estimate
 from servofd.outputs.chart import Chart, Curve, Mark, Panel
-from servofd.outputs.document import Bullets, Cell, Document, Figures, Section, Table, Words
+from servofd.outputs.document import Bullets, Cell, Document, Figures, Part, Section, Table, Words
 from servofd.outputs.fleet_report import flight_name
 from servofd.outputs.sentence import known_digits, minute_of, spoken
 from servofd.wear.estimate import QUANTITIES
 from servofd.wear.series import TOO_FEW
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.outputs.document import Part
 
 _STATUSES = {"reached": "fault", "crossing": "suspect", "none": "healthy"}
 """By the forecast, the worst first."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -12,12 +13,15 @@ import numpy as np
 
 from logparsers import FlightLog
 from servofd.aircraft.columns import aircraft_of_columns
+from servofd.aircraft.schema import Aircraft
+from servofd.aircraft.series import Series
 from servofd.axes.verdict import AxisAudit
 from servofd.batch.find import META_FILE, find_logs, is_pattern, is_plain_file
 from servofd.batch.key import Job
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
 from servofd.core.series import latest
+from servofd.detection.residual import Residuals, Threshold, ThresholdKind
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.feedback.flown import known_aircraft, layout_of, logs_of
 from servofd.feedback.tables import as_described, frame_of, is_table
@@ -26,8 +30,9 @@ from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import by_path, read_logs
 from servofd.jobs import workflow
 from servofd.outputs.audit_report import audit_report, axis_chart
-from servofd.outputs.chart import current_charts, flight_chart
+from servofd.outputs.chart import Chart, current_charts, flight_chart
 from servofd.outputs.compare_report import Track, charts, compare_report, overlaid, track_of
+from servofd.outputs.document import Document
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import html_page
@@ -35,18 +40,11 @@ from servofd.outputs.sentence import LEAST_CLEARED
 from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, over_time, plain_log
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from servofd.aircraft.schema import Aircraft
-    from servofd.aircraft.series import Series
-    from servofd.detection.residual import Residuals, Threshold, ThresholdKind
     from servofd.feedback.flown import Log
-    from servofd.outputs.chart import Chart
-    from servofd.outputs.document import Document
     from servofd.results.models import Flown
 
 

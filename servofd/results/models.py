@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -9,16 +10,17 @@ from typing import TYPE_CHECKING, Any, Self
 
 from logparsers import FlightLog
 from logparsers.units import MS_PER_S
-from servofd.aircraft.axes import motion_to_toml
+from servofd.aircraft.axes import MotionModel, motion_to_toml
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
+from servofd.discrepancy.explanation import Explanation
 from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
 from servofd.jobs import bench, simulating, workflow
 from servofd.jobs.explaining import explain_logs
 from servofd.outputs.calibrate_report import calibrate_report, motion_report
-from servofd.outputs.document import Table
+from servofd.outputs.document import Document, Table
 from servofd.outputs.explain_report import explain_charts, explain_report
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.identify_report import identify_charts, identify_report
@@ -29,15 +31,10 @@ from servofd.simulation.flight import SimulatedFlight
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from servofd.aircraft.axes import MotionModel
-    from servofd.discrepancy.explanation import Explanation
     from servofd.feedback.flown import Log
-    from servofd.outputs.document import Document
 
 
 class Identified(Identification, Shown):

@@ -4,31 +4,28 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import wraps
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
-from logparsers import FlightLog, LogError
+from logparsers import Channel, FlightLog, LogError
 from servofd.core.errors import ServofdError, needs
 from servofd.core.files import write_whole
+from servofd.core.types import FloatArray
 from servofd.feedback.draft import BY_DAYS
+from servofd.outputs.chart import Chart
+from servofd.outputs.document import Document
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import spoken
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from logparsers import Channel
-    from servofd.core.types import FloatArray
-    from servofd.outputs.chart import Chart
-    from servofd.outputs.document import Document
 
 
 class Shown(ABC):

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl, quote
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import ImmutableMultiDict
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
+from starlette.types import ASGIApp
 
 from servofd.aircraft.columns import TIME_UNITS, UNITS
 from servofd.core.errors import ConfigError
@@ -25,22 +29,12 @@ from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.serve.flights import RESULTS, SHIPPED, Choice, TooLarge
-from servofd.serve.forms import fields_of, files_in, refused
+from servofd.serve.flights import RESULTS, SHIPPED, Choice, Flight, Flights, TooLarge, Upload
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, curves_in, text_in
 from servofd.serve.preview import preview
+from servofd.serve.tasks import Verb
 from servofd.serve.viewer import FILES, viewer_files
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from starlette.requests import Request
-    from starlette.types import ASGIApp
-
-    from servofd.serve.flights import Flight, Flights, Upload
-    from servofd.serve.tasks import Verb
 
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
 _OF_SUMMARY = frozenset(
@@ -56,6 +50,23 @@ _ICON = (
 )
 _PAIRS = 8
 """Surfaces of a table that can be chosen on its page."""
+_MOST_BYTES = 1_000_000
+"""Largest form [bytes]."""
+
+
+def _refused(text: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> HTTPException:
+    """What to raise where a request makes no sense, or asks for what is not there."""
+    return HTTPException(status, text)
+
+
+async def _fields_of(request: Request) -> ImmutableMultiDict[str, str]:
+    """Fields of a form."""
+    body = b""
+    async for some in request.stream():
+        body += some
+        if len(body) > _MOST_BYTES:
+            raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "More than a form holds.")
+    return ImmutableMultiDict(parse_qsl(body.decode(errors="replace"), keep_blank_values=True))
 
 
 def application(flights: Flights) -> ASGIApp:
@@ -66,7 +77,6 @@ def application(flights: Flights) -> ASGIApp:
             Route("/", routes.index),
             Route("/flights", routes.listed),
             Route("/flights", routes.take, methods=["PUT"]),
-            Route("/flights", routes.take_form, methods=["POST"]),
             Route("/do", routes.act, methods=["POST"]),
             Route("/flights/{id}", routes.flight),
             Route("/flights/{id}/choose", routes.choose, methods=["POST"]),
@@ -162,47 +172,14 @@ class _Routes:
         row = {} if taken.flight is None else self._row(taken.flight)
         return JSONResponse(row | {"notice": taken.notice}, HTTPStatus.CREATED)
 
-    async def take_form(self, request: Request) -> Response:
-        """Logs of a form, as browsers send it that run no script."""
-        rows: list[tuple[str | Cell, ...]] = []
-        upload: Upload | None = None
-        wrong = ""
-        try:
-            async for name, some in files_in(request.stream(), request.headers.get("content-type", "")):
-                try:
-                    if upload is None and not wrong:
-                        upload = self._flights.upload(name, 0)
-                    if upload is not None and some is not None:
-                        await run_in_threadpool(upload.write, some)
-                    elif upload is not None:
-                        taken, upload = await run_in_threadpool(upload.finish), None
-                        link = f"/flights/{taken.flight.id}" if taken.flight else ""
-                        rows.append((Cell(name, link=link), taken.notice or "It is being judged."))
-                except TooLarge as error:
-                    if upload is not None:
-                        upload.abandon()
-                    upload, wrong = None, str(error)
-                if some is None:
-                    rows += [(name, f"{wrong}.")] if wrong else []
-                    wrong = ""
-        except ClientDisconnect:
-            return JSONResponse({"error": "did not arrive completely"}, HTTPStatus.BAD_REQUEST)
-        finally:
-            if upload is not None:
-                upload.abandon()
-        if not rows:
-            raise refused("No file was chosen.")
-        count = f"{len(rows)} {'file' if len(rows) == 1 else 'files'} arrived."
-        return _page(Document("Files", "no_data", count, parts=[Table("Files", ("file", "what became of it"), rows)]))
-
     async def act(self, request: Request) -> Response:
         """Something to do with the flights that are ticked."""
-        form = await fields_of(request)
+        form = await _fields_of(request)
         verb, aircraft = form.get("do", ""), form.get("aircraft", "")
         ticked = form.getlist("flight")
         if verb in ("delete", "restore"):
             if not ticked:
-                raise refused("Tick the flights to delete first.")
+                raise _refused("Tick the flights to delete first.")
             title, act, deleted = "Taken back", self._flights.restore, []
             if verb == "delete":
                 title, act, deleted = "Deleted", self._flights.remove, ticked
@@ -210,27 +187,27 @@ class _Routes:
             return _page(Document(title, "no_data", " ".join(said)), deleted=deleted)
         flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
         if verb not in _VERBS:
-            raise refused("There is nothing of that name to do.")
+            raise _refused("There is nothing of that name to do.")
         if not flights:
-            raise refused(f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
+            raise _refused(f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
         if verb == "trend" and not (aircraft or self._flights.job.aircraft or flights[0].choice.aircraft):
-            raise refused("A trend follows one aircraft: choose its file beside the button first.")
+            raise _refused("A trend follows one aircraft: choose its file beside the button first.")
         try:
             task = self._flights.begin(_VERBS[verb], flights, aircraft=aircraft, surface=form.get("surface", ""))
         except ConfigError as error:
-            raise refused(f"{error}.") from None
+            raise _refused(f"{error}.") from None
         return RedirectResponse(f"/tasks/{task.id}", HTTPStatus.SEE_OTHER)
 
     async def choose(self, request: Request) -> Response:
         """Aircraft file or columns of one flight."""
-        flight, form = self._known(request.path_params["id"]), await fields_of(request)
+        flight, form = self._known(request.path_params["id"]), await _fields_of(request)
         try:
             by_columns = form.get("by") == "columns"
             columns = await run_in_threadpool(_columns, form, flight.log) if by_columns else {}
             choice = Choice(form.get("aircraft", ""), columns)
             await run_in_threadpool(self._flights.choose, flight.id, choice)
         except ConfigError as error:
-            raise refused(f"{flight.name}: {error}.") from None
+            raise _refused(f"{flight.name}: {error}.") from None
         return RedirectResponse(f"/flights/{flight.id}", HTTPStatus.SEE_OTHER)
 
     async def flight(self, request: Request) -> Response:
@@ -267,7 +244,7 @@ class _Routes:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
         path = self._flights.results(flight.id) / name
         if name not in _KINDS or not path.is_file():
-            raise refused("There is no such result of this flight.", HTTPStatus.NOT_FOUND)
+            raise _refused("There is no such result of this flight.", HTTPStatus.NOT_FOUND)
         download = {AUDIT: f"{flight.name}.json", RECORDING: f"{flight.name}.rrd"}.get(name)
         if "download" in request.query_params and name == PAGE:
             download = f"{flight.name}.html"
@@ -277,7 +254,7 @@ class _Routes:
         """A calibration, trend or explanation, or how far it is."""
         task = self._flights.task(request.path_params["id"])
         if task is None:
-            raise refused("There is no such calibration, trend or explanation.", HTTPStatus.NOT_FOUND)
+            raise _refused("There is no such calibration, trend or explanation.", HTTPStatus.NOT_FOUND)
         folder = self._flights.task_folder(task.id)
         found = text_in(folder / PAGE) if task.state == "done" else ""
         if found:
@@ -298,7 +275,7 @@ class _Routes:
         try:
             documents = [json.loads((folder / AUDIT).read_text(encoding="utf-8")) for folder in folders]
         except OSError:
-            raise refused("One of the two is not judged yet.", HTTPStatus.CONFLICT) from None
+            raise _refused("One of the two is not judged yet.", HTTPStatus.CONFLICT) from None
         names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
         first, second = map(curves_in, folders)
         both = {name: (track, second[name]) for name, track in first.items() if name in second}
@@ -311,7 +288,7 @@ class _Routes:
         name = request.path_params["file"] or "index.html"
         folder = await run_in_threadpool(viewer_files, self._flights.folder / RESULTS)
         if folder is None or name not in FILES:
-            raise refused('The viewer is not here; pip install "servofd[view]" brings it.', HTTPStatus.NOT_FOUND)
+            raise _refused('The viewer is not here; pip install "servofd[view]" brings it.', HTTPStatus.NOT_FOUND)
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
 
     def _row(self, flight: Flight) -> dict[str, Any]:
@@ -325,7 +302,7 @@ class _Routes:
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
         if flight is None:
-            raise refused("There is no such flight; it may have been deleted.", HTTPStatus.NOT_FOUND)
+            raise _refused("There is no such flight; it may have been deleted.", HTTPStatus.NOT_FOUND)
         return flight
 
 
@@ -335,7 +312,7 @@ def _moments(given: Sequence[str]) -> tuple[float, float]:
         first, second = (float(one or 0.0) for one in given or ("", ""))
         if math.isfinite(first) and math.isfinite(second):
             return first, second
-    raise refused("Align two flights by a moment of each, in seconds.")
+    raise _refused("Align two flights by a moment of each, in seconds.")
 
 
 _VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "explain": "explain"}

@@ -13,12 +13,13 @@ import secrets
 import shutil
 import tempfile
 import threading
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.aircraft.schema import load_aircraft
@@ -31,8 +32,6 @@ from servofd.outputs.sentence import spoken
 from servofd.serve.judge import Summary, judge
 from servofd.serve.tasks import Task, Verb, do
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
 State = Literal["waiting", "at work", "done"]
 
 RESULTS = "servofd"
@@ -182,10 +181,8 @@ class Flights:
     def choose(self, flight_id: str, choice: Choice) -> None:
         """Judge a flight again, with what was chosen.
 
-        Raises
-        ------
-        ConfigError
-            If what was chosen is not there or makes no sense, or the flight is gone or is being judged.
+        Raises `ConfigError` if what was chosen is not there or makes no sense, or the flight is gone or is being
+        judged.
         """
         self.job_of(choice)
         with self._lock:
@@ -229,10 +226,7 @@ class Flights:
     def job_of(self, choice: Choice) -> Job:
         """What to judge with, as it was chosen.
 
-        Raises
-        ------
-        ConfigError
-            If it is not there, or makes no sense.
+        Raises `ConfigError` if it is not there, or makes no sense.
         """
         if choice.columns:
             return replace(self.job, aircraft=aircraft_of_columns(choice.columns))

@@ -5,15 +5,17 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from servofd.batch.key import Job
 from servofd.core.files import make_folder, write_whole
+from servofd.detection.verdict import LogAudit
 from servofd.jobs.workflow import FailedLog, judged
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.compare_report import Track, track_of
@@ -21,11 +23,6 @@ from servofd.outputs.json_report import to_json, worst_outline
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED, spoken, whole_sentence, worst
 from servofd.serve.preview import preview, what_it_is
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.detection.verdict import LogAudit
 
 AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
 """What the folder of a flight holds; the summary is written last."""

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from logparsers import LogError
 from logparsers.source import heads
 from logparsers.text import convert, read_grid
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _HEAD_BYTES = 64 * 1024
 """Beginning of a file that is read for the preview."""

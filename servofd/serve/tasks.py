@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self
 
 from logparsers import LogError
 from servofd.aircraft.axes import motion_to_toml
+from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import calibration_to_toml
 from servofd.core.errors import NoMeasurement, ServofdError
 from servofd.core.files import make_folder, write_whole
@@ -22,11 +24,6 @@ from servofd.outputs.explain_report import explain_report
 from servofd.outputs.page import html_page
 from servofd.outputs.trend_report import trend_report
 from servofd.serve.judge import so_far
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.aircraft.schema import Aircraft
 
 Verb = Literal["calibrate", "trend", "explain"]
 TASK, PAGE = "task.json", "page.html"

@@ -7,16 +7,13 @@ import socket
 import subprocess
 import time
 import urllib.request
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from servofd.core.files import make_folder, write_whole
 from servofd.outputs.recording.viewer import quiet, rerun_program
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 FILES = {
     "index.html": "text/html; charset=utf-8",

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect, Parameter
 from servofd.servo.effects.own import Poles, PolesAfter, PolesBefore
+from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue, everything
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import FloatArray
-    from servofd.servo.physics import Physics
 
 
 def installed(physics: Physics, effects: Sequence[type[Effect]], values: Sequence[float]) -> Physics:
@@ -127,18 +122,7 @@ _OPTIONAL = ("phase",)
 
 
 def effects_installed(physics: Physics, table: Mapping[str, Mapping[str, float | str]]) -> Physics:
-    """Servo with the effects of a table.
-
-    Examples
-    --------
-    >>> from servofd.servo.physics import Physics
-    >>> effects_installed(Physics(), {"backlash": {"width_deg": 0.8}}).backlash_deg
-    0.8
-    >>> effects_installed(Physics(), {"backlash": {"width": 0.8}})
-    Traceback (most recent call last):
-        ...
-    servofd.core.errors.UnknownName: effects.backlash: unknown parameter 'width'; did you mean width_deg? known: ...
-    """
+    """Servo with the effects of a table."""
     for name, given in table.items():
         effect = _effect(name, given)
         values = [_value(name, parameter, given) for parameter in effect.parameters]
@@ -165,7 +149,6 @@ def table_of(effects: Sequence[type[Effect]], values: FloatArray) -> EffectTable
 
     Examples
     --------
-    >>> import numpy as np
     >>> from servofd.servo.effects.linkage import RateLimit
     >>> table_of([RateLimit], np.array([88.1234567]))
     {'rate_limit': {'form': 'output', 'rate_limit_deg_s': 88.12346}}

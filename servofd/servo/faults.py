@@ -7,6 +7,7 @@ notice on the ground; no source prescribes them.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
@@ -14,13 +15,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.loops import play
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from servofd.core.types import FloatArray
     from servofd.servo.motion import AnyServo, Motion
     from servofd.servo.servo_model import ServoModel
 
@@ -102,33 +101,9 @@ def failing_deflection(
 ) -> FloatArray:
     """Deflection of a servo with faults, one after the other; `ServoModel.simulate` if there are none.
 
-    Parameters
-    ----------
-    faults : iterable of Failure
-        What fails, and when; the intervals [start_s, end_s) do not overlap.
-    command_s, command_deg : ndarray, shape (n,)
-        When each command was given [s] and what it asked for [deg]; it holds until the next.
-    at_s : ndarray, shape (m,)
-        Times [s], rising.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Deflection [deg], starting from rest at the first command.
-
-    Examples
-    --------
-    >>> from servofd.servo.faults import Slow, Stuck
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> t = np.arange(0.0, 3.0, 0.5)
-    >>> model = ServoModel.of(servo_named("s9254"))
-    >>> failing_deflection(model, [Slow(0.2), Stuck(1.0, end_s=2.0)], t, 10.0 * t, t).round(2)
-    Traceback (most recent call last):
-        ...
-    servofd.core.errors.ConfigError: stuck at 1 s begins before slow at 0.2 s has ended: one fault at a time ...
-    >>> failing_deflection(model, [Slow(0.2, end_s=1.0), Stuck(1.0, end_s=2.0)], t, 10.0 * t, t).round(2)
-    array([ 0.,  0.,  5.,  5.,  5., 20.])
+    `faults`: what fails, and when; the intervals [start_s, end_s) do not overlap. `command_s`, `command_deg` (shape
+    (n,)): when each command was given [s] and what it asked for [deg]; it holds until the next. `at_s` (shape (m,)):
+    times [s], rising. Result (shape (m,)): deflection [deg], starting from rest at the first command.
     """
     faults = in_order(faults)
     command_s, command_deg, at_s = (np.asarray(values, dtype=float) for values in (command_s, command_deg, at_s))
@@ -167,7 +142,6 @@ def as_received(
 
     Examples
     --------
-    >>> from servofd.servo.faults import Bias
     >>> as_received([Bias(1.0, bias_deg=-2.0)], np.array([0.0, 1.0]), np.array([0.0, 5.0]))
     (array([0., 1.]), array([0., 3.]))
     """

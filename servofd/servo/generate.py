@@ -17,25 +17,22 @@ import sys
 import tempfile
 import textwrap
 import threading
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
+from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect, Now, Slot
 from servofd.servo.registry import fields_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from servofd.core.types import FloatArray
 
 STEPPED = (Slot.COMMAND, Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED, Slot.STOP, Slot.OUTPUT, Slot.READING)
 """Slots whose effects are compiled, in their order."""
@@ -103,10 +100,7 @@ def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is
     It is compiled, and the machine code kept in the user's cache folder; without a compiler, or where `is_compiled` is
     false, it is plain Python with the same numbers.
 
-    Raises
-    ------
-    ConfigError
-        If what an effect does cannot be compiled.
+    Raises `ConfigError` if what an effect does cannot be compiled.
     """
     off = fields_of(effects)
     acts, memory = _acts_of(effects)
@@ -120,11 +114,8 @@ def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is
 def check(effect: type[Effect]) -> None:
     """Refuse an effect that cannot be simulated, in one sentence.
 
-    Raises
-    ------
-    ConfigError
-        If its source cannot be compiled, or it does not return finite numbers at its typical size; of one that acts on
-        the commands, if it does not take and return their times, values and slopes.
+    Raises `ConfigError` if its source cannot be compiled, or it does not return finite numbers at its typical size; of
+    one that acts on the commands, if it does not take and return their times, values and slopes.
     """
     sizes = {f: p.neutral + p.typical for p in effect.parameters for f in p.fields}
     if effect.slot is Slot.EVENTS and effect.act is not None:

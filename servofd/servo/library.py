@@ -145,11 +145,8 @@ def servo_named(name: str) -> Servo:
 def find_servo(name: str) -> tuple[str, Servo]:
     """Servo of the library, or the one of a servo file, with its name.
 
-    Parameters
-    ----------
-    name : str
-        Name in the library, or path of a TOML file with one entry ``[servos.NAME]``, such as ``servofd identify
-        --save`` writes.
+    `name`: name in the library, or path of a TOML file with one entry ``[servos.NAME]``, such as ``servofd identify
+    --save`` writes.
 
     Examples
     --------

@@ -17,14 +17,12 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from servofd.core.types import FloatArray
 from servofd.servo.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
 
 BEFORE, INSIDE, AFTER = -1.0, 0.0, 1.0
 """Places of a servo's slow pole: a filter of the command, a part of the position loop, a filter of what it moves."""
@@ -86,15 +84,7 @@ class Scales(NamedTuple):
 
 
 def scaled(transfer: TransferFunction, scales: Scales) -> TransferFunction:
-    """The servo with its poles scaled; the dc gain stays.
-
-    Examples
-    --------
-    >>> from servofd.servo.library import servo_named
-    >>> slow = scaled(servo_named("hs225bb-eq31").transfer, Scales(bandwidth=0.5))
-    >>> round(slow.bandwidth_rad_s, 2), round(slow.dc_gain, 9)
-    (14.24, 1.0)
-    """
+    """The servo with its poles scaled; the dc gain stays."""
     if scales[:4] == (1.0, 1.0, 1.0, 1.0):
         return transfer
     if len(transfer.numerator) > 1:
@@ -185,15 +175,7 @@ def _damped(monic: FloatArray, scale: float) -> FloatArray:
 
 @lru_cache(maxsize=512)  # of many runs each asks for the same
 def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSEST_S) -> Loop:
-    """Matrices of a servo with its poles scaled, on a grid of steps [s] or a finer one.
-
-    Examples
-    --------
-    >>> from servofd.servo.library import servo_named
-    >>> loop = loop_of(servo_named("hs225bb-eq31").transfer, Scales())
-    >>> round(loop.error_s, 5)  # 332 deg/s need 18.1 deg of error
-    0.05449
-    """
+    """Matrices of a servo with its poles scaled, on a grid of steps [s] or a finer one."""
     order = len(transfer.denominator) - 1
     is_physical = len(transfer.numerator) == 1 and 1 <= order <= _PHYSICAL
     poles = _poles(transfer.denominator, scales) if is_physical else None

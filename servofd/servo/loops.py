@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers import compiled as compiler
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from servofd.core.types import FloatArray
+from servofd.core.types import FloatArray
 
 Kind = TypeVar("Kind", np.float64, np.int8, np.bool_)
 
@@ -47,17 +44,8 @@ def _play(values: FloatArray, half_width: float, start: float, result: FloatArra
 def play(values: FloatArray, width: float, start: float) -> FloatArray:
     """Follow `values` only when they would leave a zone of full width `width` around the result.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Signal.
-    start : float
-        Result before the first sample.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Never further than half the width from the signal.
+    `values` (shape (n,)): signal. `start`: result before the first sample. Result (shape (n,)): never further than half
+    the width from the signal.
 
     Examples
     --------

@@ -7,13 +7,14 @@ the same compiled stepper (`servofd.servo.stepper`): a run in pieces is the run 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.errors import DesignError
+from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.effect import Effect, Slot
 from servofd.servo.effects.commands import Commands
@@ -21,12 +22,7 @@ from servofd.servo.generate import INSIDE_LOOP, STEPPED, Act, Stepper, stepper_o
 from servofd.servo.loop import Loop, loop_of
 from servofd.servo.physics import Physics, rate_fields
 from servofd.servo.registry import everything
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.servo.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 _FASTEST_TIMES_STEP = 0.6
 """Of the loop's natural frequency: longest step while something acts on it (as exact as `Effect.longest_s`)."""
@@ -122,19 +118,7 @@ def machine_of(
 
     `effects` are those that may act, if not all of the catalogue: fewer are compiled apart, and move faster.
 
-    Raises
-    ------
-    DesignError
-        If something acts inside a servo with zeros or more than three poles.
-
-    Examples
-    --------
-    >>> from servofd.servo.library import servo_named
-    >>> machine = machine_of(servo_named("hs225bb-eq31").transfer, [Physics(), Physics(backlash_deg=1.0)])
-    >>> t = np.arange(0.0, 1.0, 0.1)
-    >>> read_deg, _ = machine.run(machine.new_state(), (t, 5.0 * t, 0.0 * t), t)
-    >>> round(float(read_deg[-1, 0] - read_deg[-1, 1]), 3)
-    0.5
+    Raises `DesignError` if something acts inside a servo with zeros or more than three poles.
     """
     return _machine(transfer, tuple(variants), finer, everything() if effects is None else effects)
 
@@ -304,18 +288,7 @@ def weaker(physics: Physics, share: float) -> Physics:
 def started_anew(
     servo: AnyServo, commands: Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
 ) -> FloatArray:
-    """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked.
-
-    Examples
-    --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> servo = ServoModel.of(servo_named("s9254")).servo()
-    >>> commands = np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)
-    >>> at_s, measured_deg = np.array([0.1, 0.5, 0.6]), np.array([0.0, 4.0, 2.0])
-    >>> started_anew(servo, commands, at_s, measured_deg, np.array([True, False, True])).round(3)
-    array([0., 5., 2.])
-    """
+    """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked."""
     if not at_s.size:
         return np.zeros(0)
     machine = machine_of(servo.transfer, (servo.physics,))
@@ -334,16 +307,7 @@ def _around(servo: AnyServo, machine: Machine, at_s: FloatArray) -> FloatArray:
 
 
 def swung(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
-    """Deflection at some instants after the first command [deg], from rest at that.
-
-    Examples
-    --------
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.library import servo_named
-    >>> servo = ServoModel.of(servo_named("s9254")).servo()
-    >>> swung(servo, (np.array([0.0, 0.1]), np.array([0.0, 5.0]), np.zeros(2)), np.array([0.1, 0.5])).round(3)
-    array([0., 5.])
-    """
+    """Deflection at some instants after the first command [deg], from rest at that."""
     from_first_s = np.concatenate([commands[0][:1], at_s])
     return started_anew(servo, commands, from_first_s, _NOWHERE, _NEVER)[1:]
 
@@ -352,31 +316,8 @@ def swung(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
 class Motion:
     """Where a servo is, from one instant to the next, under commands that come in as time goes on.
 
-    Parameters
-    ----------
-    servo : AnyServo
-        The servo; with what is around it, which a monitor in flight replaces as it learns more.
-    start_deg : float
-        Where the surface was measured at the first instant [deg]; NaN: where its first command wants it.
-
-    Examples
-    --------
-    A sample at a time, or all at once:
-
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> from servofd.servo.effects.linkage import Backlash
-    >>> from servofd.servo.library import servo_named
-    >>> servo = (ServoModel.of(servo_named("hs225bb-eq31")) + Backlash(1.0)).servo()
-    >>> t = np.arange(0.0, 1.0, 0.01)
-    >>> whole, pieces = Motion(servo, 0.0), Motion(servo, 0.0)
-    >>> whole.receive(t, 5.0 * t, 0.0 * t)
-    >>> at_once = whole.at(t)
-    >>> by_sample = []
-    >>> for k in range(t.size):
-    ...     pieces.receive(t[k : k + 1], 5.0 * t[k : k + 1], np.zeros(1))
-    ...     by_sample += pieces.at(t[k : k + 1]).tolist()
-    >>> bool(np.abs(at_once - by_sample).max() < 1e-12)
-    True
+    `servo`: the servo; with what is around it, which a monitor in flight replaces as it learns more. `start_deg`: where
+    the surface was measured at the first instant [deg]; NaN: where its first command wants it.
     """
 
     servo: AnyServo

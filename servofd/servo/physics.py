@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
+from servofd.servo.effect import Effect
 from servofd.servo.loop import INSIDE, Scales
 from servofd.servo.registry import everything, fields_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from servofd.servo.effect import Effect
-    from servofd.servo.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction
 
 _SCALES = ("bandwidth_scale", "slow_scale", "pair_scale", "damping_scale", "slow_place", "torque_share")
 _BESIDE = {"slow_place": INSIDE, "run_slope": 0.0, "run_field": 0.0, "run_condition": 0.0}

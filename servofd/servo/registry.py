@@ -59,10 +59,7 @@ def is_built_in(effect: type[Effect]) -> bool:
 def check_name(effect: type[Effect]) -> None:
     """Refuse an effect whose name and form the package has.
 
-    Raises
-    ------
-    ConfigError
-        If it has.
+    Raises `ConfigError` if it has.
     """
     if effect.key() in {known.key() for known in _built_in()}:
         raise ConfigError(f"effect {effect.key()}: the catalogue has one of this name")
@@ -71,10 +68,7 @@ def check_name(effect: type[Effect]) -> None:
 def include(effect: type[Effect]) -> None:
     """Know an effect as well, as if it stood in the package; one of the same name and form from before goes.
 
-    Raises
-    ------
-    ConfigError
-        If the package has an effect of this name and form.
+    Raises `ConfigError` if the package has an effect of this name and form.
     """
     check_name(effect)
     fields_of((*_built_in(), effect))

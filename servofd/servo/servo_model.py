@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.errors import DesignError
+from servofd.core.types import FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.loop import scaled
 from servofd.servo.motion import AnyServo, Motion, weaker
 from servofd.servo.physics import Physics, Plant
+from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
-    from servofd.servo.effect import Effect
     from servofd.servo.library import Servo
-    from servofd.servo.transfer import TransferFunction
 
 _MOST_POLES = 3
 """Servos of more poles are simulated, but nothing acts inside their loop."""
@@ -38,7 +38,6 @@ class ServoModel:
 
     Examples
     --------
-    >>> from servofd.servo.effects.linkage import RateLimit
     >>> from servofd.servo.library import servo_named
     >>> (ServoModel.of(servo_named("hs225bb-eq31")) + RateLimit(100.0)).physics.follow_up_deg_s
     100.0

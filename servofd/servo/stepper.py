@@ -23,43 +23,11 @@ GAIN = BIAS = -1
 
 # Slots begin here.
 def command(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """The set point."""
+    """What passes a slot; without effects, unchanged."""
     return x
 
 
-def error(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """The error that drives the motor."""
-    return x
-
-
-def load(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """The deflection that loads take away."""
-    return x
-
-
-def grip(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """Friction, as a position error."""
-    return x
-
-
-def speed(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """The speed of the shaft."""
-    return x
-
-
-def stop(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """The position of the shaft."""
-    return x
-
-
-def output(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """What hangs on the shaft."""
-    return x
-
-
-def reading(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
-    """What the sensor says of it."""
-    return x
+error = load = grip = speed = stop = output = reading = command
 
 
 def rest(x: float, u: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> None:
@@ -309,17 +277,7 @@ def run(
                         y, fast, w = x[v, 0], x[v, 1], x[v, 2]
                         middle = y + 0.5 * h * fast
                         now = Now(
-                            h,
-                            middle * gain,
-                            fast * gain,
-                            error_s,
-                            0.0,
-                            0.0,
-                            pressure,
-                            supply,
-                            power,
-                            current,
-                            external,
+                            h, middle * gain, fast * gain, error_s, 0.0, 0.0, pressure, supply, power, current, external
                         )
                         wanted, slope = come, s
                         if commanding:  # its mean over the step

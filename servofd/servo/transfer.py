@@ -5,14 +5,12 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from servofd.core.errors import DesignError
-
-if TYPE_CHECKING:
-    from servofd.core.types import ComplexArray
+from servofd.core.types import ComplexArray
 
 BANDWIDTH_DROP_DB = 3.0
 """Below dc. Exactly 3.00 dB reproduces the bandwidth column of thesis Fig. 3.10; 3.0103 dB does not."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -19,13 +19,11 @@ from logparsers.compiled import compiled
 from logparsers.dataflash.encode import encode
 from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, UnknownName, suggest
+from servofd.core.types import FloatArray
 from servofd.servo.context import AIR_KG_M3
 from servofd.simulation.ardupilot import banner
 from servofd.simulation.dataflash_writer import pulses, rows, words
 from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
-
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray
 
 _STEP_S: Final = 0.01
 """Step of the integration [s]."""
@@ -115,27 +113,9 @@ def fly_airframe(
 ) -> AirframeFlight:
     """Fly once.
 
-    Parameters
-    ----------
-    mixer : str
-        One of `MIXERS`.
-    duration_s, rate_hz : float
-        Of the log; the rate divides 100 Hz.
-    turbulence : float
-        1 is moderate: gusts of 1.5 m/s.
-    manoeuvres : float
-        1 banks by up to 34 deg; 2.4 is aerobatic.
-    faults : tuple of AirframeFault
-        One for each surface at most.
-    day : int, optional
-        Load, trim and density are those of a day; of the seed if left out.
-
-    Examples
-    --------
-    >>> jam = AirframeFault("elevator", "stuck", 20.0, -2.0)
-    >>> flight = fly_airframe(1, duration_s=40.0, faults=(jam,))
-    >>> float(np.ptp(flight.deflections_deg[-100:, 1]))
-    0.0
+    `mixer`: one of `MIXERS`. `duration_s`, `rate_hz`: of the log; the rate divides 100 Hz. `turbulence`: 1 is moderate:
+    gusts of 1.5 m/s. `manoeuvres`: 1 banks by up to 34 deg; 2.4 is aerobatic. `faults`: one for each surface at most.
+    `day`: load, trim and density are those of a day; of the seed if left out.
     """
     if mixer not in MIXERS:
         raise UnknownName(suggest("mixer", mixer, MIXERS))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
 from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION
 
 if TYPE_CHECKING:
-    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
 
 

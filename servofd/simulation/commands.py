@@ -5,16 +5,13 @@ What the docstrings call measured is the median over 20 seeds of 120 s at 100 Hz
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from logparsers.compiled import compiled
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.core.types import FloatArray
+from servofd.core.types import FloatArray
 
 _FIRST_TURN_S = 8.0
 """Start of the first turn of the pattern [s]."""

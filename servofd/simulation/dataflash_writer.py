@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from logparsers.dataflash.encode import Message, encode
+from servofd.aircraft.schema import Aircraft
+from servofd.core.types import IntArray
 from servofd.servo.context import AIR_KG_M3
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters
 from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, servo_state, sparse, surroundings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import ArrayLike
-
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
 
 _CONTEXT_HZ: Final = 10.0

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from servofd.aircraft.calibration import PulseCalibration
+from servofd.aircraft.calibration import Calibration, PulseCalibration
 from servofd.aircraft.outputs import FULL_TRAVEL_DEG, SURFACE_FUNCTIONS
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from servofd.aircraft.calibration import Calibration
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray, IntArray
+from servofd.core.types import FloatArray, IntArray
 
 MOST_OUTPUTS: Final = 14
 """Outputs of one RCOU message."""
@@ -109,17 +105,10 @@ class Output:
 def outputs_of(aircraft: Aircraft) -> tuple[Output, ...]:
     """Connect the surfaces of an aircraft to the outputs of an autopilot.
 
-    Parameters
-    ----------
-    aircraft : Aircraft
-        A command in microseconds gives its output's trim, scale and direction, and its number if the channel has
-        one (``RCOU.C2``, ``SERVO_OUTPUT_RAW.servo2_raw``); any other only its direction.
-
-    Returns
-    -------
-    tuple of Output
-        In the order of the surfaces. The function follows from the surface's name (``aileron``, ``elevator``,
-        ``rudder``, ``flap``, ``elevon``, ``vtail``, ...); a name that says nothing gets one of the scripts'.
+    `aircraft`: a command in microseconds gives its output's trim, scale and direction, and its number if the channel
+    has one (``RCOU.C2``, ``SERVO_OUTPUT_RAW.servo2_raw``); any other only its direction. Result: in the order of the
+    surfaces. The function follows from the surface's name (``aileron``, ``elevator``, ``rudder``, ``flap``, ``elevon``,
+    ``vtail``, ...); a name that says nothing gets one of the scripts'.
 
     Examples
     --------

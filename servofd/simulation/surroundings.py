@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from logparsers.units import US_PER_S
+from servofd.core.types import FloatArray, IntArray
 from servofd.servo.context import Context
-
-if TYPE_CHECKING:
-    from servofd.core.types import FloatArray, IntArray
 
 EPOCH_US: Final = 1_700_000_000_000_000
 """When every simulated vehicle was booted [us since 1970]: the same flight gives the same file."""

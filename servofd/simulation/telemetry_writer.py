@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from logparsers.protocol import Autopilot, Kind, ParameterType, State
 from logparsers.telemetry.encode import Message, encode
+from servofd.aircraft.schema import Aircraft
+from servofd.core.types import IntArray
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
 
     Sent = tuple[str, IntArray, dict[str, ArrayLike]]

@@ -5,22 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.protocol import Kind
 from logparsers.records import Text
 from logparsers.ulog.encode import Topic, encode
 from servofd.aircraft.outputs import PX4_TYPES, SURFACE_FUNCTIONS
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
 from servofd.simulation.ardupilot import outputs_needed
-from servofd.simulation.pulses import THROTTLE, THROTTLE_US
+from servofd.simulation.pulses import THROTTLE, THROTTLE_US, Output
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.simulation.pulses import Output
 
     Columns = dict[str, NDArray[Any]]
 

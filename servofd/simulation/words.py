@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
 from servofd.servo.catalogue import effect_of
-from servofd.servo.faults import FAULTS, in_order
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from servofd.servo.effect import Effect
-    from servofd.servo.faults import Failure
+from servofd.servo.effect import Effect
+from servofd.servo.faults import FAULTS, Failure, in_order
 
 _Made = TypeVar("_Made")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,17 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError, suggest
 from servofd.core.files import write_whole
+from servofd.core.types import FloatArray
 from servofd.simulation.dataflash_writer import GENERATIONS, dataflash_log
 from servofd.simulation.telemetry_writer import telemetry_log
 from servofd.simulation.ulog_writer import ulog_log
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import FloatArray
     from servofd.simulation.flight import SimulatedFlight
 
 _BIG_ENDIAN_SINGLE = 1010
@@ -48,13 +47,9 @@ class Writer:
 def writer_for(path: str | Path, generation: str | None = None) -> Writer:
     """Choose the format by the suffix.
 
-    Parameters
-    ----------
-    path : str or Path
-        ``.csv`` (servofd's plain table), ``.mat`` (FASER log: level 4, big-endian, single precision), ``.bin``
-        (ArduPilot DataFlash), ``.tlog`` (MAVLink telemetry) or ``.ulg`` (PX4).
-    generation : str, optional
-        One of `servofd.simulation.dataflash_writer.GENERATIONS`, for ``.bin`` alone; the newest if None.
+    `path`: ``.csv`` (servofd's plain table), ``.mat`` (FASER log: level 4, big-endian, single precision), ``.bin``
+    (ArduPilot DataFlash), ``.tlog`` (MAVLink telemetry) or ``.ulg`` (PX4). `generation`: one of
+    `servofd.simulation.dataflash_writer.GENERATIONS`, for ``.bin`` alone; the newest if None.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
@@ -74,14 +69,8 @@ def write_flight(
 ) -> None:
     """Write a flight; the suffix chooses the format.
 
-    Parameters
-    ----------
-    path : str or Path
-        As in `writer_for`.
-    aircraft : Aircraft
-        Its calibration turns degrees into what a FASER log holds; its measured channels tell which servos report.
-    generation : str, optional
-        As in `writer_for`.
+    `path`: as in `writer_for`. `aircraft`: its calibration turns degrees into what a FASER log holds; its measured
+    channels tell which servos report. `generation`: as in `writer_for`.
     """
     writer = writer_for(path, generation)
     if flight.context.logged and not writer.context:

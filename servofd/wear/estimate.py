@@ -15,21 +15,19 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from servofd.aircraft.priors import NAMES, PRIORS
+from servofd.aircraft.series import Series
 from servofd.core.errors import NoMeasurement
-from servofd.core.fitting import Noise, Problem, fit
+from servofd.core.fitting import Noise, Problem, Solution, fit
 from servofd.core.statistics import Estimate, correlation_factor
+from servofd.core.types import FloatArray
+from servofd.detection.changes import Watched
 from servofd.detection.residual import noise_deg
-from servofd.detection.seen import healthy_of
+from servofd.detection.seen import Seen, healthy_of
 from servofd.estimate.fit import reading, residual
 from servofd.estimate.record import usual_supply_v
 
 if TYPE_CHECKING:
     from servofd.aircraft.schema import Aircraft
-    from servofd.aircraft.series import Series
-    from servofd.core.fitting import Solution
-    from servofd.core.types import FloatArray
-    from servofd.detection.changes import Watched
-    from servofd.detection.seen import Seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +136,7 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
 
     Where the surface did not follow its servo (`unfit` says why), only the residual is measured.
 
-    Raises
-    ------
-    NoMeasurement
-        If hardly anything of the flight can be judged.
+    Raises `NoMeasurement` if hardly anything of the flight can be judged.
     """
     surface = aircraft.surfaces[segment.surface]
     model = aircraft.model(segment.surface)

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA, Estimate
-from servofd.wear.estimate import QUANTITIES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from datetime import date
-
-    from servofd.core.types import FloatArray
-    from servofd.wear.estimate import FlightEstimate
+from servofd.core.types import FloatArray
+from servofd.wear.estimate import QUANTITIES, FlightEstimate
 
 CHANCE = 1e-6
 """Of a change where there is none: six surfaces with nine numbers, in a hundred fleets, are 5400 chances for one."""
@@ -39,18 +34,9 @@ _SMALLEST = 1e-12
 class Line:
     """A line through the flights of one piece.
 
-    Parameters
-    ----------
-    centre : float
-        Flight number at which the line has its intercept.
-    level, slope : float
-        At the centre, and per flight.
-    covariance : ndarray, shape (2, 2)
-        Of level and slope.
-    scatter : float
-        Standard deviation from flight to flight, beyond what each flight's own interval explains.
-    freedom : int
-        Number of flights less two.
+    `centre`: flight number at which the line has its intercept. `level`, `slope`: at the centre, and per flight.
+    `covariance` (shape (2, 2)): of level and slope. `scatter`: standard deviation from flight to flight, beyond what
+    each flight's own interval explains. `freedom`: number of flights less two.
     """
 
     centre: float
@@ -318,14 +304,9 @@ HORIZON = 4.0
 class Forecast:
     """When, or why not.
 
-    Parameters
-    ----------
-    kind : {"reached", "crossing", "none"}
-        The limit is exceeded; it will be; nothing can be said, or nothing happens.
-    reason : str
-        In words.
-    flight, low, high : float, optional
-        Number of the flight at which the line crosses the limit, with its 95 % interval.
+    `kind` ({"reached", "crossing", "none"}): the limit is exceeded; it will be; nothing can be said, or nothing
+    happens. `reason`: in words. `flight`, `low`, `high`: number of the flight at which the line crosses the limit, with
+    its 95 % interval.
     """
 
     kind: Literal["reached", "crossing", "none"]

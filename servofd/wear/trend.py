@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from logparsers import LogError
+from logparsers import FlightLog, LogError
+from servofd.aircraft.axes import MotionModel
 from servofd.aircraft.axis_names import SURFACE_AXES
 from servofd.aircraft.current_source import current_sources
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.aircraft.series import bus_of, cut
-from servofd.batch.find import fetched, find_logs
+from servofd.batch.find import LogSource, Skipped, fetched, find_logs
 from servofd.batch.local import run_local
 from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.core.statistics import Estimate
+from servofd.core.types import Marks
 from servofd.current.audit import current_series
 from servofd.current.judge import faults_of, verdict_of
 from servofd.current.model import see
@@ -29,17 +32,7 @@ from servofd.detection.audit import audit_segment
 from servofd.detection.kinds import STANDS_STILL
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of
 from servofd.wear.estimate import QUANTITIES, FlightEstimate, ServoEstimate, estimate_flight
-from servofd.wear.series import FEWEST_FOR_LINE, SurfaceTrend, Wear, follow
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from datetime import datetime
-
-    from logparsers import FlightLog
-    from servofd.aircraft.axes import MotionModel
-    from servofd.batch.find import LogSource, Skipped
-    from servofd.core.types import Marks
-    from servofd.wear.series import Piece, QuantityTrend
+from servofd.wear.series import FEWEST_FOR_LINE, Piece, QuantityTrend, SurfaceTrend, Wear, follow
 
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
 
@@ -338,7 +331,6 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
 
     Examples
     --------
-    >>> from servofd.wear.trend import trend_logs
     >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
     >>> trend_document(seen)["surfaces"]["rudder"]["quantities"]["dead_band_deg"]["forecast"]["reason"]
     'too few flights for a trend'

@@ -393,32 +393,6 @@ def test_a_name_leads_nowhere_and_breaks_no_page(name: str, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [1, 7, 100_000])
-def test_a_browser_without_script_sends_a_form(size: int, tmp_path: Path) -> None:
-    files = {"one.csv": b"time_s\r\n--x", "two.csv": b"\r\n--xy" * 40, "three.csv": b"", "four.csv": b"time_s\r\n--x"}
-    parts = [
-        f'--xy--z\r\nContent-Disposition: form-data; name="files"; filename="{name}"\r\n\r\n'.encode() + file + b"\r\n"
-        for name, file in files.items()
-    ]
-    note = b'--xy--z\r\nContent-Disposition: form-data; name="note"\r\n\r\nhello\r\n'
-    whole = note + b"".join(parts) + b"--xy--z--\r\n"
-    flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
-    with client_of(flights) as client:
-        form = {"Content-Type": "multipart/form-data; boundary=xy--z"}
-        pieces = (whole[k : k + size] for k in range(0, len(whole), size))
-        answer = client.ask("POST", "/flights", pieces, **form)
-        cut = client.ask("POST", "/flights", whole[:-60], **form)
-        empty = client.ask("POST", "/flights", note + b"--xy--z--\r\n", **form)
-    assert answer.status == 200
-    assert "4 files arrived." in answer.text
-    assert "four.csv holds the same bytes as one.csv, which is here already." in answer.text
-    assert {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")} == {k: files[k] for k in list(files)[:3]}
-    assert cut.status == 400
-    assert "No file was chosen." in empty.text
-    assert not uploads(tmp_path)
-
-
-@pytest.mark.slow
 def test_what_two_browsers_delete_is_in_the_bin_once(tmp_path: Path) -> None:
     flights = Flights(tmp_path, Job(), most_bytes=LARGEST)
     with client_of(flights) as client:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -11,13 +12,11 @@ import numpy as np
 
 from logparsers.records import FlightLog, own
 from servofd.core.series import latest
+from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from servofd.aircraft.series import LeftOut, Series
-    from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.verdict import LogAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
 

@@ -5,21 +5,18 @@ Time axes are linked, legends stand top left, side panels are folded.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from servofd.axes.model import FORMS
+from servofd.axes.verdict import AxisAudit, AxisEvent
+from servofd.detection.verdict import Fault
+from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.stream import TIME_BOOT, shown, surface_place
 from servofd.outputs.recording.surface import axis_place, deflection_range, residual_range
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servofd.axes.verdict import AxisAudit, AxisEvent
-    from servofd.detection.verdict import Fault
-    from servofd.outputs.recording.content import Recording
 
 _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 """Where Rerun 0.41 keeps the range that linked time axes share (its ``GLOBAL_VIEW_ID``); not documented, hence the
@@ -35,16 +32,10 @@ def blueprint(
 ) -> Any:  # noqa: ANN401 - rerun is untyped
     """Tabs with linked time axes, side panels folded.
 
-    Parameters
-    ----------
-    last_s : float, optional
-        Follow what comes live, and show so much of it [s]; the whole flight if left out.
-    around_s : tuple of float, optional
-        Where the time axes begin and end on opening [s]; a double click shows the whole.
-    opened : int
-        Which of the tabs is open.
-    marked_s : tuple of float, optional
-        Begin and end of what is marked on the time line [s]. A layout cannot move the cursor: it stands at the start.
+    `last_s`: follow what comes live, and show so much of it [s]; the whole flight if left out. `around_s`: where the
+    time axes begin and end on opening [s]; a double click shows the whole. `opened`: which of the tabs is open.
+    `marked_s`: begin and end of what is marked on the time line [s]. A layout cannot move the cursor: it stands at the
+    start.
     """
     edge = rr.TimeRangeBoundary
     begin, end = edge.infinite(), edge.infinite()

@@ -5,32 +5,27 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rerun.chunk import RrdReader
 
 from logparsers.detect import RECORDING
-from servofd.aircraft.series import is_streamed
+from servofd.aircraft.series import LeftOut, is_streamed
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning
+from servofd.core.types import FloatArray, IntArray
 from servofd.detection.audit import audit_segment
-from servofd.detection.verdict import WITHIN_SIGMAS, Statistics
+from servofd.detection.verdict import WITHIN_SIGMAS, CurrentAudit, Statistics
 from servofd.outputs.recording.content import Recording, Trace
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
 from servofd.outputs.recording.surface import AIRSPEED, SUPPLY
 from servofd.outputs.recording.verdicts import LIVE, audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from servofd.aircraft.series import LeftOut
-    from servofd.core.types import FloatArray, IntArray
-    from servofd.detection.verdict import CurrentAudit
 
 _CURVES = "Scalars:scalars"
 _PROPERTIES = f"/__properties/{PROPERTIES}"

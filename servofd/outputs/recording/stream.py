@@ -6,25 +6,21 @@ What audit, explain and monitor record, they record through this; each passes it
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from datetime import datetime
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from logparsers.units import US_PER_S
 from servofd.core.files import whole_file
+from servofd.core.types import FloatArray, IntArray
 from servofd.outputs.palette import rgba
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from datetime import datetime
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from servofd.core.types import FloatArray, IntArray
 
 TIME_BOOT, TIME_UTC = "time_boot", "time_utc"
 

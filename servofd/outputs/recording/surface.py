@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.series import tenths
-from servofd.detection.verdict import WITHIN_SIGMAS, describe
-from servofd.outputs.recording.content import CURVES
-from servofd.outputs.recording.stream import STATES, microseconds, seconds, surface_place
+from servofd.core.types import BoolArray, FloatArray
+from servofd.detection.verdict import WITHIN_SIGMAS, CurrentAudit, SurfaceAudit, describe
+from servofd.outputs.recording.content import CURVES, Trace
+from servofd.outputs.recording.stream import STATES, Recorder, microseconds, seconds, surface_place
 from servofd.outputs.sentence import spoken
+from servofd.servo.context import Context
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from servofd.axes.verdict import AxisAudit
-    from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.verdict import CurrentAudit, SurfaceAudit
     from servofd.onboard.seen import Seen
-    from servofd.outputs.recording.content import Trace
-    from servofd.outputs.recording.stream import Recorder
-    from servofd.servo.context import Context
 
 DEFLECTIONS = ("command", "simulated", "measured")
 WIDTHS = (1.0, 2.5, 1.5)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -17,12 +18,8 @@ from servofd.core.evidence import Detectable, ModelOrigin
 from servofd.core.statistics import Estimate
 from servofd.detection.verdict import CommonCause, CurrentAudit, Fault, LogAudit, Statistics, SurfaceAudit
 from servofd.outputs.json_report import audit_document
+from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.stream import shown
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servofd.outputs.recording.content import Recording
 
 SCHEMA = "servofd.recording/1"
 

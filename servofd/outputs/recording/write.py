@@ -11,25 +11,20 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from servofd.detection.verdict import LogAudit
 from servofd.onboard.seen import seen_of
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.document import Bullets, markdown
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.content import Recording
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
-from servofd.outputs.recording.stream import application_name, recording_file
+from servofd.outputs.recording.stream import Recorder, application_name, recording_file
 from servofd.outputs.recording.surface import send_axis, send_context, send_on_board, send_surface
 from servofd.outputs.recording.verdicts import verdicts_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from servofd.detection.verdict import LogAudit
-    from servofd.outputs.recording.stream import Recorder
 
 
 def save_recording(audit: LogAudit, path: str | Path) -> None:

@@ -3,7 +3,6 @@ const drop = document.getElementById("drop"), files = document.getElementById("f
 const progress = document.getElementById("progress"), rows = document.querySelector("#flights tbody");
 const AT_ONCE = 3, AGAIN_MS = 1500, waiting = [];
 let sent = 0, total = 0, busy = 0, asking = false, away = false;
-document.getElementById("send").hidden = true;
 const open = () => [...rows.rows].filter(row => !row.querySelector(".badge"));
 const tell = () => {
   const lines = [];

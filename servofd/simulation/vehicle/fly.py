@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from logparsers.units import S_PER_US, US_PER_S
+from servofd.aircraft.schema import Aircraft
+from servofd.simulation.vehicle.remote_log import Send
 from servofd.simulation.vehicle.troubles import Air, Edit, Reboot, Stall, troubled_flight
 from servofd.simulation.vehicle.vehicle import Settings, Vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from logparsers.codec import Codec
     from logparsers.link import Link
-    from servofd.aircraft.schema import Aircraft
     from servofd.simulation.flight import SimulatedFlight
-    from servofd.simulation.vehicle.remote_log import Send
 
 _BEAT_S: Final = 0.5
 _TICK_S: Final = 0.02
@@ -49,22 +48,7 @@ class Flown:
 def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tuple[Leg, ...]:
     """A flight between the restarts of its autopilot.
 
-    Parameters
-    ----------
-    settings : Settings
-        How it speaks; its troubles are counted from the beginning of the flight.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.simulation.flight import simulate_flight
-    >>> from servofd.simulation.pulses import outputs_of
-    >>> from servofd.simulation.vehicle.troubles import Reboot
-    >>> from servofd.simulation.vehicle.vehicle import Settings
-    >>> plane = plain_aircraft(["elevator"], "hs225bb-eq31")
-    >>> flown = simulate_flight(plane, duration_s=9.0, rate_hz=50.0, outputs=outputs_of(plane))
-    >>> [(leg.begun_s, leg.vehicle.time_us.size) for leg in legs(flown, plane, Settings(troubles=(Reboot(3.0, 2.0),)))]
-    [(0.0, 150), (5.0, 200)]
+    `settings`: how it speaks; its troubles are counted from the beginning of the flight.
     """
     flight = troubled_flight(flight, aircraft, settings.troubles)
     first_s = float(flight.time_s[0])
@@ -98,12 +82,7 @@ def fly(
 ) -> Flown:
     """Fly until the flight ends, or Ctrl-C ends it.
 
-    Parameters
-    ----------
-    link : Link
-        Where it is received; left open.
-    air : Air, optional
-        What is between it and the link.
+    `link`: where it is received; left open. `air`: what is between it and the link.
     """
     flown = vehicle if isinstance(vehicle, tuple) else (Leg(0.0, vehicle),)
     session = _Session(flown, link, codec, air or Air())

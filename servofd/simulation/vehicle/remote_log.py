@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -10,8 +11,6 @@ import numpy as np
 from logparsers.protocol import RemoteLogCommand
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from logparsers.dataflash.encode import Rows
 
 _BLOCK: Final = 200

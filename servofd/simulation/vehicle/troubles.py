@@ -7,6 +7,7 @@ holds back and loses; what happens on board changes the flight (`troubled_flight
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,8 +16,6 @@ import numpy as np
 from servofd.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import BoolArray
     from servofd.simulation.flight import SimulatedFlight
@@ -29,10 +28,7 @@ _LONGEST_S = 3600.0
 class Trouble:
     """Something that goes wrong.
 
-    Parameters
-    ----------
-    start_s : float
-        When, counted from the beginning of the flight [s].
+    `start_s`: when, counted from the beginning of the flight [s].
     """
 
     start_s: float
@@ -121,10 +117,7 @@ TROUBLES: dict[str, type[Trouble]] = {
 class Air:
     """What is between a vehicle and whoever hears it.
 
-    Parameters
-    ----------
-    troubles : Iterable of Trouble
-        Those on board have no effect here.
+    `troubles`: those on board have no effect here.
 
     Examples
     --------

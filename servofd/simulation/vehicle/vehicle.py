@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logparsers.dataflash.encode import encode_rows
 from logparsers.mavlink import message_name
 from logparsers.protocol import LONGEST_TEXT, NO_INDEX, Capability, Command, Component, ParameterType, Result, Severity
 from logparsers.units import US_PER_S
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError, suggest
+from servofd.core.types import IntArray
 from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
 from servofd.simulation.surroundings import microseconds
@@ -22,13 +26,7 @@ from servofd.simulation.vehicle.remote_log import RemoteLog, Send
 from servofd.simulation.vehicle.troubles import Edit, Stall, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
-
     from logparsers.codec import Received
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import IntArray
     from servofd.simulation.flight import SimulatedFlight
 
 _4_7_0_DEV: Final = 0x04070000
@@ -46,20 +44,11 @@ _GROUPS: Final[Mapping[int, tuple[str, ...]]] = {
 class Settings:
     """How a vehicle speaks.
 
-    Parameters
-    ----------
-    system : int
-        Its number, from 1 to 255.
-    feedback : str
-        How it tells positions: one of `servofd.simulation.telemetry_writer.FEEDBACK`.
-    message_hz : float
-        Rate of SERVO_OUTPUT_RAW before anybody asks for another [Hz]; ArduPlane's is 1.
-    any_rate : bool
-        Grant rates up to that of the main loop, not just 0.8 of it.
-    speed : float
-        How much faster than real time it flies.
-    troubles : tuple of Trouble
-        What goes wrong on board: `servofd.simulation.vehicle.fly.legs` makes the flight that belongs to it.
+    `system`: its number, from 1 to 255. `feedback`: how it tells positions: one of
+    `servofd.simulation.telemetry_writer.FEEDBACK`. `message_hz`: rate of SERVO_OUTPUT_RAW before anybody asks for
+    another [Hz]; ArduPlane's is 1. `any_rate`: grant rates up to that of the main loop, not just 0.8 of it. `speed`:
+    how much faster than real time it flies. `troubles`: what goes wrong on board: `servofd.simulation.vehicle.fly.legs`
+    makes the flight that belongs to it.
     """
 
     system: int = 1
