@@ -28,7 +28,7 @@ _HEADER, _HEAD, _FLAGS = 16, 3, 40
 """Bytes of the header of a log, of size and kind before each message, and of the flags that come first."""
 _KNOWN: Final = np.zeros(256, dtype=np.bool_)
 _KNOWN[list(b"ABCDFILMOPQRS")] = True
-_ADD, _DATA = ord("A"), ord("D")
+_DATA: Final = ord("D")
 _TYPES: Final = {**C_NUMBERS, "bool": "i1", "char": "i1"}
 _FIELD: Final = re.compile(r"([^ \[]+)(?:\[(\d+)\])? ([^ ]+).*")
 _MOST_FORMATS, _MOST_FIELDS, _MOST_OF_TOPIC, _DEEPEST = 10_000, 200_000, 65_535, 16
