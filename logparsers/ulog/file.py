@@ -202,7 +202,9 @@ class UlogFile:
     def start_utc(self) -> datetime | None:
         """Date and time at 0 s, when the autopilot was booted, by the first GPS fix; None without one."""
         for field in ("time_utc_usec", "gps_time_utc_usec"):
-            for part in (one for one in self._log.topics if one.name in _CLOCK_TOPICS and field in one.types):
+            for part in self._log.topics:
+                if part.name not in _CLOCK_TOPICS or not {"timestamp", field} <= part.types.keys():
+                    continue
                 stamps, utc = part.rows["timestamp"], part.rows[field]
                 fixed = np.flatnonzero(utc)
                 if fixed.size:

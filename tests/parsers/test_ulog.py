@@ -226,6 +226,8 @@ def test_the_date_is_that_of_the_first_fix() -> None:
     content = head + writer.message("F", gps.encode()) + writer.flight(20).removeprefix(head)
     assert logparsers.read(io.BytesIO(content)).start_utc is None
     assert logparsers.read(io.BytesIO(content + b"".join(out))).start_utc == boot
+    without = (content + b"".join(out)).replace(b"position:uint64_t timestamp", b"position:uint64_t othername")
+    assert logparsers.read(io.BytesIO(without)).start_utc is None
 
 
 def test_topics_published_before_the_log_began_do_not_make_it_longer() -> None:
