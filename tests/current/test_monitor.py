@@ -62,7 +62,7 @@ def test_a_stream_with_current_and_no_position_alarms(
     told = capsys.readouterr()
     assert "aileron: watched, command" in told.out
     assert " A from a good servo within " in told.out
-    assert f"aileron: ALARM, {'blocked: draws' if fault == 'blocked' else 'unpowered'}" in told.out + told.err
+    assert f"aileron: ALARM, {'blocked' if fault == 'blocked' else 'without power'}: draws" in told.out + told.err
     assert "10 currents a second" in told.out
     alarm = events[0]
     assert (alarm["event"], alarm["surface"]) == ("alarm", "aileron")

@@ -43,7 +43,7 @@ def test_it_finds_what_an_audit_with_the_same_drafted_file_finds(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], failure: Failure | None, kinds: list[str]
 ) -> None:
     flight, recording = tmp_path / "flight.csv", tmp_path / "flight.rrd"
-    flown = fly(stranger(5), 2, "aerobatics", duration_s=70.0, failure=failure)
+    flown = fly(stranger(5), 2, "aerobatics", duration_s=100.0, failure=failure)
     flown.only("elevator", "rudder").write(flight)
     (audited,) = servofd.audit(flight, load_aircraft(file))
     sessions: list[Session] = []

@@ -141,7 +141,7 @@ def test_a_fault_in_the_middle_is_no_missing_effect() -> None:
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_single_effects(servo: FineServo, name: str, value: float, within: float, command: str) -> None:
-    assert_named(explained(hide(servo, command, duration_s=30.0)), name, value, within)
+    assert_named(explained(hide(servo, command, duration_s=60.0)), name, value, within)
 
 
 @pytest.mark.slow
