@@ -129,10 +129,9 @@ def draft_aircraft(log: FlightLog, only: Collection[str] = ()) -> Draft:
 
 def described_aircraft(log: FlightLog) -> tuple[Aircraft, frozenset[str]]:
     """Surfaces of an autopilot's log, of whose servos nothing is said; and those whose commands have no known scale."""
-    pairs, plain, by_current = _described(log)
-    surfaces = plain.surfaces | by_current
+    pairs, plain, _ = _described(log)
     free = frozenset(pair.surface for pair in pairs if _has_free_scale(pair))
-    return plain.model_copy(update={"name": log.vehicle or log.format, "surfaces": surfaces}), free
+    return plain.model_copy(update={"name": log.vehicle or log.format}), free
 
 
 def _has_free_scale(pair: Pair) -> bool:
@@ -141,13 +140,13 @@ def _has_free_scale(pair: Pair) -> bool:
 
 
 def _described(log: FlightLog) -> tuple[Sequence[Pair], Aircraft, dict[str, Surface]]:
-    """Pairs of command and position, their surfaces, and those whose servos tell what they draw alone."""
+    """Pairs of command and position, all surfaces, and those whose servos tell what they draw alone."""
     pairs = find_pairs(log)
     by_current = _by_current(log, pairs)
     if not pairs and not by_current:
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
-    plain = Aircraft.model_validate({"surfaces": {pair.surface: surface_entry(log, pair) for pair in pairs}})
-    return pairs, plain, by_current
+    plain = {pair.surface: Surface.model_validate(surface_entry(log, pair)) for pair in pairs}
+    return pairs, Aircraft(surfaces=plain | by_current), by_current
 
 
 def _by_current(log: FlightLog, pairs: Sequence[Pair]) -> dict[str, Surface]:

@@ -110,7 +110,7 @@ def explain_logs(
     """
     if own is not None:
         include(load_own_effect(own) if isinstance(own, str | Path) else own)
-    flown = _opened(paths, aircraft, servo, surfaces)
+    flown = _opened(paths, aircraft, servo)
     for name in surfaces:
         if name not in flown.aircraft.surfaces:
             raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
@@ -157,13 +157,11 @@ class _Flown:
         return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
 
 
-def _opened(
-    paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None, only: Sequence[str]
-) -> _Flown:
+def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = known_aircraft(aircraft)
     logs = tuple(logs_of(paths, known))
     # The servo of a plain table is fitted along with what it may lack.
-    flown = scaled_aircraft(logs[0], known, only)
+    flown = scaled_aircraft(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
     unnamed = frozenset(n for n, s in flown.surfaces.items() if servo == UNKNOWN or not s.names_servo)

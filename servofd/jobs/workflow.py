@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -219,6 +219,7 @@ def calibrate(
     try:
         flights = flights_of(logs, known, surfaces=surfaces, spans=spans, runs=runs)
         found = calibrate_aircraft(known, flights, force=force, progress=progress)
+        found = replace(found, aircraft=_with_kept_servos(found.aircraft, found.kept, logs))
     except NoMeasurement as error:  # no position: the currents alone
         found = Calibration(known, (), dict.fromkeys(surfaces or known.surfaces, str(error)))
     good = (log for log in each_once(logs_of(logs, known)) if not runs or log.run in runs)
@@ -227,6 +228,21 @@ def calibrate(
     if not found.surfaces and not currents:
         raise CalibrationError(next(iter(found.kept.values())))
     return found.with_currents(currents)
+
+
+def _with_kept_servos(aircraft: Aircraft, kept: Collection[str], logs: Log | Sequence[Log]) -> Aircraft:
+    """The same, where surfaces that were left as they were have a servo as well: a monitor fits none in flight."""
+    names = [n for n in kept if aircraft.surfaces[n].measured is not None and not aircraft.surfaces[n].names_servo]
+    for log in logs_of(logs, aircraft) if names else ():
+        try:
+            fitted = flown_aircraft(log, aircraft, only=names)
+        except NoMeasurement:
+            continue
+        own = {name: fitted.surfaces[name] for name in names}
+        servos = {surface.servo: fitted.servos[surface.servo] for surface in own.values()}
+        changed = {"surfaces": aircraft.surfaces | own, "servos": aircraft.servos | servos}
+        return aircraft.model_copy(update=changed).of_no_log()
+    return aircraft
 
 
 def drafted_aircraft(paths: Log | Sequence[Log], spans: tuple[Span, ...] = ()) -> Aircraft:

@@ -52,11 +52,24 @@ def test_a_monitor_assumes_no_servo(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_a_monitor_watches_the_surfaces_of_which_a_servo_is_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, plane = str(tmp_path / "flight.tlog"), str(tmp_path / "plane.toml")
+    log, plane = str(tmp_path / "flight.tlog"), tmp_path / "plane.toml"
     assert main(["simulate", "-o", log, "--duration", "30", "--seed", "5"]) == 0
-    assert main(["calibrate", log, "-s", "elevator", "-o", plane]) == 0
+    assert main(["calibrate", log, "-s", "elevator", "-o", str(plane)]) == 0
     capsys.readouterr()
-    assert main(["monitor", log, "-c", plane, "--speed", "0", "--plain"]) == 0
+    watch = ["monitor", log, "-c", str(plane), "--speed", "0", "--plain"]
+    assert main(watch) == 0
     shown = capsys.readouterr()
-    assert "aileron, rudder: not watched: no servo is named" in shown.err
+    assert not shown.err
+    for name in ("aileron", "elevator", "rudder"):
+        assert f"{name}: no alarm" in shown.out
+    pulse = 'unit = "us", trim_us = 1500.0, slope_deg_per_us = 0.09'
+    others = "".join(
+        f'\n[surfaces.{name}]\ncommand = {{ channel = "SERVO_OUTPUT_RAW.servo{n}_raw", {pulse} }}\n'
+        f'measured = {{ channel = "NAMED_VALUE_FLOAT[SRVP{n}].value", unit = "deg" }}\n'
+        for name, n in (("flap", 1), ("tail", 4))
+    )
+    plane.write_text(plane.read_text() + others)
+    assert main(watch) == 0
+    shown = capsys.readouterr()
+    assert "flap, tail: not watched: no servo is named" in shown.err
     assert "elevator: no alarm" in shown.out
