@@ -29,9 +29,9 @@ _SPEED = 4.0
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    flight = flown(duration_s=40.0, command="lively", faults={"elevator": Stuck(8.0)})
+    flight = flown(duration_s=60.0, command="lively", faults={"elevator": Stuck(8.0)})
     (tmp_path / "flight.tlog").write_bytes(telemetry_log(flight, PLANE))
-    (tmp_path / "plane.toml").write_text(plane_file(["elevator"]))
+    (tmp_path / "plane.toml").write_text(plane_file())
     return tmp_path
 
 
