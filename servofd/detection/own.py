@@ -23,7 +23,7 @@ from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of,
 from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
-from servofd.estimate.fit import fit, reach_of
+from servofd.estimate.fit import LEAST_DEG, fit, reach_of
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 
 if TYPE_CHECKING:
@@ -227,9 +227,12 @@ def _better(part: _Part, whole: _Part) -> float:
         return 0.0
     rows = np.searchsorted(whole.time_s, part.fitted_s)
     held_out_deg = np.concatenate([each[np.isfinite(each)] for each in part.fitted.held_out_deg])
-    errors_deg = np.stack([whole.left_deg[rows], held_out_deg])[:, np.isfinite(whole.left_deg[rows])]
+    known = np.isfinite(whole.left_deg[rows])
+    if not known.any():
+        return 0.0
+    errors_deg = np.stack([whole.left_deg[rows], held_out_deg])[:, known]
     most_deg = _MOST_SIGMAS * float(np.median(part.fitted.sigma_deg))
-    squares = np.mean(np.minimum(np.abs(errors_deg), most_deg) ** 2, axis=1)
+    squares = np.mean(np.minimum(np.abs(errors_deg), most_deg) ** 2, axis=1) + LEAST_DEG**2
     alike = part.fitted_s.size * part.period_s / _ALIKE_S
     return max(0.5 * alike * float(np.log(squares[0] / squares[1])), 0.0)
 

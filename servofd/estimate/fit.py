@@ -52,7 +52,7 @@ _QUIET_DEG_S: Final = 5.0
 """Speed below which a servo is slow at least [deg/s]."""
 _FAST_DEG_S: Final = 20.0
 """Speed above which its lateness shows [deg/s]."""
-_LEAST_DEG: Final = 0.01
+LEAST_DEG: Final = 0.01
 """Smallest noise [deg]."""
 _SELDOM: Final = 0.001
 """Share of the samples beyond either end of the travel that was seen."""
@@ -382,7 +382,7 @@ def _colour_length(noise: Noise) -> float:
 def _noise(error: FloatArray, speed: FloatArray, records: Sequence[Record]) -> Noise:
     """Noise that some errors (n,) [deg] of all records are, at some speeds (n,) [deg/s]."""
     slow = speed <= max(float(np.quantile(speed, 0.3)), _QUIET_DEG_S)
-    still = max(MAD_TO_SIGMA * float(np.median(np.abs(error[slow]))), _LEAST_DEG, _step_deg(records) / np.sqrt(12.0))
+    still = max(MAD_TO_SIGMA * float(np.median(np.abs(error[slow]))), LEAST_DEG, _step_deg(records) / np.sqrt(12.0))
     fast = speed > _FAST_DEG_S
     lag = _LAG_FLOOR_S
     if np.count_nonzero(fast) > 30:

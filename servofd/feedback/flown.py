@@ -127,7 +127,7 @@ def flown_aircraft(
     """
     own = known is not None and bool(known.surfaces)
     try:
-        flown = surfaces_of(log, known) if own or not log.is_of_autopilot else _drafted(log, only)
+        flown = scaled_aircraft(log, known, only)
     except NoMeasurement:
         if known is None or own:
             raise
@@ -145,19 +145,16 @@ def flown_aircraft(
     return fitted_aircraft(log, flown, unnamed)
 
 
-def _drafted(log: FlightLog, only: Collection[str]) -> Aircraft:
-    from servofd.feedback.draft import draft_aircraft
-
-    return draft_aircraft(log, only).aircraft()
-
-
 def scaled_aircraft(log: FlightLog, known: Aircraft | None = None, only: Collection[str] = ()) -> Aircraft:
     """Surfaces of a known aircraft, or as the log names them; an autopilot's with servos and scales fitted to it.
 
     `only` those surfaces are fitted; all if empty.
     """
-    is_known = known is not None and bool(known.surfaces)
-    return surfaces_of(log, known) if is_known or not log.is_of_autopilot else _drafted(log, only)
+    if (known is not None and known.surfaces) or not log.is_of_autopilot:
+        return surfaces_of(log, known)
+    from servofd.feedback.draft import draft_aircraft
+
+    return draft_aircraft(log, only).aircraft()
 
 
 def good_aircraft(log: FlightLog, spans: tuple[Span, ...] = ()) -> Aircraft:
