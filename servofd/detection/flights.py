@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.core.series import latest
+from servofd.servo.loops import lagged_twice
 
 if TYPE_CHECKING:
     from servofd.aircraft.series import Series
@@ -96,11 +97,8 @@ def _piece(flight: Flight, first: int, last: int) -> Flight:
 
 def _smoothed(command_deg: FloatArray, period_s: float) -> FloatArray:
     """What a slow servo, two lags at 2 Hz, would make of a command: the fast end of a chirp moves no servo."""
-    from scipy.signal import lfilter
-
     kept = float(np.exp(-_SLOW_RAD_S * period_s))
-    smooth_deg: FloatArray = lfilter([(1.0 - kept) ** 2], [1.0, -2.0 * kept, kept**2], command_deg - command_deg[0])
-    return smooth_deg
+    return lagged_twice((1.0 - kept) ** 2 * (command_deg - command_deg[0]), kept)
 
 
 def asked_deg(segment: Series) -> FloatArray:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logparsers.compiled import compiled
 from servofd.core.types import FloatArray
+from servofd.servo.loops import lagged_twice
 
 _FIRST_TURN_S = 8.0
 """Start of the first turn of the pattern [s]."""
@@ -123,22 +123,11 @@ def _activity(time_s: FloatArray, rng: np.random.Generator, rms_deg: float, corn
     lag = np.exp(-2.0 * np.pi * corner_hz * float(np.median(np.diff(time_s))))
     settle = int(np.ceil(10.0 / (1.0 - lag)))
     noise = rng.standard_normal(time_s.size + settle)
-    smooth = _lagged_twice(noise, lag)[settle:]
+    smooth = lagged_twice(noise, lag)[settle:]
     # The exact standard deviation of two equal lags under white noise, so that no draw is rescaled.
     deviation = np.sqrt((1.0 + lag**2) / (1.0 - lag**2) ** 3)
     activity: FloatArray = rms_deg * smooth / deviation
     return activity
-
-
-@compiled
-def _lagged_twice(noise: FloatArray, lag: float) -> FloatArray:
-    """Noise through two equal lags (scipy.signal, which has a function for it, takes a second to load)."""
-    smooth = np.zeros(noise.size)
-    first = second = 0.0
-    for k in range(noise.size):
-        smooth[k] = noise[k] + first
-        first, second = second + 2.0 * lag * smooth[k], -lag * lag * smooth[k]
-    return smooth
 
 
 def _add_pulse(
