@@ -14,7 +14,7 @@ from servofd.aircraft.series import Series, cut
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
-from servofd.detection.changes import STATISTICS, Watched, exceeded, thresholds_of
+from servofd.detection.changes import STATISTICS, Watched, exceeded
 from servofd.detection.faults import watched_segment
 from servofd.detection.named import NamedMoving, with_hold
 from servofd.detection.residual import ResidualGenerator, ThresholdKind, noise_deg
@@ -115,7 +115,7 @@ def _under(model: ServoModel, tolerance: Tolerance, segment: Series) -> Watched:
 
 def _nearest(flight: Watched) -> float:
     """The largest statistic of a run over its threshold."""
-    limits = thresholds_of(flight.known)
+    limits = flight.tests.limits
     by_windows = exceeded(limits, np.zeros(limits.size), flight.tested.statistics[:, : len(STATISTICS)])
     return max(float(by_windows.max(initial=0.0)), float(flight.shown.passed.max(initial=0.0)))
 

@@ -19,7 +19,6 @@ from servofd.detection.changes import (
     Memory,
     exceeded,
     follow,
-    thresholds_of,
     watched,
 )
 from servofd.detection.hypotheses import (
@@ -220,7 +219,7 @@ class Found(NamedTuple):
 def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
     """Find and name the faults of a flight; `names` are those of earlier looks at it, see `named`."""
     names = {} if names is None else names
-    limits = thresholds_of(flight.known)
+    limits = flight.tests.limits
     time_s, error_deg = flight.record.time_s, flight.error_deg
     faults: list[Fault] = []
     suspicions: list[Fault] = []

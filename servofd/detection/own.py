@@ -19,7 +19,7 @@ from scipy.special import ndtr, stdtrit
 from servofd.aircraft.calibrated import CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES
 from servofd.core.evidence import ModelOrigin
-from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
+from servofd.detection.changes import FLOORS, MARGIN, SQUARES, STATISTICS, statistics_of, watched
 from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
@@ -59,8 +59,6 @@ _OWN_MARGIN: Final = 1.6
 """Times what the part itself reaches where it was left out of the fit."""
 _ALIKE_S, _LEAST_FREEDOM, _RARE_SIGMAS = 0.6, 2.0, 4.0
 """Time within which samples are alike, least degrees of freedom, and how rare a good servo passes a limit."""
-_SQUARES = np.array([name.startswith(("energy", "left")) for name in STATISTICS])
-"""Which statistics are squares."""
 _PUSHED: Final = 0.5
 """Share of what the usual air does to a servo by which its parts may differ, where no airspeed was logged."""
 _APART: Final = 0.5
@@ -279,7 +277,7 @@ def _judged(
     if is_short:  # statistics count six standard deviations at most, and must be able to pass their limits
         known = _less_sure(known, times)
     else:
-        usually *= np.where(_SQUARES, times**2, times)
+        usually *= np.where(SQUARES, times**2, times)
     largest = np.zeros(len(STATISTICS))
     for record, left_deg in zip(records, fitted.held_out_deg, strict=True):
         largest = np.maximum(largest, statistics_of(known, record, left_deg))

@@ -15,7 +15,7 @@ import numpy as np
 from servofd.aircraft.pace import Rhythm, gap_s, rhythm
 from servofd.aircraft.series import Series
 from servofd.core.series import subdivided
-from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, exceeded, follow, thresholds_of
+from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, exceeded, follow
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import LONGEST_PAUSE_S
 from servofd.estimate.fit import residual
@@ -242,7 +242,6 @@ class Stream(Following):
         self.longest_gap_s = gap_s(command_s) if sent_period_s is None else LONGEST_S
         self.sent_period_s = sent_period_s
         self.doubts_wiring = moving.own is not None
-        self._limits = thresholds_of(moving.known)
         self._context = NO_CONTEXT
         self._begin_tests()
         self._before = np.zeros(len(STATISTICS))
@@ -369,7 +368,7 @@ class Stream(Following):
 
     def _alarms(self, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray) -> Marks:
         """Where an alarm is raised, shape (n,), by the fast test over its threshold (n,) and the windows (g, k)."""
-        ratios = exceeded(self._limits, self._before, statistics)
+        ratios = exceeded(self._tests.limits, self._before, statistics)
         if len(statistics):
             self._before = statistics[-1]
         raised = np.zeros(time_s.size, dtype=np.int8)

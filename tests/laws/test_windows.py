@@ -78,6 +78,7 @@ def test_the_scores_of_a_position_are_sizes_over_what_they_scatter_by() -> None:
         np.ones(5),
         period_s,
         missed_deg,
+        np.ones(len(changes.STATISTICS)),
     )
     tested = changes.follow(tests, changes.Memory(tests), time_s, error_deg, slopes, np.full(count, noise_deg))
 
