@@ -457,6 +457,7 @@ class Moving:
         self._table = variants(known.theta, middle_deg=known.middle_deg)
         self._state = new_state(self._table.shape[0])
         self._noise, self._peak = known.noise.noise.at(period_s), np.array([0.0, np.nan])
+        self._may_hold, self._last_deg = period_s > _UNSEEN_S, np.full(2, np.nan)
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply as far as they are known by now; its own come with each piece."""
@@ -490,7 +491,17 @@ class Moving:
         anew = np.isfinite(moved.start_deg).astype(np.int8)
         residuals = Residuals(moved.time_s, moved.reading_deg, measured_deg, error_deg, judged, anew)
         threshold = Threshold("interval", self._limit * tested.sigma_deg, tested.sigma_deg, noise_deg)
-        return Shown(residuals, threshold, tested.triple / self._limit)
+        passed = tested.triple / self._limit
+        if self._may_hold:
+            passed[self._repeats(measured_deg)] = 0.0
+        return Shown(residuals, threshold, passed)
+
+    def _repeats(self, measured_deg: FloatArray) -> BoolArray:
+        """Whether a position is that of the two rows before it, shape (m,): a slow logger may hold it for so long."""
+        rows_deg = np.concatenate([self._last_deg, measured_deg])
+        self._last_deg = rows_deg[-2:]
+        same: BoolArray = (rows_deg[2:] == rows_deg[1:-1]) & (rows_deg[2:] == rows_deg[:-2])
+        return same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
