@@ -115,6 +115,17 @@ def new_bus(servos: int) -> FloatArray:
     return memory
 
 
+def last_change_s(memory: FloatArray) -> float:
+    """When any reading of a bus changed last [s].
+
+    Examples
+    --------
+    >>> last_change_s(new_bus(2))
+    -inf
+    """
+    return float(memory[:, _CHANGED].max())
+
+
 @inner
 def _take(m: FloatArray, time_s: float, moved_deg: float, asked_deg: float, other: int) -> None:
     """Take a row of one servo into its memory."""

@@ -16,6 +16,7 @@ from servofd.aircraft.marks import (
     TINY_DEG,
     Rows,
     is_young,
+    last_change_s,
     marked,
     moved,
     new_bus,
@@ -51,7 +52,9 @@ class Bus:
         self._asked: dict[str, tuple[float, float]] = {}
         self._read: dict[str, float] = {}
         self.since_s = float("inf")
-        """Since when it stands still [s]; infinity while it does not."""
+        """Since when it is known to stand still [s]; infinity while it does not."""
+        self.stood_s = float("inf"), float("-inf")
+        """From which last change of a reading until when it stood, in the rows that came last [s]."""
 
     def take(self, new: dict[str, New]) -> dict[str, BoolArray]:
         """Take what came of some surfaces; of each of their rows, whether the bus stood still then."""
@@ -62,9 +65,15 @@ class Bus:
         order = np.argsort(time_s, kind="stable")
         stands = np.zeros(time_s.size, dtype=np.int8)
         other = np.full(time_s.size, NO_OTHERS, dtype=np.int8)
+        changed_s = last_change_s(self._memory)
         standing(self._memory, who[order], time_s[order], moved_deg[order], asked_deg[order], other, stands)
         if stands.size:
             self.since_s = min(self.since_s, float(time_s[order][stands.argmax()])) if stands[-1] else float("inf")
+        stood = np.flatnonzero(stands)
+        self.stood_s = float("inf"), float("-inf")
+        if stood.size:
+            changes_s = time_s[order][: stood[0]][moved_deg[order][: stood[0]] != 0.0]
+            self.stood_s = max(changed_s, float(changes_s.max(initial=-np.inf))), float(time_s[order][stood[-1]])
         back = np.empty(stands.size, dtype=bool)
         back[order] = stands > 0
         sizes = [each.time_s.size for each in new.values()]

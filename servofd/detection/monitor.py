@@ -175,11 +175,13 @@ class SurfaceMonitor:
         commands: tuple[FloatArray, FloatArray],
         positions: tuple[FloatArray, FloatArray],
         stands: BoolArray | None = None,
+        stood_s: tuple[float, float] = (np.inf, -np.inf),
     ) -> list[Event]:
         """Take the next commands and positions, each times [s] and values as logged, of shape (n,).
 
         Commands come before positions of the same instant. `stands` tells of each position whether the telemetry of
-        all surfaces stood still then (`servofd.aircraft.watch.Bus`).
+        all surfaces stood still then (`servofd.aircraft.watch.Bus`), and `stood_s` from when to when it turns out to
+        have stood [s]: what was raised meanwhile is taken back.
         """
         if self.suspended:
             return []
@@ -206,7 +208,8 @@ class SurfaceMonitor:
         if self._stream is None:
             return events + self._warm_up(asked, counting)
         self._hand_over(asked, counting)
-        return events + self._evaluated(self._stream.evaluate())
+        events += self._evaluated(self._stream.evaluate())
+        return events + (self._taken_back(*stood_s) if self.quantity == "position" else [])
 
     def uncorrected(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> New:
         """Commands and positions as the marks take them: in degrees, without the corrections that were fitted."""
@@ -236,6 +239,17 @@ class SurfaceMonitor:
         was_known, self._steady_s = self.outage, np.inf
         self.outage = f"positions of all servos stand still since {since_s:.1f} s: servo bus?"
         return [] if was_known else [Event(now_s, self.name, "no_data", text=self.outage)]
+
+    def _taken_back(self, from_s: float, until_s: float) -> list[Event]:
+        """Take back an alarm between two times at which the telemetry of all surfaces turns out to have stood [s]."""
+        alarm = self._alarm or self._doubtful
+        if alarm is None or self._stream is None or not from_s < alarm.raised_s <= until_s:
+            return []
+        is_reported = self._alarm is not None
+        self._stream.history.forget(from_s, until_s)
+        self._over(until_s)
+        text = f"positions of all servos stood still from {from_s:.1f} to {until_s:.1f} s"
+        return [Event(until_s, self.name, "clear", "unknown", text=text)] if is_reported else []
 
     @property
     def quantity(self) -> Literal["position", "current"]:

@@ -69,6 +69,13 @@ class History:
         self._rows[:, self.size : self.size + count] = rows[:, rows.shape[1] - count :]
         self.size += count
 
+    def forget(self, from_s: float, until_s: float) -> None:
+        """Drop samples after one time until another [s]."""
+        first, last = np.searchsorted(self._rows[0, : self.size], (from_s, until_s), side="right").tolist()
+        left = self._rows[:, last : self.size].copy()
+        self.size = first
+        self.append(left)
+
     @property
     def last_s(self) -> float:
         """Time of the latest sample [s]; NaN without any."""

@@ -389,7 +389,7 @@ class Vehicle:
         if ready and not math.isfinite(self._watched_s):
             self._watched_s = self.now_s
         for name, now in ready.items():
-            events += self.monitors[name].feed(*now, stands.get(name))
+            events += self.monitors[name].feed(*now, stands.get(name), self._bus.stood_s)
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
             for monitor in self.monitors.values():

@@ -13,6 +13,7 @@ from servofd.aircraft.marks import Why
 from servofd.aircraft.pace import WARM_UP_STEPS
 from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
+from servofd.aircraft.watch import Bus, New
 from servofd.detection.event import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.named import with_hold
@@ -405,3 +406,32 @@ class TestMemory:
         at_once = CommandBuffer(8)
         assert at_once.append(time_s, 2.0 * time_s) == 2
         assert buffer.time_s.tolist() == at_once.time_s.tolist() == time_s[2:].tolist()
+
+
+@pytest.mark.parametrize("at_once", [1, 25])
+def test_an_alarm_is_taken_back_where_all_positions_turn_out_to_have_stood_still(at_once: int) -> None:
+    """The bus stops while one servo is asked to move and the others, at rest, flicker: it is not known at once."""
+    names, rng = ("elevator", "aileron", "rudder", "flap"), np.random.default_rng(5)
+    aircraft = plain_aircraft(names, "hs225bb-eq31")
+    model, time_s = aircraft.model("elevator"), np.arange(0.0, 20.0, 0.04)
+    asked_deg = np.where(time_s < 3.0, 8.0 * np.sin(3.0 * time_s), np.where(time_s < 10.0, 0.0, 10.0))
+    read_deg = 0.5 * np.round(rng.uniform(-0.5, 0.5, (4, time_s.size)) * 1.4)
+    read_deg[0] = 0.5 * np.round(2.0 * model.simulate(time_s, asked_deg, time_s))
+    stopped = (time_s >= 10.0) & (time_s < 10.8)
+    read_deg[:, stopped] = read_deg[:, [np.argmax(stopped) - 1]]
+    bus, monitor = Bus(names), SurfaceMonitor("elevator", aircraft.surfaces["elevator"], model)
+    events: list[Event] = []
+    for rows in np.split(np.arange(time_s.size), np.arange(at_once, time_s.size, at_once)):
+        new = {
+            name: New(time_s[rows], asked_deg[rows] * (name == "elevator"), time_s[rows], read_deg[k, rows])
+            for k, name in enumerate(names)
+        }
+        stands = bus.take(new)
+        events += monitor.feed(new["elevator"][:2], new["elevator"][2:], stands["elevator"], bus.stood_s)
+        if look := monitor.due():
+            events += monitor.events_of(look, look.judge())
+    events += monitor.finish()
+    assert [event.event for event in events] == ["alarm", "clear"]
+    assert 10.0 <= events[0].time_s <= events[1].time_s <= 11.0 + 0.04 * at_once
+    assert "stood still" in events[1].text
+    assert not monitor.has_fault
