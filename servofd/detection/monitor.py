@@ -53,6 +53,8 @@ _LOOKS_AGAIN_S = 30.0
 """and how often after that: sooner while no name is likely, after as long as the alarm has stood."""
 _AGAIN_S = 1.0
 """When a look has found nothing of a fault that one before has named, the next one follows so much later [s]."""
+_MOVED_DEG = 1.0
+"""A surface that is further from where it was taken to be stuck, and from what is known of that, is looked at anew."""
 _LIKELY = 0.5
 """A name of this probability keeps until then."""
 _TOLD = 0.8
@@ -642,7 +644,11 @@ class SurfaceMonitor:
         events = self._raised()
         if self._alarm is not None:
             self._alarm.quiet.follow(piece)
-            due_s = self._alarm.quiet.due_s(float(residuals.time_s[-1]))
+            last_s = float(residuals.time_s[-1])
+            due_s = self._alarm.quiet.due_s(last_s)
+            soon_s = last_s + _AGAIN_S
+            if min(self._looks_s, default=np.inf) > soon_s and _has_moved(self._alarm.fault, residuals.measured_deg):
+                due_s = [*due_s, soon_s]
             self._looks_s = sorted([*self._looks_s, *due_s])
         valued = np.isfinite(residuals.measured_deg)
         if valued.any():
@@ -712,3 +718,12 @@ class SurfaceMonitor:
         if self.quantity == "current":  # amperes are no degrees
             numbers = float("nan"), float("nan")
         return Event(look.at_s, self.name, event, fault.kind, *numbers, fault=fault)
+
+
+def _has_moved(fault: Fault | None, measured_deg: FloatArray) -> bool:
+    """Whether a surface that was taken for one that stands still has moved to some positions (n,) [deg]."""
+    stands = None if fault is None else fault.parameters.get("position_deg")
+    if stands is None:
+        return False
+    away_deg = np.abs(measured_deg - stands.value) - (stands.high - stands.low)
+    return bool(np.nanmax(away_deg, initial=0.0) > _MOVED_DEG)

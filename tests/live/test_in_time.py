@@ -47,11 +47,14 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
 
 
 def told(
-    aircraft: Aircraft, *faults: Failure, loud_s: list[float] | None = None
+    aircraft: Aircraft,
+    *faults: Failure,
+    loud_s: list[float] | None = None,
+    read: list[tuple[float, float]] | None = None,
 ) -> tuple[list[Event], list[tuple[float, str]]]:
     """Events of a flight in which the elevator fails for a while, and the texts that were sent, each with its time.
 
-    `loud_s` gets the times at which the residual was over its threshold [s].
+    `loud_s` gets the times at which the residual was over its threshold [s], `read` what was measured, and when.
     """
     plane = vehicle(flown(command="lively", duration_s=30.0, faults={"elevator": faults}), message_hz=40.0)
     codec, session, texts = Codec(1, 1), Session(Codec(0, 191), {0: aircraft}), []
@@ -61,6 +64,8 @@ def told(
         loud = np.abs(piece.residuals.residual_deg) >= piece.threshold.level_deg
         if surface == "elevator" and loud_s is not None:
             loud_s.extend(piece.residuals.time_s[loud].tolist())
+        if surface == "elevator" and read is not None:
+            read.extend(zip(piece.residuals.time_s.tolist(), piece.residuals.measured_deg.tolist(), strict=True))
 
     session.listener = listen
     for index in range(plane.time_us.size):
@@ -127,6 +132,20 @@ def test_the_name_follows_its_alarm_within_2_s_or_not_at_all(twice: Flown) -> No
     assert first_s <= said[0] <= first_s + NAMED_S + 0.1
     assert said[-1] <= said[0] + 1.1, "said once more a second later, and not again"
     assert said[-1] < clear_s
+
+
+@pytest.mark.slow
+def test_a_surface_that_was_called_stuck_and_moves_is_called_what_it_is_at_once(aircraft: Aircraft) -> None:
+    """In a dead band that is wide beside what is asked of it a servo stands for 6 s."""
+    elevator: list[tuple[float, float]] = []
+    fault = DeadBand(BEGUN_S, width_deg=8.0, end_s=OVER_S)
+    ((_, _, names),) = alarms_of(told(aircraft, fault, read=elevator)[0])
+    assert [name.kind for name in names] == ["stuck", "deadband"]
+    stuck = names[0].fault
+    assert stuck is not None
+    stuck_deg = stuck.parameters["position_deg"].value
+    moved_s = min(at_s for at_s, deg in elevator if at_s > names[0].time_s and abs(deg - stuck_deg) > 1.5)
+    assert names[1].time_s - moved_s <= NAMED_S
 
 
 @pytest.mark.slow
