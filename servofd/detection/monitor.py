@@ -201,22 +201,12 @@ class SurfaceMonitor:
         events = self._alive(seen)
         counting = seen
         if self.quantity == "position":  # a current may well stand still
-            new = self.uncorrected(commands, positions)
+            new = New.of(self.surface, commands, positions)
             counting = self._watch.take(new.time_s, new.position_deg, self._asked_at(new), seen_deg, stands)
         if self._stream is None:
             return events + self._warm_up(asked, counting)
         self._hand_over(asked, counting)
         return events + self._evaluated(self._stream.evaluate())
-
-    def uncorrected(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> New:
-        """Commands and positions as the marks take them: in degrees, without the corrections that were fitted."""
-        command, measured = self.surface.command, self.surface.measured
-        asked_deg = (command.to_deg(commands[1]) - command.correction[1]) / command.correction[0]
-        read_deg = positions[1]
-        if measured is not None:
-            read_deg = (measured.to_deg(positions[1]) - measured.correction[1]) / measured.correction[0]
-        given, known = np.isfinite(asked_deg), np.isfinite(read_deg)
-        return New(commands[0][given], asked_deg[given], positions[0][known], read_deg[known])
 
     def _asked_at(self, new: New) -> FloatArray:
         """The command in force at each new position [deg]; NaN before any."""

@@ -38,8 +38,8 @@ _LATEST_US = 2**64 - 1
 
 
 def _positions(craft: Aircraft) -> set[str]:
-    """Channels of the positions that a file names, and of currents where there are none."""
-    return {surface.watched_channel for surface in craft.surfaces.values()} - {""}
+    """Channels of the positions by which a file's surfaces are watched, and of currents where there are none."""
+    return {surface.watched_channel for surface in craft.surfaces.values() if surface.can_be_watched} - {""}
 
 
 def stamped(arrival_s: float, frame: bytes) -> bytes:
