@@ -227,13 +227,14 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
     left_deg = error_deg.copy()
     begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
     for _ in range(_MOST_FAULTS):
-        rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
-        tested = follow(flight.tests, Memory(flight.tests), *rows) if begin else flight.tested
-        _, _, grid_s, statistics = tested
+        rows = (time_s, error_deg, flight.slopes, flight.noise_deg, flight.lost_deg)
+        rest = [each[begin:] for each in rows]
+        tested = follow(flight.tests, Memory(flight.tests), *rest) if begin else flight.tested
+        grid_s, statistics = tested.grid_s, tested.statistics
         passed = flight.shown.passed[begin:]
         if flight.alone:
             grid_s, statistics = grid_s[:0], statistics[:0]
-        raised_s, ratio, is_far = _alarm(limits, rows[0], passed, grid_s, statistics[:, : len(STATISTICS)])
+        raised_s, ratio, is_far = _alarm(limits, time_s[begin:], passed, grid_s, statistics[:, : len(STATISTICS)])
         if not np.isfinite(raised_s):
             break
         fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s, names=names)

@@ -625,7 +625,7 @@ class SurfaceMonitor:
             valued_s = residuals.time_s[valued]
             begin_s = self._valued_s if np.isfinite(self._valued_s) else valued_s[0]
             steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), OUTAGE_S)
-            self._judged_s += float(steps_s[residuals.settled[valued]].sum())
+            self._judged_s += float(steps_s[(residuals.settled & piece.clear)[valued]].sum())
             self._valued_s = float(valued_s[-1])
             events += self._hardly_judged()
         last = int(residuals.time_s.size) - 1
@@ -648,7 +648,7 @@ class SurfaceMonitor:
         return events
 
     def _hardly_judged(self) -> list[Event]:
-        """Say once that a link leaves too few commands to judge the servo for most of the time."""
+        """Say once that a link leaves too few commands to judge the servo for most of the time, and how many would."""
         since_s, judged_s = self._reviewed or (self._valued_s, self._judged_s)
         if self._reviewed is None or self._valued_s - since_s >= _REVIEW_S:
             self._reviewed = self._valued_s, self._judged_s
@@ -657,8 +657,21 @@ class SurfaceMonitor:
         if not self.is_periodic or self._valued_s - since_s < _REVIEW_S or share >= _MOST or is_told:
             return []
         self._told_slow = True
-        text = f"judged for {share:.0%} of the last {_REVIEW_S:g} s: the link loses too many commands"
+        lost, borne = self._borne(since_s, share)
+        text = f"the link is too poor: {lost}a fault would show for {share:.0%} of the time{borne}"
         return [Event(self._valued_s, self.name, "no_data", text=text)]
+
+    def _borne(self, since_s: float, share: float) -> tuple[str, str]:
+        """How many commands are lost since then [s], and how many may be if most of the time is to be judged, in words.
+
+        A position is judged where some commands before it came; with `share` of them judged that is as many as make
+        it so likely.
+        """
+        lost = self._stream.lost_share(since_s) if self._stream is not None else 0.0
+        if not 0.0 < lost < 1.0 or not 0.0 < share < _MOST:
+            return "", ""
+        borne = 1.0 - float(np.exp(np.log(1.0 - lost) * np.log(_MOST) / np.log(share)))
+        return f"{lost:.0%} of the commands are lost, and ", f"; up to {borne:.0%} lost it would for most"
 
     def _raised(self) -> list[Event]:
         """The alarm of a residual over its threshold, once all looks are made that were due before it."""
