@@ -253,13 +253,13 @@ class SurfaceMonitor:
         return self._alarm is None and self._doubtful is None
 
     def rests(self, for_s: float) -> bool:
-        """Whether nothing is looked into for so long [s]: no alarm stands, or a loud one of which no look is due."""
-        if self.is_calm or self.reading is None or self._alarm is None:
+        """Whether nothing is looked into for so long [s] after what was evaluated last, as far as is known now."""
+        if self.is_calm or self.reading is None:
             return self.is_calm
-        return (
-            not np.isfinite(self._alarm.quiet.since_s)
-            and min(self._looks_s, default=np.inf) - self.reading.time_s > for_s
-        )
+        due_s = min(self._looks_s, default=np.inf)
+        if self._alarm is not None:
+            due_s = min(due_s, self._alarm.quiet.asked_again_s)
+        return due_s - self.reading.time_s > for_s
 
     @property
     def was_judged(self) -> bool:
