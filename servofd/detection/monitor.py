@@ -560,7 +560,8 @@ class SurfaceMonitor:
             if self._told_still or now_s - positions[0][0] < WARM_UP_S:
                 return []
             self._told_still = True
-            return [Event(now_s, self.name, "no_data", text=f"the {self.quantity} never changes: not a measurement")]
+            text = f"the {self.quantity} has not changed yet: watched as soon as it does"
+            return [Event(now_s, self.name, "no_data", text=text)]
         return self._begin()
 
     def _begin(self) -> list[Event]:

@@ -411,8 +411,8 @@ class Session:
         for vehicle, monitor in self.watched:
             if not monitor.is_watched:
                 channel = monitor.surface.watched_channel
-                pace = "learning its pace" if math.isfinite(monitor.rate_hz) else f"waiting for {channel}"
-                why = monitor.silenced or pace
+                pace = f"learning how often {monitor.quantity}s come"
+                why = monitor.silenced or (pace if math.isfinite(monitor.rate_hz) else f"waiting for {channel}")
                 who = monitor.name if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"
                 missing.setdefault(why, []).append(who)
         return "; ".join(f"{', '.join(who)}: {why}" for why, who in missing.items())
