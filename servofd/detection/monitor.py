@@ -659,7 +659,7 @@ class SurfaceMonitor:
             return []
         self._told_slow = True
         lost, borne = self._borne(since_s, share)
-        text = f"the link is too poor: {lost}a fault would show for {share:.0%} of the time{borne}"
+        text = f"the link is too poor: {lost}a fault would show for {share:.0%} of the last {_REVIEW_S:g} s{borne}"
         return [Event(self._valued_s, self.name, "no_data", text=text)]
 
     def _borne(self, since_s: float, share: float) -> tuple[str, str]:
