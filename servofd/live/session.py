@@ -340,7 +340,11 @@ class Session:
         if vehicle.log is not None:
             self._note(vehicle.log.news(now_s))
         for event in events:
-            alerts.take(event, now_s)
+            monitor = vehicle.monitors.get(event.surface) if event.event == "no_data" else None
+            if monitor is not None and monitor.is_watched:  # on a link that is too poor it still is
+                alerts.note(f"{event.surface}: {event.text}", now_s)
+            else:
+                alerts.take(event, now_s)
         for name, monitor in vehicle.monitors.items():
             if monitor.is_watched:
                 alerts.watched(name)
