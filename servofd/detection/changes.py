@@ -563,6 +563,20 @@ def exceeded(limits: FloatArray, before: FloatArray, statistics: FloatArray) -> 
     return worst
 
 
+def first_over(
+    limits: FloatArray, before: FloatArray, rows: tuple[FloatArray, FloatArray], windows: tuple[FloatArray, FloatArray]
+) -> tuple[float, float]:
+    """When residuals in a row, and when windows, first pass their thresholds [s]; infinite where they never do.
+
+    `rows` are times, and by how much residuals in a row pass, (m,) each; `windows` the times of the grid (g,), and the
+    statistics there (g, k), which `before` precedes.
+    """
+    ratios = exceeded(limits, before, windows[1])
+    over_s = rows[0][rows[1] >= 1.0], windows[0][ratios >= 1.0]
+    by_level_s, by_windows_s = (float(each[0]) if each.size else np.inf for each in over_s)
+    return by_level_s, by_windows_s
+
+
 def watched(
     known: CalibratedServo, record: Record, moving: Moving | None = None, noise_deg: FloatArray | None = None
 ) -> Watched:

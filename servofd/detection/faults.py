@@ -17,7 +17,7 @@ from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
     STATISTICS,
     Memory,
-    exceeded,
+    first_over,
     follow,
     thresholds_of,
     watched,
@@ -352,14 +352,9 @@ def _alarm(
     `passed` is the fast test over its threshold. Last whether the residual itself passes a threshold, not only a test
     of what it may mean.
     """
-    direct = np.flatnonzero(passed >= 1.0)
-    first_s = float(time_s[direct[0]]) if direct.size else np.inf
-    ratios = exceeded(limits, np.zeros(limits.size), statistics)
-    raised = np.flatnonzero(ratios >= 1.0)
-    second_s = float(grid_s[raised[0]]) if raised.size else np.inf
-    at_s = min(first_s, second_s)
+    at_s = min(first_over(limits, np.zeros(limits.size), (time_s, passed), (grid_s, statistics)))
     if not np.isfinite(at_s):
-        return np.inf, float(ratios.max(initial=0.0)), False
+        return np.inf, 0.0, False
     soon = statistics[(grid_s >= at_s) & (grid_s <= at_s + _SOON_AFTER_S)] / limits
     fast = float(passed[(time_s >= at_s) & (time_s <= at_s + _SOON_AFTER_S)].max(initial=1.0))
     is_far = fast > 1.0 or soon[:, :_RESIDUALS].max(initial=0.0) >= 1.0

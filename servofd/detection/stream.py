@@ -15,7 +15,7 @@ import numpy as np
 from servofd.aircraft.pace import Rhythm, gap_s, rhythm
 from servofd.aircraft.series import Series
 from servofd.core.series import subdivided
-from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, exceeded, follow, thresholds_of
+from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, first_over, follow, thresholds_of
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import LONGEST_PAUSE_S
 from servofd.estimate.fit import residual
@@ -383,11 +383,11 @@ class Stream(Following):
 
     def _alarms(self, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray) -> Marks:
         """Where an alarm is raised, shape (n,), by the fast test over its threshold (n,) and the windows (g, k)."""
-        ratios = exceeded(self._limits, self._before, statistics)
+        by_level_s, by_windows_s = first_over(self._limits, self._before, (time_s, passed), (grid_s, statistics))
         if len(statistics):
             self._before = statistics[-1]
         raised = np.zeros(time_s.size, dtype=np.int8)
-        for what, over_s in ((BY_WINDOWS, grid_s[ratios >= 1.0]), (BY_LEVEL, time_s[passed >= 1.0])):
-            if over_s.size and self.latched < what:
-                raised[int(np.searchsorted(time_s, over_s[0]))] = self.latched = what
+        for what, at_s in ((BY_WINDOWS, by_windows_s), (BY_LEVEL, by_level_s)):
+            if at_s < np.inf and self.latched < what:
+                raised[int(np.searchsorted(time_s, at_s))] = self.latched = what
         return raised
