@@ -31,7 +31,7 @@ from servofd.core.evidence import Detectable
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import peaks, residual
-from servofd.estimate.record import load_at
+from servofd.estimate.record import LONGEST_S, load_at
 from servofd.servo.loops import compiled, inner
 
 if TYPE_CHECKING:
@@ -112,6 +112,8 @@ class Tests(NamedTuple):
     """What the model is known to miss of how a sound servo moves."""
     enough_deg: float = 0.0
     """Total sigma at which three residuals in a row that an aircraft notices pass their threshold."""
+    row_s: float = 0.0
+    """How far two residuals in a row may lie apart where a link loses some between them [s]; 0: as far as usual."""
 
     @classmethod
     def of(cls, known: CalibratedServo, period_s: float, *, is_lossy: bool = False, missed_deg: float = 0.0) -> Tests:
@@ -127,7 +129,8 @@ class Tests(NamedTuple):
         root = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
         inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
         enough_deg = _NOTICED * (known.reach_deg[1] - known.reach_deg[0]) / float(thresholds_of(known)[0])
-        return cls(colour, root, inverse, spectrum, period_s, missed_deg, enough_deg)
+        row_s = max(_ROW * period_s, LONGEST_S) if is_lossy else 0.0
+        return cls(colour, root, inverse, spectrum, period_s, missed_deg, enough_deg, row_s)
 
 
 class Tested(NamedTuple):
@@ -151,7 +154,7 @@ class Memory:
 
     def __init__(self, tests: Tests) -> None:
         self.before = np.zeros((2, _WIDTH + 1))
-        self.runs = np.zeros(8)
+        self.runs = np.zeros(9)
         self.runs[0], self.runs[3] = -np.inf, -1.0
         self.sums = np.zeros(_MATRIX + _WIDTH + 4 + 4 * tests.spectrum.size + 2)
         self.ring = np.zeros((_BLOCKS, self.sums.size))
@@ -177,8 +180,8 @@ def follow(
     sigma_deg, triple, clear = np.empty(m), np.empty(m), np.empty(m, dtype=np.bool_)
     count = _follow(
         *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, memory.room, _UNITS, tests.period_s,
-        tests.missed_deg, tests.enough_deg, time_s, error_deg, slopes, noise_deg, lost_deg, sigma_deg, triple, clear,
-        grid_s, statistics,
+        tests.missed_deg, tests.enough_deg, tests.row_s or _ROW * tests.period_s, time_s, error_deg, slopes, noise_deg,
+        lost_deg, sigma_deg, triple, clear, grid_s, statistics,
     )  # fmt: skip
     return Tested(sigma_deg, triple, clear, grid_s[:count], statistics[:count])
 
@@ -187,14 +190,14 @@ def follow(
 def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     colour: FloatArray, root: FloatArray, precision: FloatArray, spectrum: FloatArray, before: FloatArray,
     runs: FloatArray, sums: FloatArray, ring: FloatArray, room: FloatArray, units: FloatArray, period_s: float,
-    missed_deg: float, enough_deg: float, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray,
+    missed_deg: float, enough_deg: float, row_s: float, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray,
     noise_deg: FloatArray, lost_deg: FloatArray, sigma_deg: FloatArray, triple: FloatArray, clear: BoolArray,
     grid_s: FloatArray, statistics: FloatArray,
 ) -> int:  # fmt: skip
     """Take all samples, and tell how many blocks were complete.
 
     `runs`: time of the last sample, of the last valid one, how many valid ones in a row, block, the last two residuals
-    over their sigma, best triple of this block, time of the later of those two.
+    over their sigma that make a row, best triple of this block, time of the later of those two, how many make the row.
     """
     width = units.shape[0]
     fitted = root.shape[0]
@@ -240,12 +243,17 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         if fresh:
             runs[2] = 0.0
         u = error_deg[i] / total
-        if runs[2] >= 2.0 and u * runs[4] > 0.0 and u * runs[5] > 0.0:
-            triple[i] = min(abs(u), abs(runs[4]), abs(runs[5]))
+        if t - runs[7] > row_s:
+            runs[8] = 0.0
+        least = min(abs(runs[4]), abs(runs[5]))
+        is_row = runs[8] >= 2.0 and u * runs[4] > 0.0 and u * runs[5] > 0.0
+        if is_row:
+            triple[i] = min(abs(u), least)
             runs[6] = max(runs[6], triple[i])
-        says_little = not clear[i] and runs[2] >= 2.0 and t - runs[7] <= _ROW * period_s
-        if not (says_little and u * runs[4] > 0.0 and abs(u) < abs(runs[4])):  # else it takes no part in the row
-            runs[5], runs[4], runs[7] = runs[4], u, t
+        known = np.sqrt(max(total**2 - lost_deg[i] ** 2, 0.0))
+        # What would be as far off as the two before it but for lost commands, or tells of these alone, breaks no row.
+        if not (is_row and abs(u) < least and (not clear[i] or abs(error_deg[i]) >= least * known)):
+            runs[5], runs[4], runs[7], runs[8] = runs[4], u, t, runs[8] + 1.0
         if runs[2] >= 2.0:
             for k in range(width + 1):
                 w[k] = (z[k] - colour[0] * before[0, k] - colour[1] * before[1, k]) / colour[2]
