@@ -3,7 +3,8 @@
 Strangers' aircraft (`benchmarks/strangers.py`) fly with commands and positions at 5 to 40 Hz. Each is calibrated
 on a clean log of its link and then replayed as a worse link would have brought it: frames are lost, late by up to
 50 ms, and one in twenty changes places with its neighbour. A healthy flight may raise no alarm. A fault is found, or
-the monitor has said that the link is too poor to judge that surface::
+the monitor has said that the link is too poor to judge that surface; how much later its alarm comes than over the
+clean link is reported::
 
     python benchmarks/loss.py --seeds 1 3 --healthy
 
@@ -56,6 +57,8 @@ NAMES: Final = ("aileron_1", "aileron_5", "elevator", "rudder")
 """What its parameters call the surfaces."""
 _LATE_S: Final = 15.0
 """So long after its onset an alarm still tells a fault."""
+_SOON_S: Final = 2.0
+"""Alarms are to come no later than this after that of the clean link."""
 
 
 def worse(frames: Frames, loss: float, pattern: str, seed: int) -> Frames:
@@ -97,6 +100,19 @@ def told(aircraft: Aircraft, frames: Frames) -> list[Published]:
     return events + session.finish(now_s)
 
 
+class Score(NamedTuple):
+    """What became of the faults of a link."""
+
+    counts: Counter[str]
+    later_s: list[float]
+    """How much later than without loss those that were found in both were [s]."""
+
+    def add(self, other: Score) -> None:
+        """Take another flight."""
+        self.counts.update(other.counts)
+        self.later_s.extend(other.later_s)
+
+
 class Truth(NamedTuple):
     """A fault of a flight, on the vehicle's clock."""
 
@@ -105,14 +121,28 @@ class Truth(NamedTuple):
     end_s: float
 
 
-def scored(events: Sequence[Published], truth: Sequence[Truth]) -> Counter[str]:
-    """Faults that were found, those of a surface that was said not to be judged, those missed, and other alarms."""
+def alarms_of(events: Sequence[Published], fault: Truth) -> list[Published]:
+    """Alarms that tell a fault."""
+    until_s = min(fault.begin_s + _LATE_S, fault.end_s + _JITTER_S)
+    return [
+        event for event in events
+        if event.event == "alarm" and event.surface == fault.surface and fault.begin_s - 0.5 <= event.time_s <= until_s
+    ]  # fmt: skip
+
+
+def scored(events: Sequence[Published], truth: Sequence[Truth], clean: Sequence[Published]) -> Score:
+    """Faults that were found, those of a surface that was said not to be judged, those missed, and other alarms.
+
+    `clean`: what the monitor says of the link that loses nothing.
+    """
     score: Counter[str] = Counter()
     alarms = [event for event in events if event.event == "alarm"]
     mine: list[Published] = []
+    later_s: list[float] = []
     for fault in truth:
         until_s = min(fault.begin_s + _LATE_S, fault.end_s + _JITTER_S)
-        found = [a for a in alarms if a.surface == fault.surface and fault.begin_s - 0.5 <= a.time_s <= until_s]
+        found, before = alarms_of(events, fault), alarms_of(clean, fault)
+        later_s += [found[0].time_s - before[0].time_s] if found and before else []
         poor = [
             event for event in events
             if event.event == "no_data" and event.surface == fault.surface and event.time_s <= until_s
@@ -121,7 +151,7 @@ def scored(events: Sequence[Published], truth: Sequence[Truth]) -> Counter[str]:
         within = (fault.begin_s - 0.5, fault.end_s + 2.0)
         mine += [a for a in alarms if a.surface == fault.surface and within[0] <= a.time_s <= within[1]]
     score["false"] = len(alarms) - len(mine)
-    return score
+    return Score(score, later_s)
 
 
 def calibrated(seed: int, rate_hz: float) -> Aircraft:
@@ -153,22 +183,25 @@ def _craft(seed: int, rate_hz: float) -> Stranger:
     return replace(stranger(2 * seed + 1), position_hz=rate_hz, command_hz=rate_hz)
 
 
-def _row(loss: float, pattern: str, where: str, score: Counter[str]) -> str:
-    faults = score["found"] + score["said"] + score["missed"]
+def _row(loss: float, pattern: str, where: str, score: Score) -> str:
+    counts, later = score.counts, sum(each_s > _SOON_S for each_s in score.later_s)
+    faults = counts["found"] + counts["said"] + counts["missed"]
+    most = f"{later} of them > {_SOON_S:g} s later than without loss, at most {max(score.later_s, default=0.0):.1f} s"
     return (
-        f"{where:>10} {loss:5.0%} {pattern:>7}: {score['false']} false alarms; of {faults} faults "
-        f"{score['found']} found, {score['said']} of a link said to be too poor, {score['missed']} missed"
+        f"{where:>10} {loss:5.0%} {pattern:>7}: {counts['false']} false alarms; of {faults} faults "
+        f"{counts['found']} found ({most}), {counts['said']} of a link said to be too poor, {counts['missed']} missed"
     )
 
 
 def _recorded(options: argparse.Namespace) -> None:
     frames, aircraft = list(replayed(options.recorded)), load_aircraft(options.config)
     truth = recorded_events(options.events) if options.events else []
+    clean = told(aircraft, frames)
     for loss in options.losses:
         for pattern in PATTERNS:
-            score: Counter[str] = Counter()
+            score = Score(Counter(), [])
             for seed in options.seeds:
-                score += scored(told(aircraft, worse(frames, loss, pattern, seed)), truth)
+                score.add(scored(told(aircraft, worse(frames, loss, pattern, seed)), truth, clean))
             print(_row(loss, pattern, "recorded", score), flush=True)
 
 
@@ -194,15 +227,17 @@ def main() -> None:
                 None if kind is None else draw_failure(10 * seed + k, _FLIGHT_S, kind, "large")
                 for k, kind in enumerate(kinds)
             ]
-            flights += [(seed, *flown(seed, rate_hz, 1 + k, failure)) for k, failure in enumerate(broken)]
+            for k, failure in enumerate(broken):
+                frames, truth = flown(seed, rate_hz, 1 + k, failure)
+                flights.append((seed, frames, truth, told(known[seed], frames) if truth else []))
         for loss in options.losses:
             for pattern in PATTERNS:
-                score: Counter[str] = Counter()
-                for k, (seed, frames, truth) in enumerate(flights):
-                    each = scored(told(known[seed], worse(frames, loss, pattern, k)), truth)
-                    if each["false"] or each["missed"]:
-                        print(f"  flight {k}: {dict(each)} {truth}", flush=True)
-                    score.update(each)
+                score = Score(Counter(), [])
+                for k, (seed, frames, truth, clean) in enumerate(flights):
+                    each = scored(told(known[seed], worse(frames, loss, pattern, k)), truth, clean)
+                    if each.counts["false"] or each.counts["missed"]:
+                        print(f"  flight {k}: {dict(each.counts)} {truth}", flush=True)
+                    score.add(each)
                 print(_row(loss, pattern, f"{rate_hz:g} Hz", score), flush=True)
 
 

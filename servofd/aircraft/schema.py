@@ -194,6 +194,11 @@ class Surface(_Entry):
         """Whether its file says which servo it is."""
         return self.servo != UNKNOWN_SERVO
 
+    @property
+    def can_be_watched(self) -> bool:
+        """Whether its file says what a good one does; in flight there is no log yet that would."""
+        return self.names_servo or self.is_told_by_current
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for key in ("command_saturation_deg", "position_limit_deg"):

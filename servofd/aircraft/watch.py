@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from servofd.aircraft.marks import (
 from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray
 
+if TYPE_CHECKING:
+    from servofd.aircraft.schema import Surface
+
 STANDS_STILL_S: Final = 1.0
 """A bus that stands still for so long is reported [s]: where any surface is, is not known then."""
 _KEPT_S, _KEPT_ROWS, _MOST_ROWS = 1.5, 100, 250
@@ -41,6 +44,17 @@ class New(NamedTuple):
     command_deg: FloatArray
     time_s: FloatArray
     position_deg: FloatArray
+
+    @staticmethod
+    def of(surface: Surface, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> New:
+        """The same of commands and positions as they were logged, each times [s] and values."""
+        command, measured = surface.command, surface.measured
+        asked_deg = (command.to_deg(commands[1]) - command.correction[1]) / command.correction[0]
+        read_deg = positions[1]
+        if measured is not None:
+            read_deg = (measured.to_deg(positions[1]) - measured.correction[1]) / measured.correction[0]
+        given, known = np.isfinite(asked_deg), np.isfinite(read_deg)
+        return New(commands[0][given], asked_deg[given], positions[0][known], read_deg[known])
 
 
 class Bus:

@@ -165,15 +165,13 @@ def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
             by_id = f"-c 1={name} -c 2={name}, by system id"
             raise ConfigError(f"-c {name}: given twice; two vehicles of one file are {by_id}")
         loaded.append(aircraft)
-        unnamed = [key for key, one in aircraft.surfaces.items() if not one.names_servo and not one.is_told_by_current]
-        watched = {key: one for key, one in aircraft.surfaces.items() if key not in unnamed}
-        if unnamed and not watched:  # an audit fits them to its log; in flight there is none yet
+        unnamed = [key for key, one in aircraft.surfaces.items() if not one.can_be_watched]
+        if unnamed and len(unnamed) == len(aircraft.surfaces):
             raise ConfigError(
                 f"{path or name}: {', '.join(unnamed)}: no servo is named; name one (servo = ...), or let "
                 "'servofd calibrate' make the file from a good flight"
             )
         if unnamed:
             complain(f"{', '.join(unnamed)}: not watched: no servo is named; calibrate them on a good flight, too")
-            aircraft = aircraft.model_copy(update={"surfaces": watched})
         known[system] = streamed(aircraft, has_card=has_card)
     return known

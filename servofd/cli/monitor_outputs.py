@@ -138,7 +138,8 @@ class Outputs:
         from servofd.outputs.recording.verdicts import live_verdicts
 
         first = next(iter(aircraft.values()))
-        surfaces = list(dict.fromkeys(name for craft in aircraft.values() for name in craft.surfaces))
+        watched = (n for craft in aircraft.values() for n, each in craft.surfaces.items() if each.can_be_watched)
+        surfaces = list(dict.fromkeys(watched))
         port = options.viewer_port if options.serve else None
         path = Path(options.rrd) if options.rrd else None
         # Of several vehicles it would not be known whose surface it was.

@@ -174,7 +174,7 @@ class CurrentStream(Following):
         if worth_s.size and not self.latched:
             raised[min(int(np.searchsorted(time_s, worth_s[0])), time_s.size - 1)] = self.latched = BY_WINDOWS
         self.history.append(History.packed(residuals, threshold))
-        return Piece(residuals, threshold, raised)
+        return Piece(residuals, threshold, raised, np.ones(time_s.size, dtype=bool))
 
     def found(self, seen: Remembered, names: dict[float, Named]) -> Found:  # noqa: ARG002 - each look names anew
         """What an audit finds in what is remembered."""

@@ -47,9 +47,14 @@ class Quiet:
         if begun.size:
             self.since_s = min(self.since_s, float(time_s[begun[0]]))
 
+    @property
+    def asked_again_s(self) -> float:
+        """When the bank should look next if it stays quiet [s]; infinite while it is not quiet."""
+        return max(self._asked_s + min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S), self.since_s + QUIET_S)
+
     def due_s(self, now_s: float) -> list[float]:
         """When the bank should have looked by now [s], if it should."""
-        due_s = max(self._asked_s + min(_PAUSE_S * (1 + self._asked), _LONGEST_PAUSE_S), self.since_s + QUIET_S)
+        due_s = self.asked_again_s
         if now_s < due_s:
             return []
         self._asked_s, self._asked = due_s, self._asked + 1

@@ -17,7 +17,7 @@ from servofd.core.statistics import Estimate
 from servofd.detection.changes import (
     STATISTICS,
     Memory,
-    exceeded,
+    first_over,
     follow,
     watched,
 )
@@ -226,13 +226,14 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
     left_deg = error_deg.copy()
     begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
     for _ in range(_MOST_FAULTS):
-        rows = (time_s[begin:], error_deg[begin:], flight.slopes[begin:], flight.noise_deg[begin:])
-        tested = follow(flight.tests, Memory(flight.tests), *rows) if begin else flight.tested
-        _, _, grid_s, statistics = tested
+        rows = (time_s, error_deg, flight.slopes, flight.noise_deg, flight.lost_deg)
+        rest = [each[begin:] for each in rows]
+        tested = follow(flight.tests, Memory(flight.tests), *rest) if begin else flight.tested
+        grid_s, statistics = tested.grid_s, tested.statistics
         passed = flight.shown.passed[begin:]
         if flight.alone:
             grid_s, statistics = grid_s[:0], statistics[:0]
-        raised_s, ratio, is_far = _alarm(limits, rows[0], passed, grid_s, statistics[:, : len(STATISTICS)])
+        raised_s, ratio, is_far = _alarm(limits, time_s[begin:], passed, grid_s, statistics[:, : len(STATISTICS)])
         if not np.isfinite(raised_s):
             break
         fault, guess = named(flight, raised_s, ratio, earliest_s=earliest_s, names=names)
@@ -350,14 +351,9 @@ def _alarm(
     `passed` is the fast test over its threshold. Last whether the residual itself passes a threshold, not only a test
     of what it may mean.
     """
-    direct = np.flatnonzero(passed >= 1.0)
-    first_s = float(time_s[direct[0]]) if direct.size else np.inf
-    ratios = exceeded(limits, np.zeros(limits.size), statistics)
-    raised = np.flatnonzero(ratios >= 1.0)
-    second_s = float(grid_s[raised[0]]) if raised.size else np.inf
-    at_s = min(first_s, second_s)
+    at_s = min(first_over(limits, np.zeros(limits.size), (time_s, passed), (grid_s, statistics)))
     if not np.isfinite(at_s):
-        return np.inf, float(ratios.max(initial=0.0)), False
+        return np.inf, 0.0, False
     soon = statistics[(grid_s >= at_s) & (grid_s <= at_s + _SOON_AFTER_S)] / limits
     fast = float(passed[(time_s >= at_s) & (time_s <= at_s + _SOON_AFTER_S)].max(initial=1.0))
     is_far = fast > 1.0 or soon[:, :_RESIDUALS].max(initial=0.0) >= 1.0

@@ -205,23 +205,13 @@ class SurfaceMonitor:
         events = self._alive(seen)
         counting = seen
         if self.quantity == "position":  # a current may well stand still
-            new = self.uncorrected(commands, positions)
+            new = New.of(self.surface, commands, positions)
             counting = self._watch.take(new.time_s, new.position_deg, self._asked_at(new), seen_deg, stands)
         if self._stream is None:
             return events + self._warm_up(asked, counting)
         self._hand_over(asked, counting)
         events += self._evaluated(self._stream.evaluate())
         return events + (self._taken_back(*stood_s) if self.quantity == "position" else [])
-
-    def uncorrected(self, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> New:
-        """Commands and positions as the marks take them: in degrees, without the corrections that were fitted."""
-        command, measured = self.surface.command, self.surface.measured
-        asked_deg = (command.to_deg(commands[1]) - command.correction[1]) / command.correction[0]
-        read_deg = positions[1]
-        if measured is not None:
-            read_deg = (measured.to_deg(positions[1]) - measured.correction[1]) / measured.correction[0]
-        given, known = np.isfinite(asked_deg), np.isfinite(read_deg)
-        return New(commands[0][given], asked_deg[given], positions[0][known], read_deg[known])
 
     def _asked_at(self, new: New) -> FloatArray:
         """The command in force at each new position [deg]; NaN before any."""
@@ -279,13 +269,13 @@ class SurfaceMonitor:
         return self._alarm is None and self._doubtful is None
 
     def rests(self, for_s: float) -> bool:
-        """Whether nothing is looked into for so long [s]: no alarm stands, or a loud one of which no look is due."""
-        if self.is_calm or self.reading is None or self._alarm is None:
+        """Whether nothing is looked into for so long [s] after what was evaluated last, as far as is known now."""
+        if self.is_calm or self.reading is None:
             return self.is_calm
-        return (
-            not np.isfinite(self._alarm.quiet.since_s)
-            and min(self._looks_s, default=np.inf) - self.reading.time_s > for_s
-        )
+        due_s = min(self._looks_s, default=np.inf)
+        if self._alarm is not None:
+            due_s = min(due_s, self._alarm.quiet.asked_again_s)
+        return due_s - self.reading.time_s > for_s
 
     @property
     def was_judged(self) -> bool:
@@ -586,7 +576,8 @@ class SurfaceMonitor:
             if self._told_still or now_s - positions[0][0] < WARM_UP_S:
                 return []
             self._told_still = True
-            return [Event(now_s, self.name, "no_data", text=f"the {self.quantity} never changes: not a measurement")]
+            text = f"the {self.quantity} has not changed yet: watched as soon as it does"
+            return [Event(now_s, self.name, "no_data", text=text)]
         return self._begin()
 
     def _begin(self) -> list[Event]:
@@ -655,7 +646,7 @@ class SurfaceMonitor:
             valued_s = residuals.time_s[valued]
             begin_s = self._valued_s if np.isfinite(self._valued_s) else valued_s[0]
             steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), OUTAGE_S)
-            self._judged_s += float(steps_s[residuals.settled[valued]].sum())
+            self._judged_s += float(steps_s[(residuals.settled & piece.clear)[valued]].sum())
             self._valued_s = float(valued_s[-1])
             events += self._hardly_judged()
         last = int(residuals.time_s.size) - 1
@@ -678,7 +669,7 @@ class SurfaceMonitor:
         return events
 
     def _hardly_judged(self) -> list[Event]:
-        """Say once that a link leaves too few commands to judge the servo for most of the time."""
+        """Say once that a link leaves too few commands to judge the servo for most of the time, and how many would."""
         since_s, judged_s = self._reviewed or (self._valued_s, self._judged_s)
         if self._reviewed is None or self._valued_s - since_s >= _REVIEW_S:
             self._reviewed = self._valued_s, self._judged_s
@@ -687,8 +678,21 @@ class SurfaceMonitor:
         if not self.is_periodic or self._valued_s - since_s < _REVIEW_S or share >= _MOST or is_told:
             return []
         self._told_slow = True
-        text = f"judged for {share:.0%} of the last {_REVIEW_S:g} s: the link loses too many commands"
+        lost, borne = self._borne(since_s, share)
+        text = f"the link is too poor: {lost}a fault would show for {share:.0%} of the last {_REVIEW_S:g} s{borne}"
         return [Event(self._valued_s, self.name, "no_data", text=text)]
+
+    def _borne(self, since_s: float, share: float) -> tuple[str, str]:
+        """How many commands are lost since then [s], and how many may be if most of the time is to be judged, in words.
+
+        A position is judged where some commands before it came; with `share` of them judged that is as many as make
+        it so likely.
+        """
+        lost = self._stream.lost_share(since_s) if self._stream is not None else 0.0
+        if not 0.0 < lost < 1.0 or not 0.0 < share < _MOST:
+            return "", ""
+        borne = 1.0 - float(np.exp(np.log(1.0 - lost) * np.log(_MOST) / np.log(share)))
+        return f"{lost:.0%} of the commands are lost, and ", f"; up to {borne:.0%} lost it would for most"
 
     def _raised(self) -> list[Event]:
         """The alarm of a residual over its threshold, once all looks are made that were due before it."""

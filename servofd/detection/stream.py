@@ -15,7 +15,7 @@ import numpy as np
 from servofd.aircraft.pace import Rhythm, gap_s, rhythm
 from servofd.aircraft.series import Series
 from servofd.core.series import subdivided
-from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, exceeded, follow
+from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, first_over, follow
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import LONGEST_PAUSE_S
 from servofd.estimate.fit import residual
@@ -155,6 +155,8 @@ class Piece(NamedTuple):
     threshold: Threshold
     alarm: Marks
     """`BY_LEVEL` or `BY_WINDOWS` where an alarm is raised, else 0."""
+    clear: BoolArray
+    """Whether what arrived tells of the servo, and not mostly of the commands that did not."""
 
 
 class Remembered(NamedTuple):
@@ -204,6 +206,10 @@ class Following:
     def is_waiting(self) -> bool:
         """Whether any reading waits for a command."""
         return bool(self._positions)
+
+    def lost_share(self, since_s: float) -> float:  # noqa: ARG002 - of a steady stream
+        """Share of the commands that were lost since then [s]; 0 where their rhythm is not known."""
+        return 0.0
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now."""
@@ -260,6 +266,14 @@ class Stream(Following):
         self._unknown = new_memory()
         self._seen = np.zeros((2, 0))
         self._begun_s = np.nan
+
+    def lost_share(self, since_s: float) -> float:
+        """Share of the commands that were lost since then [s]; 0 where their rhythm is not known."""
+        came_s = self.logged.time_s[np.searchsorted(self.logged.time_s, since_s) :]
+        if self._filled is self.logged or came_s.size < 2:
+            return 0.0
+        sent = max(float(came_s[-1] - came_s[0]) / self._beat.period_s, 1.0)
+        return max(1.0 - (came_s.size - 1) / sent, 0.0)
 
     def again(self) -> None:
         """Begin the tests anew, because the alarm that stood is over."""
@@ -336,7 +350,7 @@ class Stream(Following):
         held = self._filled.commands()
         commands = held.effective_s, held.command_deg, held.slope_deg_s
         moved = moving.moved(Asked(commands, time_s, load, power, start_deg))
-        noise_deg = moving.noise_deg(moved, measured_deg)
+        noise_deg, lost_deg = moving.noise_deg(moved, measured_deg), np.zeros(time_s.size)
         if self._filled is not self.logged:
             arrived = self.logged.commands()
             asked = arrived.effective_s, arrived.command_deg
@@ -344,13 +358,13 @@ class Stream(Following):
             noise_deg = np.hypot(noise_deg, lost_deg)
         error_deg, _ = residual(measured_deg, moved.reading_deg, known.reach_deg)
         judged_deg = np.where(usable, error_deg, np.nan)
-        tested = follow(self._tests, self._memory, time_s, judged_deg, moved.slopes, noise_deg)
+        tested = follow(self._tests, self._memory, time_s, judged_deg, moved.slopes, noise_deg, lost_deg)
         residuals, threshold, passed = moving.shown(moved, measured_deg, usable, tested, noise_deg)
         count = 0 if moving.alone else len(tested.statistics)
         statistics = tested.statistics[:count, : len(STATISTICS)]
         raised = self._alarms(time_s, passed, tested.grid_s[:count], statistics)
         self.history.append(History.packed(residuals, threshold))
-        return Piece(residuals, threshold, raised)
+        return Piece(residuals, threshold, raised, tested.clear)
 
     def _starts(self, ready: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Where to begin anew and what to judge, from the last seconds and what is ready."""
@@ -375,11 +389,11 @@ class Stream(Following):
 
     def _alarms(self, time_s: FloatArray, passed: FloatArray, grid_s: FloatArray, statistics: FloatArray) -> Marks:
         """Where an alarm is raised, shape (n,), by the fast test over its threshold (n,) and the windows (g, k)."""
-        ratios = exceeded(self._tests.limits, self._before, statistics)
+        by_level_s, by_windows_s = first_over(self._tests.limits, self._before, (time_s, passed), (grid_s, statistics))
         if len(statistics):
             self._before = statistics[-1]
         raised = np.zeros(time_s.size, dtype=np.int8)
-        for what, over_s in ((BY_WINDOWS, grid_s[ratios >= 1.0]), (BY_LEVEL, time_s[passed >= 1.0])):
-            if over_s.size and self.latched < what:
-                raised[int(np.searchsorted(time_s, over_s[0]))] = self.latched = what
+        for what, at_s in ((BY_WINDOWS, by_windows_s), (BY_LEVEL, by_level_s)):
+            if at_s < np.inf and self.latched < what:
+                raised[int(np.searchsorted(time_s, at_s))] = self.latched = what
         return raised

@@ -235,10 +235,10 @@ class Record:
             sent_s is not None,
         )
 
-    def unknown_deg(self, theta: FloatArray) -> FloatArray | float:
+    def unknown_deg(self, theta: FloatArray) -> FloatArray:
         """Standard deviation of where a servo stands, for the commands that were lost, shape (m,) [deg]."""
         if self.arrived is None:
-            return 0.0
+            return np.zeros(self.time_s.size)
         return unknown_deg(self.arrived, self.beat, theta, self.time_s, new_memory(), self.longest_gap_s)
 
     @property

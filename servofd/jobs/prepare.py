@@ -63,4 +63,5 @@ def keep_windows() -> None:
     parameters, between = {prior.name: prior.value for prior in PRIORS}, lower_triangle(np.eye(FITTED))
     usual = CalibratedServo(parameters=parameters, between=between, noise=noise, reach_deg=(-20.0, 20.0))
     tests = Tests.of(usual, 0.02)
-    follow(tests, Memory(tests), np.zeros(1), np.zeros(1), np.zeros((1, FITTED + len(PATTERNS))), np.ones(1))
+    slopes = np.zeros((1, FITTED + len(PATTERNS)))
+    follow(tests, Memory(tests), np.zeros(1), np.zeros(1), slopes, np.ones(1), np.zeros(1))

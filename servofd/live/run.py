@@ -16,9 +16,9 @@ from servofd.live.session import Session
 from servofd.live.threads import Receiver
 from servofd.live.vehicle import Vehicle
 
-_STEP_S, _LONGEST_STEP_S, _CALM_STEP_S = 0.02, 0.1, 1.0
+_STEP_S, _LONGEST_STEP_S, _CALM_STEP_S = 0.02, 0.1, 2.0
 """Of a replay: data is evaluated in steps of this length; of a longer one where the difference cannot be seen, and of
-the longest while no alarm stands and every surface sends: a piece of any length raises the same alarms."""
+the longest while no alarm is to be looked at and every surface sends: a piece of any length raises the same alarms."""
 _TOGETHER_S = 0.003
 """Of a live link: what arrives within so long is evaluated together, as an autopilot sends it together."""
 _AT_EASE_S = 0.04
@@ -58,7 +58,7 @@ class Pace:
             self._asked_s = min(self._asked_s, since_s)
             return False
         self._asked_s = since_s
-        return self.speed > 0.0 or since_s >= _CALM_STEP_S or not session.rests(_CALM_STEP_S)
+        return self.speed > 0.0 or since_s >= _CALM_STEP_S or not session.rests(since_s + self.step_s)
 
     def wait(self, at_s: float) -> None:
         """Wait until this instant of the log is due [s]."""

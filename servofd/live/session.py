@@ -38,8 +38,8 @@ _LATEST_US = 2**64 - 1
 
 
 def _positions(craft: Aircraft) -> set[str]:
-    """Channels of the positions that a file names, and of currents where there are none."""
-    return {surface.watched_channel for surface in craft.surfaces.values()} - {""}
+    """Channels of the positions by which a file's surfaces are watched, and of currents where there are none."""
+    return {surface.watched_channel for surface in craft.surfaces.values() if surface.can_be_watched} - {""}
 
 
 def stamped(arrival_s: float, frame: bytes) -> bytes:
@@ -340,7 +340,11 @@ class Session:
         if vehicle.log is not None:
             self._note(vehicle.log.news(now_s))
         for event in events:
-            alerts.take(event, now_s)
+            monitor = vehicle.monitors.get(event.surface) if event.event == "no_data" else None
+            if monitor is not None and monitor.is_watched:  # on a link that is too poor it still is
+                alerts.note(f"{event.surface}: {event.text}", now_s)
+            else:
+                alerts.take(event, now_s)
         for name, monitor in vehicle.monitors.items():
             if monitor.is_watched:
                 alerts.watched(name)
@@ -411,8 +415,8 @@ class Session:
         for vehicle, monitor in self.watched:
             if not monitor.is_watched:
                 channel = monitor.surface.watched_channel
-                pace = "learning its pace" if math.isfinite(monitor.rate_hz) else f"waiting for {channel}"
-                why = monitor.silenced or pace
+                pace = f"learning how often {monitor.quantity}s come"
+                why = monitor.silenced or (pace if math.isfinite(monitor.rate_hz) else f"waiting for {channel}")
                 who = monitor.name if len(self.vehicles) == 1 else f"{vehicle.system}/{monitor.name}"
                 missing.setdefault(why, []).append(who)
         return "; ".join(f"{', '.join(who)}: {why}" for why, who in missing.items())

@@ -15,7 +15,7 @@ from logparsers.codec import Received
 from logparsers.protocol import NO_INDEX, Component
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.schema import Aircraft, Surface
-from servofd.aircraft.watch import Bus
+from servofd.aircraft.watch import Bus, New
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.current.stream import OfCurrent, motion_model
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 Samples = tuple[list[float], list[float]]
 """Times and values of one channel."""
+Rows = tuple[FloatArray, FloatArray]
+"""The same in order of time, shape (n,) each."""
 
 _SILENCE_S = 2.0
 """A vehicle without any message for longer is lost [s]."""
@@ -196,7 +198,10 @@ class Vehicle:
         for name, surface in self.aircraft.surfaces.items():
             if not surface.watched_channel or (surface.measured is None and name in self.aircraft.sharing_current):
                 continue
-            self.monitors[name] = self._monitor(name, surface)
+            if surface.can_be_watched:
+                self.monitors[name] = self._monitor(name, surface)
+            elif self.is_stream and ChannelTable([surface.command.channel, surface.watched_channel]).unknown:
+                continue
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.watched_channel, []).append((name, 1))
         self._bus = self._new_bus()
@@ -242,8 +247,8 @@ class Vehicle:
         return monitor
 
     def _new_bus(self) -> Bus:
-        """That of the positions: currents may well stand still together."""
-        return Bus([name for name, monitor in self.monitors.items() if monitor.quantity == "position"])
+        """That of the positions, watched or not: currents may well stand still together."""
+        return Bus([name for name, surface in self.aircraft.surfaces.items() if surface.measured is not None])
 
     @property
     def channels(self) -> list[str]:
@@ -369,27 +374,20 @@ class Vehicle:
 
     def evaluate(self, *, final: bool = True) -> list[Event]:
         """Evaluate what was received since; all of it, or what cannot wait for the next position."""
-        samples, self._samples = self._samples, {}
-        known_s, events = self._disorder.known_s(), []
+        ready, events = self._ready(final=final), []
         if self._is_news:
             context, self._is_news = self._around.context(), False
             for monitor in self.monitors.values():
                 monitor.surroundings(context)
-        ready: dict[str, tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]] = {}
-        for name, (commands, positions) in samples.items():
-            if not final and self.monitors[name].may_wait(len(commands[0]), len(positions[0])):
-                self._samples[name] = commands, positions
-                continue
-            now, later = zip(*(_in_order(each, known_s) for each in (commands, positions)), strict=True)
-            ready[name] = now
-            if any(times for times, _ in later):
-                self._samples[name] = later
-        by_position = {name: now for name, now in ready.items() if self.monitors[name].quantity == "position"}
-        stands = self._bus.take({name: self.monitors[name].uncorrected(*now) for name, now in by_position.items()})
+        surfaces = self.aircraft.surfaces | {name: monitor.surface for name, monitor in self.monitors.items()}
+        stands = self._bus.take(
+            {name: New.of(surfaces[name], *now) for name, now in ready.items() if surfaces[name].measured is not None}
+        )
         if ready and not math.isfinite(self._watched_s):
             self._watched_s = self.now_s
         for name, now in ready.items():
-            events += self.monitors[name].feed(*now, stands.get(name), self._bus.stood_s)
+            if name in self.monitors:
+                events += self.monitors[name].feed(*now, stands.get(name), self._bus.stood_s)
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
             for monitor in self.monitors.values():
@@ -399,6 +397,21 @@ class Vehicle:
         if self.axes is not None and math.isfinite(self.now_s):
             events += self.axes.due(self.now_s)
         return events
+
+    def _ready(self, *, final: bool) -> dict[str, tuple[Rows, Rows]]:
+        """Commands and positions of each surface that are evaluated now; all others wait."""
+        samples, self._samples = self._samples, {}
+        known_s, ready = self._disorder.known_s(), {}
+        for name, (commands, positions) in samples.items():
+            monitor = None if final else self.monitors.get(name)
+            if monitor is not None and monitor.may_wait(len(commands[0]), len(positions[0])):
+                self._samples[name] = commands, positions
+                continue
+            now, later = zip(*(_in_order(each, known_s) for each in (commands, positions)), strict=True)
+            ready[name] = now
+            if any(times for times, _ in later):
+                self._samples[name] = later
+        return ready
 
     def look_for_causes(self) -> None:
         """Say once what alarms that stand have in common, as soon as they have their names."""
@@ -460,7 +473,7 @@ def _are_one(known: CommonCause, cause: CommonCause) -> bool:
     return is_same and set(cause.surfaces) <= set(known.surfaces)
 
 
-def _in_order(samples: Samples, known_s: float) -> tuple[tuple[FloatArray, FloatArray], Samples]:
+def _in_order(samples: Samples, known_s: float) -> tuple[Rows, Samples]:
     """Samples of one channel by time, until then [s]; and what is left."""
     time_s, values = samples
     if not time_s:

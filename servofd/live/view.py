@@ -51,7 +51,8 @@ _LATER = "fly on, check it on the ground"
 def event_line(event: Published) -> str:
     """An event as one line of words."""
     who = f"{event.surface}: " if event.surface else ""
-    size = f", residual {event.residual_deg:+.2f} deg, threshold {event.threshold_deg:.2f} deg"
+    off = f"off by {event.residual_deg:+.2f} deg from where a good servo would be"
+    size = f", {off}, threshold {event.threshold_deg:.2f} deg"
     size *= math.isfinite(event.residual_deg)
     what = {
         "alarm": f"{_STATUS.get(event.severity, 'ALARM')}{size}",
@@ -66,7 +67,12 @@ def event_line(event: Published) -> str:
     if event.fault is not None and (event.event == "named" or by_current):
         said = re.sub(r" \(alarm at [^)]*\)", "", describe(event.fault))  # it is this one, whatever an audit would say
         what, more = f"{_STATUS[event.severity]}, {said}", ""
-    return f"{event.time_s:7.2f} s  {who}{what}{more}"
+    return f"{_at(event.time_s)}  {who}{what}{more}"
+
+
+def _at(time_s: float) -> str:
+    """A time of the vehicle; nothing, as wide, where it is not known yet."""
+    return f"{time_s:7.2f} s" if math.isfinite(time_s) else 9 * " "
 
 
 def said_of(alarm: Alarm) -> str:
@@ -144,7 +150,7 @@ class View:
             numbers = _said(row.numbers) if row.numbers else ""
             since = f"since {row.since}" if row.since else ""
             said = ", ".join(filter(None, (row.status, numbers, since, row.words)))
-            lines.append(f"{row.at_s:7.2f} s  {row.name}: {said}")
+            lines.append(f"{_at(row.at_s)}  {row.name}: {said}")
         return [*lines, *self._vehicles(arrival_now_s), *filter(None, [self._session.waiting()])]
 
     def summary(self) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,13 +11,15 @@ import pytest
 import servofd
 from servofd.aircraft.calibrated import CalibratedServo
 from servofd.aircraft.pace import Rhythm, link_period_s, sent_period_s
-from servofd.aircraft.priors import PRIORS
+from servofd.aircraft.priors import FITTED, PRIORS
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
+from servofd.detection import changes
 from servofd.detection.changes import watched
 from servofd.detection.faults import judged
+from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.seen import Pace, healthy_of
-from servofd.estimate.family import new_state, simulated, variants
+from servofd.estimate.family import PATTERNS, new_state, simulated, variants
 from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg
 from servofd.simulation.flight import simulate_flight
 
@@ -111,6 +114,48 @@ def test_nothing_is_unknown_where_every_command_arrived() -> None:
     assert not unknown_deg(asked, Rhythm.of_link(PERIOD_S), KNOWN.theta, sent_s, new_memory()).any()
     assert np.array_equal(put_back(*asked, Rhythm.of_link(PERIOD_S))[1], asked[1])
     assert sent_period_s(sent_s[:101]) is None
+
+
+def test_a_residual_that_tells_of_lost_commands_breaks_no_row() -> None:
+    """Of four residuals on one side one says nothing, for the commands before it are lost: the others are a row."""
+    time_s, slopes = PERIOD_S * np.arange(1.0, 21.0), np.zeros((20, FITTED + len(PATTERNS)))
+    error_deg, noise_deg, lost_deg = (np.zeros(20) for _ in range(3))
+    error_deg[10:14], noise_deg[:], noise_deg[12], lost_deg[12] = 8.0, 1.0, 8.0, 7.9
+    tests = changes.Tests.of(KNOWN, PERIOD_S, is_lossy=True)
+
+    def tested(lost_deg: FloatArray) -> changes.Tested:
+        return changes.follow(tests, changes.Memory(tests), time_s, error_deg, slopes, noise_deg, lost_deg)
+
+    assert tested(0.0 * lost_deg).triple.max() == pytest.approx(1.0)
+    assert tested(lost_deg).triple.max() == pytest.approx(8.0)
+    assert np.flatnonzero(~tested(lost_deg).clear).tolist() == [12]
+    error_deg[12] = -8.0  # what contradicts the two before it is no longer the same row
+    assert tested(lost_deg).triple.max() == 0.0
+
+
+@pytest.mark.parametrize("loss", [0.5, 0.7])
+def test_a_link_that_leaves_too_little_is_told_once_with_what_it_can_bear(loss: float) -> None:
+    aircraft = plain_aircraft(["x"], "s9254")
+    surface = aircraft.surfaces["x"].model_copy(update={"calibrated": KNOWN, "threshold": "interval"})
+    monitor = SurfaceMonitor("x", surface, aircraft.model("x"), is_periodic=True)
+    rng, sent_s = np.random.default_rng(2), np.arange(0.0, 60.0, PERIOD_S)
+    asked_deg = walk(sent_s, rng)
+    seen_deg = moved(sent_s, asked_deg, sent_s) + 0.1 * rng.normal(size=sent_s.size)
+    came = rng.random((2, sent_s.size)) >= loss
+    events = []
+    for part in np.array_split(np.arange(sent_s.size), 60):
+        asked, seen = part[came[0, part]], part[came[1, part]]
+        events += monitor.feed((sent_s[asked], asked_deg[asked]), (sent_s[seen], seen_deg[seen]))
+    events += monitor.finish()
+    poor = [event.text for event in events if event.event == "no_data"]
+    assert [event for event in events if event.event == "alarm"] == []
+    assert len(poor) == (loss > 0.6)
+    for text in poor:
+        lost, shown, borne = map(int, re.findall(r"(\d+)%", text))
+        assert text.startswith("the link is too poor")
+        assert lost == pytest.approx(100.0 * loss, abs=5.0)
+        assert shown < 50
+        assert 40 <= borne < lost
 
 
 def test_a_stream_that_becomes_slower_has_lost_nothing() -> None:

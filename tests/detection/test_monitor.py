@@ -197,7 +197,7 @@ class TestNoVerdictFromNoMeasurement:
         constant = Series("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 3.0))
         monitor, events = watched(entry, model, constant)
         assert [(event.event, event.text) for event in events] == [
-            ("no_data", "the position never changes: not a measurement")
+            ("no_data", "the position has not changed yet: watched as soon as it does")
         ]
         assert not monitor.was_judged
 

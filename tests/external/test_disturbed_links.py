@@ -109,7 +109,7 @@ def same(found: list[tuple[str, float]], wanted: list[tuple[str, float]]) -> boo
 def most_outages(events: list[Event]) -> int:
     """Most that any surface was called without data, before the first of its positions has changed aside."""
     counts = Counter(
-        event.surface for event in events if event.event == "no_data" and "never changes" not in event.text
+        event.surface for event in events if event.event == "no_data" and "has not changed" not in event.text
     )
     del counts[""]
     return max(counts.values(), default=0)

@@ -80,7 +80,8 @@ def test_the_scores_of_a_position_are_sizes_over_what_they_scatter_by() -> None:
         missed_deg,
         np.ones(len(changes.STATISTICS)),
     )
-    tested = changes.follow(tests, changes.Memory(tests), time_s, error_deg, slopes, np.full(count, noise_deg))
+    noise = np.full(count, noise_deg)
+    tested = changes.follow(tests, changes.Memory(tests), time_s, error_deg, slopes, noise, np.zeros(count))
 
     units = np.array([*(prior.between for prior in PRIORS), *(1.0 for _ in PATTERNS)])
     z = np.vstack([(slopes * units).T, error_deg]) / noise_deg

@@ -81,6 +81,18 @@ def test_the_jam_alone_is_told_on_a_bus_that_freezes(aircraft: Aircraft) -> None
     assert kinds(events, "no_data") == []
 
 
+@pytest.mark.slow
+def test_surfaces_that_are_not_watched_tell_a_frozen_bus_from_a_jam(aircraft: Aircraft) -> None:
+    surfaces = {
+        name: surface if name == "elevator" else surface.model_copy(update={"servo": "unknown"})
+        for name, surface in aircraft.surfaces.items()
+    }
+    one = aircraft.model_copy(update={"surfaces": surfaces})
+    session, events = watched(one, Freeze(10.0, for_s=0.6), stuck_s=None, duration_s=13.0)
+    assert [monitor.name for _, monitor in session.watched] == ["elevator"]
+    assert kinds(events, "alarm") == []
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_the_jam_alone_is_told(aircraft: Aircraft, trouble: str) -> None:

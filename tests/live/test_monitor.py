@@ -8,6 +8,7 @@ import re
 import socket
 import struct
 import threading
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
 from servofd.detection.audit import audit_log
 from servofd.feedback.draft import draft_aircraft, draft_to_toml
+from servofd.live.run import Pace, replay_telemetry
 from servofd.live.session import Session, stamped
 from servofd.live.threads import ALLOWED
 from servofd.servo.faults import Bias, Stuck
@@ -344,6 +346,32 @@ def test_replay_writes_json_lines(log: bytes, config: Path, tmp_path: Path, caps
     assert ("elevator", "named", "stuck") in kinds
     assert ("rudder", "named", "bias") in kinds
     assert np.isfinite([event["time_s"] for event in events]).all()
+
+
+@dataclass
+class Counting:
+    """Takes what a replay tells, and counts its steps."""
+
+    told: list[Published] = field(default_factory=list)
+    steps: int = 0
+
+    def events(self, events: list[Published]) -> None:
+        self.told += events
+
+    def tick(self, now_s: float) -> None:  # noqa: ARG002 - of a watcher
+        self.steps += 1
+
+
+@pytest.mark.slow
+def test_a_replay_evaluates_at_once_what_no_look_divides(log: bytes, aircraft: Aircraft, tmp_path: Path) -> None:
+    """Steps of a tenth of a second tell the same, in three times as many."""
+    path, counting, session = tmp_path / "flight.tlog", Counting(), Session(Codec(0, 191), {0: aircraft})
+    path.write_bytes(log)
+    now_s = replay_telemetry(session, path, counting, Pace(0.0), np.inf)
+    _, slowly = heard(replayed(log), aircraft)
+    kinds = ("alarm", "named", "clear")
+    assert brief(counting.told + session.finish(now_s), *kinds) == brief(slowly, *kinds)
+    assert counting.steps < 30
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from logparsers.codec import Codec, Signature
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.live.session import Session
 from servofd.servo.faults import Stuck
+from tests.detection.test_lost_commands import KNOWN
 from tests.live.relay import BadLink
 from tests.live.vehicles import flown, plane_file, said, vehicle
 
@@ -238,3 +239,19 @@ def test_what_comes_too_slowly_for_the_servo_is_told(aircraft: Aircraft, rate_hz
         note for note in field.session.notes if "slow for a servo whose bandwidth is 4.5 Hz: 18 Hz would do" in note
     ]
     assert len(told) == (3 if is_slow else 0), field.session.notes
+
+
+@pytest.mark.slow
+def test_a_link_that_is_too_poor_is_told_to_the_ground_while_its_surfaces_are_watched(aircraft: Aircraft) -> None:
+    known = KNOWN.model_copy(update={"reach_deg": (-5.0, 5.0)})
+    surfaces = {
+        name: surface.model_copy(update={"calibrated": known, "threshold": "interval"})
+        for name, surface in aircraft.surfaces.items()
+    }
+    told: list[str] = []
+    field = Field.of({0: aircraft.model_copy(update={"surfaces": surfaces})}, down=BadLink(loss=0.75, seed=1))
+    field.session.alert = lambda _, name, fields: told.append(fields["text"]) if name == "STATUSTEXT" else None
+    field.fly(vehicle(flown(command="lively", duration_s=45.0)))
+    poor = [event for event in field.end() if event.event == "no_data"]
+    assert {event.text.partition(":")[0] for event in poor} == {"the link is too poor"}
+    assert any(": the link is too poor" in text for text in told)
