@@ -21,7 +21,7 @@ from servofd.current.judge import faults_of, limits_of, pushed, tells_motion, ve
 from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
-from servofd.current.stream import motion_model
+from servofd.current.stream import OfCurrent, motion_model
 from servofd.current.wear import features_of, wear_of
 from servofd.detection.causes import with_common_causes
 from servofd.detection.evidence import LEAST_OF_THE_LOG, MOST_OF_THE_LOG
@@ -121,6 +121,19 @@ def _together(
         seen = {name: _read_until(one, until_s) for name, one in seen.items()}
     others = {name: [one for other in names if other != name for one in faults[other]] for name in names}
     return {name: verdict_of(seen[name], faults[name], others=others[name]) for name in names}, events
+
+
+def again_by_current(surface: SurfaceAudit, aircraft: Aircraft, context: Context, duration_s: float) -> SurfaceAudit:
+    """The verdict on the current that a monitor recorded of a surface without a position; as it is if there is none."""
+    drawn, own = surface.current, aircraft.surfaces[surface.surface]
+    known, source = own.healthy_current, own.current
+    if drawn is None or drawn.time_s is None or drawn.current_a is None or drawn.command is None:
+        return surface
+    if known is None or source is None or drawn.time_s.size < 2:
+        return surface
+    beside = OfCurrent(surface.surface, motion_model(aircraft, surface.surface), source, known)
+    seen = beside.seen(np.stack([drawn.time_s, drawn.current_a]), drawn.command, context)
+    return _joined(surface, _of_the_log(verdict_of(seen, faults_of(seen)), duration_s))
 
 
 def _read_until(seen: Seen, until_s: float) -> Seen:
