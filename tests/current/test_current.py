@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,26 @@ def test_bad_currents_end_in_one_line(tmp_path: Path, change: object, said: str)
     found = servofd.audit(path)
     assert said in found["aileron"].reason
     assert found["aileron"].status in ("no_data", "unknown")
+
+
+def test_a_sensor_of_tenths_of_an_ampere_tells_as_well(tmp_path: Path) -> None:
+    """Most of its readings are 0."""
+    path, kinds, sensor = tmp_path / "flight.csv", [], Sensor(10.0, step_a=0.1, noise_a=0.02)
+    for fault in ("", "blocked"):
+        command_deg = gusty(np.arange(0.0, 140.0, 0.04), np.random.default_rng([2, 7]))
+        flight = fly(140.0, 2, sensor=sensor, fault=fault, start_s=START_S, command_deg=command_deg)
+        path.write_text(flight.csv("aileron"))
+        found = servofd.audit(path)["aileron"]
+        kinds.append((found.status, *(one.kind for one in found.faults)))
+    assert kinds == [("healthy",), ("fault", "blocked")]
+
+
+def test_the_current_of_another_servo_is_no_witness(tmp_path: Path) -> None:
+    path, flight = tmp_path / "flight.csv", flown(5, 10.0, seconds=120.0)
+    path.write_text(replace(flight, current_a=flown(9, 10.0, seconds=120.0).current_a).csv("aileron"))
+    found = servofd.audit(path)["aileron"]
+    assert found.status == "unknown"
+    assert "its current goes with only" in found.reason
 
 
 @pytest.mark.slow
