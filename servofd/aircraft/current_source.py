@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -24,6 +25,11 @@ _HUB = re.compile(r"CSRV\[(\d+)\]\.A")
 """What hubs report of ordinary servos as well, which have no position."""
 _SENT = re.compile(r"(?:.*:)?(?:NVF|NVAL|NAMED_VALUE_FLOAT)\[SRVA(\d+)\]\.[vV]alue")
 """What a script sends of them, by the number of the output [A]."""
+_RAIL = re.compile(
+    r"(?:.*:)?(?:CSCU\[\d+\]\.(?:A|Curr)|BAT\[[1-9]\d*\]\.Curr|BATTERY_STATUS\[[1-9]\d*\]\.current_battery"
+    r"|battery_status\[[1-9]\d*\]\.current_a)"
+)
+"""Currents of circuits, and of batteries beside the first, which turns the propeller: of no servo by their names."""
 _UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
 _EARLY = 0.1
 """Share of a refresh by which the next one may come early."""
@@ -107,6 +113,22 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
                 f"and unit in [surfaces.{name}.current] of the aircraft file"
             )
     return found
+
+
+def rails_of(log: FlightLog, named: Collection[str] = ()) -> str:
+    """What to do with currents that may feed servos and that no aircraft file has `named`; empty if there are none.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> rails_of(logparsers.read("sample_logs/ardupilot_volz_stuck.bin"))
+    ''
+    """
+    rails = [name for name in log.channels if _RAIL.fullmatch(name) and name not in named and _has_numbers(log, name)]
+    if not rails:
+        return ""
+    what = f"{', '.join(rails)} {'is a current' if len(rails) == 1 else 'are currents'} of no servo by name"
+    return f"{what}: say in [surfaces.NAME.current] of an aircraft file which servo it feeds, and it is judged by it"
 
 
 def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from logparsers import Channel, FlightLog
-from servofd.aircraft.current_source import current_sources, read_current
+from servofd.aircraft.current_source import current_sources, rails_of, read_current
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.pace import SLOWEST_RATE_HZ
 from servofd.aircraft.schema import Aircraft
@@ -66,6 +66,7 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict
         "damage": [asdict(damage) for damage in log.damage_summary],
         "surfaces": surfaces,
         "by_current": _BY_CURRENT if any(surface["current_hz"] for surface in surfaces) else None,
+        "rails": rails_of(log, [surface["current"] for surface in surfaces]) or None,
         "on_board": _on_board(log, aircraft),
         "channel_details": [_channel(log[name]) for name in log.channels] if every_channel else [],
         "advice": (what_to_log(log) if unfit and log.is_of_autopilot else "") or None,

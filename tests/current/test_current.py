@@ -13,6 +13,7 @@ import pytest
 import servofd
 from servofd.cli import main
 from servofd.simulation.commands import gusty
+from tests.current.hub import dataflash_of
 from tests.current.motor import Flown, Sensor, fly
 
 START_S = 100.0
@@ -350,6 +351,30 @@ def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("message", "rail"), [("CSCU", "CSCU[0].Curr, CSCU[1].Curr are currents"), ("BAT", "BAT[1].Curr is")]
+)
+def test_currents_of_circuits_are_told_though_no_file_names_them(
+    tmp_path: Path, message: str, rail: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(dataflash_of(flown(5, 10.0, seconds=40.0), message))
+    assert main(["info", str(path)]) == 0
+    assert f"{rail}" in " ".join(capsys.readouterr().out.split())
+    assert main(["audit", str(path)]) == 2
+    assert f"{rail}" in capsys.readouterr().err
+
+
+def test_runs_that_hold_the_same_are_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = flown(5, 10.0, seconds=20.0).csv("aileron").splitlines()
+    path, commands = tmp_path / "bench.csv", [row for row in rows[1:] if not row.endswith(",")]
+    runs = [f"{run},{row}" for run, of in enumerate([rows[1:]] * 3 + [commands]) for row in of]
+    path.write_text("\n".join([f"run,{rows[0]}", *runs]) + "\n")
+    assert main(["info", str(path)]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith(str(path))]
+    assert [line.split(": table")[0] for line in told] == [f"{path} (runs 0 to 2)", f"{path} (run 3)"]
+
+
 def test_info_says_once_what_currents_allow(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(Path(__file__).parents[2] / "sample_logs" / "ardupilot_volz_stuck.bin")]) == 0
     assert capsys.readouterr().out.count("blocked") == 1
