@@ -287,7 +287,7 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
         reason = reason.replace(describe(before), describe(now))
     if known and all(fault.confirmed_by for fault in known):
         reason = reason.replace(SERVO_OR_SENSOR, "servo: ")
-    if left or current.status == "suspect" or _SENSOR in current.reason:
+    if left or current.status == "suspect" or any(one in current.reason for one in (_SENSOR, _MOVES)):
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
     if any(abs(a.start_s - b.start_s) <= _AGREE_S for a in known for b in left):
         reason += "; position and current agree"
