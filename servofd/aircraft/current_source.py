@@ -86,8 +86,11 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
         stem, dot, _ = ("" if surface.measured is None else surface.measured.channel).rpartition(".")
         fields = _BESIDE.get(stem.partition("[")[0], ("", ""))
         own = {f"{name}{end}": unit for end, unit in _UNITS.items()}
+        bare = [f"{name}_current"]
         if len(aircraft.surfaces) == 1 and not any(each in log.channels for each in own):
-            own |= {f"servo{end}": unit for end, unit in _UNITS.items()}
+            own |= {f"servo{end}": unit for end, unit in _UNITS.items()} | {"amps": "A"}
+            bare += ["servo_current", "current"]
+        unitless = next((each for each in bare if each in log.channels), "")
         column = next((each for each in own if each in log.channels), "")
         number = output_of(surface)
         if surface.current is not None:
@@ -107,9 +110,9 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
             found[name] = CurrentSource(
                 channel=hubs[number], unit="A", voltage=volts if _has_numbers(log, volts) else ""
             )
-        elif f"{name}_current" in log.channels:
+        elif unitless:
             raise NoMeasurement(
-                f"column {name}_current has no unit: call it {name}_current_a or {name}_current_ma, or name channel "
+                f"column {unitless} has no unit: call it {name}_current_a or {name}_current_ma, or name channel "
                 f"and unit in [surfaces.{name}.current] of the aircraft file"
             )
     return found

@@ -53,7 +53,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
     try:
         sources = current_sources(log, aircraft)
     except NoMeasurement as error:
-        name = next(s.surface for s in audit.surfaces if f"column {s.surface}_current " in str(error))
+        name = next(s.surface for s in audit.surfaces if f" {s.surface}_current_a or " in str(error))
         found = {name: CurrentAudit("unknown", str(error))}
         return replace(audit, surfaces=tuple(_joined(s, found.get(s.surface)) for s in audit.surfaces))
     by_channel: dict[str, list[str]] = {}

@@ -14,7 +14,7 @@ from servofd.aircraft.current_source import current_sources, rails_of, read_curr
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.pace import SLOWEST_RATE_HZ
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.series import cut
+from servofd.aircraft.series import asked, channel_of, cut
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import what_to_log
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
@@ -75,15 +75,18 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict
 
 def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[dict[str, Any]]:
     """Each surface, with what its current allows beside its position, or instead of it."""
+    unfit = ""
     try:
         sources = current_sources(log, aircraft)
-    except NoMeasurement:
-        sources = {}
+    except NoMeasurement as reason:
+        sources, unfit = {}, str(reason)
     for name in aircraft.surfaces:
         found, source = _surface(log, aircraft, name), sources.get(name)
+        found["verdict"] += f"; {unfit}" if f" {name}_current_a or " in unfit else ""
         if source is not None:
             found["current"], can = source.channel, found["verdict"]
             try:
+                asked(aircraft.surfaces[name], channel_of(log, found["command"], "command"))
                 found["current_hz"] = _rate(read_current(log, source).time_s)
                 found["verdict"] = f"{can}; and by its current" if can.startswith("yes") else "yes, by its current"
             except NoMeasurement as reason:

@@ -244,6 +244,23 @@ def _current(text: str, change: object) -> str:
     return "\n".join([head, *told]) + "\n"
 
 
+@pytest.mark.parametrize(
+    ("column", "said"), [("amps", "and by its current"), ("current", "column current has no unit")]
+)
+def test_a_table_of_one_servo_names_its_current_in_few_letters(
+    tmp_path: Path, column: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bench.csv"
+    text = flown(10, 10.0, seconds=40.0).csv("aileron", position=True)
+    path.write_text(text.replace("aileron_current_a", column))
+    assert main(["info", str(path), "--json"]) == 0
+    ((surface,),) = (log["surfaces"] for log in json.loads(capsys.readouterr().out)["logs"])
+    assert said in surface["verdict"]
+    found = servofd.audit(path)["aileron"]
+    assert found.current is not None
+    assert (found.current.time_s is None) == (column == "current")
+
+
 @pytest.mark.slow
 def test_milliamperes_are_asked_for_by_name(tmp_path: Path) -> None:
     text = flown(5, 10.0, "blocked").csv("aileron")
@@ -372,6 +389,14 @@ def test_runs_that_hold_the_same_are_told_once(tmp_path: Path, capsys: pytest.Ca
     assert main(["info", str(path)]) == 0
     told = [line for line in capsys.readouterr().out.splitlines() if line.startswith(str(path))]
     assert [line.split(": table")[0] for line in told] == [f"{path} (runs 0 to 2)", f"{path} (run 3)"]
+
+
+def test_a_current_without_commands_can_be_no_witness(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "flight.csv"
+    rows = [row.split(",") for row in flown(5, 10.0, seconds=20.0).csv("aileron").splitlines()]
+    path.write_text("\n".join([",".join(rows[0]), *(f"{row[0]},,{row[2]}" for row in rows[1:])]) + "\n")
+    assert main(["info", str(path), "--json"]) == 0
+    assert '"verdict": "no: ' in capsys.readouterr().out
 
 
 def test_info_says_once_what_currents_allow(capsys: pytest.CaptureFixture[str]) -> None:
