@@ -64,23 +64,22 @@ def hub_outputs(log: FlightLog) -> dict[int, str]:
     return {int(match[1]): name for match, name in sent} | {number + base: name for number, name in found.items()}
 
 
-def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSource]:
-    """Where a log holds the current of each surface, for those whose it does.
+def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, CurrentSource], dict[str, str]]:
+    """Where a log holds the current of each surface, for those whose it does; and why a column is none, of others.
 
     What the aircraft file names comes first, then a column of the surface's name, then what the servo, or a hub,
     reports of its output; of a table with one surface, the current of the servo.
-
-    Raises `NoMeasurement` if a column is a current in no unit.
 
     Examples
     --------
     >>> import logparsers
     >>> from servofd.aircraft.schema import load_aircraft
     >>> log = logparsers.read("sample_logs/ardupilot_volz_stuck.bin")
-    >>> current_sources(log, load_aircraft("simulated"))["rudder"].channel
+    >>> current_sources(log, load_aircraft("simulated"))[0]["rudder"].channel
     'CSRV[3].A'
     """
-    found = {}
+    found: dict[str, CurrentSource] = {}
+    unfit: dict[str, str] = {}
     hubs = hub_outputs(log)
     for name, surface in aircraft.surfaces.items():
         stem, dot, _ = ("" if surface.measured is None else surface.measured.channel).rpartition(".")
@@ -111,11 +110,11 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
                 channel=hubs[number], unit="A", voltage=volts if _has_numbers(log, volts) else ""
             )
         elif unitless:
-            raise NoMeasurement(
+            unfit[name] = (
                 f"column {unitless} has no unit: call it {name}_current_a or {name}_current_ma, or name channel "
                 f"and unit in [surfaces.{name}.current] of the aircraft file"
             )
-    return found
+    return found, unfit
 
 
 def rails_of(log: FlightLog, named: Collection[str] = ()) -> str:
@@ -135,12 +134,9 @@ def rails_of(log: FlightLog, named: Collection[str] = ()) -> str:
 
 
 def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:
-    """The same aircraft, whose surfaces name where a log holds their currents, and no position that it does not hold.
-
-    Raises `NoMeasurement` if a column is a current in no unit.
-    """
+    """The same aircraft, whose surfaces name where a log holds their currents, and no position that it lacks."""
     surfaces = dict(aircraft.surfaces)
-    for name, source in current_sources(log, aircraft).items():
+    for name, source in current_sources(log, aircraft)[0].items():
         measured = surfaces[name].measured
         is_there = measured is not None and measured.channel in log.channels
         change = {"current": source, "measured": measured if is_there else None}
@@ -205,10 +201,7 @@ def _volts(log: FlightLog, name: str) -> tuple[FloatArray, FloatArray]:
 
 def supplies(log: FlightLog, aircraft: Aircraft) -> list[tuple[FloatArray, FloatArray]]:
     """Times [s] and readings [V] of the rail of all servos, of columns of their own, and beside their currents."""
-    try:
-        beside = {source.voltage: None for source in current_sources(log, aircraft).values() if source.voltage}
-    except NoMeasurement:
-        beside = {}
+    beside = {source.voltage: None for source in current_sources(log, aircraft)[0].values() if source.voltage}
     names = beside | {f"{name}_voltage_v": None for name in aircraft.surfaces}
     found = [signal_of(log, SURROUNDINGS["servo_voltage_v"]), *(_volts(log, name) for name in names)]
     return [one for one in found if one[0].size]

@@ -50,12 +50,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
     `cycles` keeps for each surface what the runs before it in the same file showed of wear.
     """
     log, aircraft = audit.log, audit.aircraft
-    try:
-        sources = current_sources(log, aircraft)
-    except NoMeasurement as error:
-        name = next(s.surface for s in audit.surfaces if f" {s.surface}_current_a or " in str(error))
-        found = {name: CurrentAudit("unknown", str(error))}
-        return replace(audit, surfaces=tuple(_joined(s, found.get(s.surface)) for s in audit.surfaces))
+    sources, unfit = current_sources(log, aircraft)
     by_channel: dict[str, list[str]] = {}
     for name, source in sources.items():
         by_channel.setdefault(source.channel, []).append(name)
@@ -70,6 +65,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
             name = names[0]
             currents[name] = _judged(log, aircraft, verdicts[name], sources[name], cycles.setdefault(name, []))
     currents = {name: _of_the_log(current, log.duration_s) for name, current in currents.items()}
+    currents |= {name: CurrentAudit("unknown", reason) for name, reason in unfit.items()}
     surfaces = [_joined(surface, currents.get(surface.surface)) for surface in audit.surfaces]
     common, causes = tuple(surfaces), audit.common_causes
     if any(s.current.faults or s.current.suspicions for s in surfaces if s.current):
@@ -155,7 +151,9 @@ def healthy_currents(
     reasons: dict[str, str] = {}
     for log, known in flown:
         by_channel: dict[str, dict[str, CurrentSeries]] = {}
-        for name, source in current_sources(log, known).items():
+        sources, unfit = current_sources(log, known)
+        reasons |= unfit
+        for name, source in sources.items():
             try:
                 by_channel.setdefault(source.channel, {})[name] = current_series(log, name, known, source)
             except NoMeasurement as error:

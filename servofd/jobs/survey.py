@@ -75,14 +75,10 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict
 
 def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[dict[str, Any]]:
     """Each surface, with what its current allows beside its position, or instead of it."""
-    unfit = ""
-    try:
-        sources = current_sources(log, aircraft)
-    except NoMeasurement as reason:
-        sources, unfit = {}, str(reason)
+    sources, unfit = current_sources(log, aircraft)
     for name in aircraft.surfaces:
         found, source = _surface(log, aircraft, name), sources.get(name)
-        found["verdict"] += f"; {unfit}" if f" {name}_current_a or " in unfit else ""
+        found["verdict"] += f"; {unfit[name]}" if name in unfit else ""
         if source is not None:
             found["current"], can = source.channel, found["verdict"]
             try:

@@ -391,6 +391,16 @@ def test_runs_that_hold_the_same_are_told_once(tmp_path: Path, capsys: pytest.Ca
     assert [line.split(": table")[0] for line in told] == [f"{path} (runs 0 to 2)", f"{path} (run 3)"]
 
 
+@pytest.mark.slow
+def test_a_column_without_a_unit_takes_nothing_from_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    flights = {"aileron": flown(5, 10.0), "elevator": flown(9, 10.0, "blocked")}
+    path.write_text(together(flights, lambda _: 6.0).replace("aileron_current_a", "aileron_current"))
+    found = servofd.audit(path)
+    assert [fault.kind for fault in found["elevator"].faults] == ["blocked"]
+    assert "column aileron_current has no unit" in found["aileron"].reason
+
+
 def test_a_current_without_commands_can_be_no_witness(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "flight.csv"
     rows = [row.split(",") for row in flown(5, 10.0, seconds=20.0).csv("aileron").splitlines()]
