@@ -391,6 +391,18 @@ def test_runs_that_hold_the_same_are_told_once(tmp_path: Path, capsys: pytest.Ca
     assert [line.split(": table")[0] for line in told] == [f"{path} (runs 0 to 2)", f"{path} (run 3)"]
 
 
+def test_calibrate_says_why_a_current_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "good.csv"
+    text = flown(5, 10.0, seconds=60.0).csv("aileron", position=True)
+    path.write_text(text.replace("aileron_current_a", "aileron_current"))
+    main(["calibrate", str(path), "-o", str(tmp_path / "plane.toml"), "--force"])
+    told = capsys.readouterr()
+    assert "its current is not calibrated: column aileron_current has no unit" in " ".join(told.out.split())
+    path.write_text(text.replace("aileron_pos_deg", "other").replace("aileron_current_a", "aileron_current"))
+    assert main(["calibrate", str(path), "-o", str(tmp_path / "plane.toml")]) == 2
+    assert "column aileron_current has no unit" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_column_without_a_unit_takes_nothing_from_the_others(tmp_path: Path) -> None:
     path = tmp_path / "flight.csv"
