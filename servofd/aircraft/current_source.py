@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -24,6 +25,11 @@ _HUB = re.compile(r"CSRV\[(\d+)\]\.A")
 """What hubs report of ordinary servos as well, which have no position."""
 _SENT = re.compile(r"(?:.*:)?(?:NVF|NVAL|NAMED_VALUE_FLOAT)\[SRVA(\d+)\]\.[vV]alue")
 """What a script sends of them, by the number of the output [A]."""
+_RAIL = re.compile(
+    r"(?:.*:)?(?:CSCU\[\d+\]\.(?:A|Curr)|BAT\[[1-9]\d*\]\.Curr|BATTERY_STATUS\[[1-9]\d*\]\.current_battery"
+    r"|battery_status\[[1-9]\d*\]\.current_a)"
+)
+"""Currents of circuits, and of batteries beside the first, which turns the propeller: of no servo by their names."""
 _UNITS: Final[dict[str, Literal["A", "mA"]]] = {"_current_a": "A", "_current_ma": "mA"}
 _EARLY = 0.1
 """Share of a refresh by which the next one may come early."""
@@ -58,30 +64,32 @@ def hub_outputs(log: FlightLog) -> dict[int, str]:
     return {int(match[1]): name for match, name in sent} | {number + base: name for number, name in found.items()}
 
 
-def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSource]:
-    """Where a log holds the current of each surface, for those whose it does.
+def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, CurrentSource], dict[str, str]]:
+    """Where a log holds the current of each surface, for those whose it does; and why a column is none, of others.
 
     What the aircraft file names comes first, then a column of the surface's name, then what the servo, or a hub,
     reports of its output; of a table with one surface, the current of the servo.
-
-    Raises `NoMeasurement` if a column is a current in no unit.
 
     Examples
     --------
     >>> import logparsers
     >>> from servofd.aircraft.schema import load_aircraft
     >>> log = logparsers.read("sample_logs/ardupilot_volz_stuck.bin")
-    >>> current_sources(log, load_aircraft("simulated"))["rudder"].channel
+    >>> current_sources(log, load_aircraft("simulated"))[0]["rudder"].channel
     'CSRV[3].A'
     """
-    found = {}
+    found: dict[str, CurrentSource] = {}
+    unfit: dict[str, str] = {}
     hubs = hub_outputs(log)
     for name, surface in aircraft.surfaces.items():
         stem, dot, _ = ("" if surface.measured is None else surface.measured.channel).rpartition(".")
         fields = _BESIDE.get(stem.partition("[")[0], ("", ""))
         own = {f"{name}{end}": unit for end, unit in _UNITS.items()}
+        bare = [f"{name}_current"]
         if len(aircraft.surfaces) == 1 and not any(each in log.channels for each in own):
-            own |= {f"servo{end}": unit for end, unit in _UNITS.items()}
+            own |= {f"servo{end}": unit for end, unit in _UNITS.items()} | {"amps": "A"}
+            bare += ["servo_current", "current"]
+        unitless = next((each for each in bare if each in log.channels), "")
         column = next((each for each in own if each in log.channels), "")
         number = output_of(surface)
         if surface.current is not None:
@@ -101,21 +109,34 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> dict[str, CurrentSour
             found[name] = CurrentSource(
                 channel=hubs[number], unit="A", voltage=volts if _has_numbers(log, volts) else ""
             )
-        elif f"{name}_current" in log.channels:
-            raise NoMeasurement(
-                f"column {name}_current has no unit: call it {name}_current_a or {name}_current_ma, or name channel "
+        elif unitless:
+            unfit[name] = (
+                f"column {unitless} has no unit: call it {name}_current_a or {name}_current_ma, or name channel "
                 f"and unit in [surfaces.{name}.current] of the aircraft file"
             )
-    return found
+    return found, unfit
+
+
+def rails_of(log: FlightLog, named: Collection[str] = ()) -> str:
+    """What to do with currents that may feed servos and that no aircraft file has `named`; empty if there are none.
+
+    Examples
+    --------
+    >>> import logparsers
+    >>> rails_of(logparsers.read("sample_logs/ardupilot_volz_stuck.bin"))
+    ''
+    """
+    rails = [name for name in log.channels if _RAIL.fullmatch(name) and name not in named and _has_numbers(log, name)]
+    if not rails:
+        return ""
+    what = f"{', '.join(rails)} {'is a current' if len(rails) == 1 else 'are currents'} of no servo by name"
+    return f"{what}: say in [surfaces.NAME.current] of an aircraft file which servo it feeds, and it is judged by it"
 
 
 def with_current_sources(log: FlightLog, aircraft: Aircraft) -> Aircraft:
-    """The same aircraft, whose surfaces name where a log holds their currents, and no position that it does not hold.
-
-    Raises `NoMeasurement` if a column is a current in no unit.
-    """
+    """The same aircraft, whose surfaces name where a log holds their currents, and no position that it lacks."""
     surfaces = dict(aircraft.surfaces)
-    for name, source in current_sources(log, aircraft).items():
+    for name, source in current_sources(log, aircraft)[0].items():
         measured = surfaces[name].measured
         is_there = measured is not None and measured.channel in log.channels
         change = {"current": source, "measured": measured if is_there else None}
@@ -180,10 +201,7 @@ def _volts(log: FlightLog, name: str) -> tuple[FloatArray, FloatArray]:
 
 def supplies(log: FlightLog, aircraft: Aircraft) -> list[tuple[FloatArray, FloatArray]]:
     """Times [s] and readings [V] of the rail of all servos, of columns of their own, and beside their currents."""
-    try:
-        beside = {source.voltage: None for source in current_sources(log, aircraft).values() if source.voltage}
-    except NoMeasurement:
-        beside = {}
+    beside = {source.voltage: None for source in current_sources(log, aircraft)[0].values() if source.voltage}
     names = beside | {f"{name}_voltage_v": None for name in aircraft.surfaces}
     found = [signal_of(log, SURROUNDINGS["servo_voltage_v"]), *(_volts(log, name) for name in names)]
     return [one for one in found if one[0].size]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.calibrated import CalibratedServo, calibrated_to_toml
@@ -65,16 +65,18 @@ class Calibration:
 
     currents: tuple[str, ...] = ()
     """Surfaces whose current was calibrated."""
+    without_current: Mapping[str, str] = field(default_factory=dict)
+    """Surfaces whose current was logged and could not be calibrated, and why."""
 
-    def with_currents(self, currents: Mapping[str, CalibratedCurrent]) -> Calibration:
-        """The same with the currents of good flights, by surface."""
+    def with_currents(self, currents: Mapping[str, CalibratedCurrent], unfit: Mapping[str, str]) -> Calibration:
+        """The same with the currents of good flights, by surface, and why those of others are `unfit`."""
         surfaces = {
             name: surface.model_copy(update={"healthy_current": currents.get(name, surface.healthy_current)})
             for name, surface in self.aircraft.surfaces.items()
         }
         aircraft = self.aircraft.model_copy(update={"surfaces": surfaces})
         kept = {name: reason for name, reason in self.kept.items() if name not in currents}
-        return replace(self, aircraft=aircraft, currents=tuple(currents), kept=kept)
+        return replace(self, aircraft=aircraft, currents=tuple(currents), kept=kept, without_current=unfit)
 
     @property
     def false_alarms_per_hour(self) -> float:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from servofd.cli.options import Options
 from servofd.cli.terminal import print_document, say
 from servofd.jobs.survey import survey
-from servofd.outputs.document import Bullets, Document, Table
+from servofd.outputs.document import Bullets, Document, Part, Table
 
 _SHOWN = 3
 """Alarms of another program whose times are listed."""
@@ -24,18 +26,31 @@ def run(options: Options) -> int:
     if options.json:
         say(json.dumps({"schema": "servofd.info/1", "logs": surveys}, indent=2))
     else:
-        for found in surveys:
-            print_document(_report(found))
+        for _, alike in itertools.groupby(surveys, lambda found: (found["path"], *_of(found))):
+            print_document(_report(list(alike)))
     return 0
 
 
-def _report(found: dict[str, Any]) -> Document:
-    label = found["path"] + (f" (run {found['run']})" if found["run"] else "")
+def _report(alike: Sequence[Mapping[str, Any]]) -> Document:
+    """What runs of one log hold that are all alike, but for their lengths."""
+    first, last = alike[0], alike[-1]
+    runs = f" (run {first['run']})" if first["run"] else ""
+    label = first["path"] + (f" (runs {first['run']} to {last['run']})" if len(alike) > 1 else runs)
+    format_, count, parts = _of(first)
+    seconds = dict.fromkeys(f"{side(found['duration_s'] for found in alike):.1f}" for side in (min, max))
+    return Document(
+        title=label, status="no_data", sentence="", facts=f"{label}: {format_}, {' to '.join(seconds)} s, {count}",
+        parts=parts,
+    )  # fmt: skip
+
+
+def _of(found: Mapping[str, Any]) -> tuple[str, str, list[Part]]:
+    """Format, how many channels, and what is printed of a run below its first line."""
     about = {name: found[name] for name in ("vehicle", "firmware")}
     about["booted"] = (found["start_utc"] or "").replace("T", " ")
     lines = [f"{name}: {value}" for name, value in about.items() if value]
     lines += [f"damage: {damage['kind']}: {damage['note']}" for damage in found["damage"]]
-    advice = [found["by_current"]] if found["by_current"] else []
+    advice = [found[name] for name in ("by_current", "rails") if found[name]]
     advice += [f"to audit this aircraft: {found['advice']}"] if found["advice"] else []
     if not found["on_board"] and found["format"] in ("dataflash", "tlog") and found["surfaces"]:
         advice.insert(bool(found["by_current"]), _ON_BOARD)
@@ -53,19 +68,14 @@ def _report(found: dict[str, Any]) -> Document:
         share = "not judged" if peak is None else f"{peak:.2f}"
         on_board.append((seen["name"], str(seen["samples"]), share, f"{times}{more}" or "never"))
     count = f"{found['channels']} channel{'' if found['channels'] == 1 else 's'}"
-    return Document(
-        title=label,
-        status="no_data",
-        sentence="",
-        facts=f"{label}: {found['format']}, {found['duration_s']:.1f} s, {count}",
-        parts=[
-            Bullets(lines),
-            Table("", ("surface", "can be audited", "position [Hz]", "command [Hz]", "channels"), surfaces),
-            Table("", ("channel", "unit", "samples", "rate [Hz]", "gaps", "longest gap [s]"), channels),
-            Table("", ("seen on board", "positions", "largest residual / threshold", "over it at [s]"), on_board),
-            Bullets(advice),
-        ],
-    )
+    parts: list[Part] = [
+        Bullets(lines),
+        Table("", ("surface", "can be audited", "position [Hz]", "command [Hz]", "channels"), surfaces),
+        Table("", ("channel", "unit", "samples", "rate [Hz]", "gaps", "longest gap [s]"), channels),
+        Table("", ("seen on board", "positions", "largest residual / threshold", "over it at [s]"), on_board),
+        Bullets(advice),
+    ]
+    return found["format"], count, parts
 
 
 def _rate(rate_hz: float | None) -> str:

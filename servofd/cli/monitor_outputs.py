@@ -144,7 +144,8 @@ class Outputs:
         path = Path(options.rrd) if options.rrd else None
         # Of several vehicles it would not be known whose surface it was.
         known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
-        recording = LiveRecording(first.name, surfaces, path=path, port=port, properties=known)
+        currents = {n for craft in aircraft.values() for n, one in craft.surfaces.items() if one.is_told_by_current}
+        recording = LiveRecording(first.name, surfaces, currents=currents, path=path, port=port, properties=known)
         open_.callback(recording.close)
         self._recording = recording
         if options.serve:

@@ -21,7 +21,7 @@ from servofd.current.judge import faults_of, limits_of, pushed, tells_motion, ve
 from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
-from servofd.current.stream import motion_model
+from servofd.current.stream import OfCurrent, motion_model
 from servofd.current.wear import features_of, wear_of
 from servofd.detection.causes import with_common_causes
 from servofd.detection.evidence import LEAST_OF_THE_LOG, MOST_OF_THE_LOG
@@ -50,12 +50,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
     `cycles` keeps for each surface what the runs before it in the same file showed of wear.
     """
     log, aircraft = audit.log, audit.aircraft
-    try:
-        sources = current_sources(log, aircraft)
-    except NoMeasurement as error:
-        name = next(s.surface for s in audit.surfaces if f"column {s.surface}_current " in str(error))
-        found = {name: CurrentAudit("unknown", str(error))}
-        return replace(audit, surfaces=tuple(_joined(s, found.get(s.surface)) for s in audit.surfaces))
+    sources, unfit = current_sources(log, aircraft)
     by_channel: dict[str, list[str]] = {}
     for name, source in sources.items():
         by_channel.setdefault(source.channel, []).append(name)
@@ -70,6 +65,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
             name = names[0]
             currents[name] = _judged(log, aircraft, verdicts[name], sources[name], cycles.setdefault(name, []))
     currents = {name: _of_the_log(current, log.duration_s) for name, current in currents.items()}
+    currents |= {name: CurrentAudit("unknown", reason) for name, reason in unfit.items()}
     surfaces = [_joined(surface, currents.get(surface.surface)) for surface in audit.surfaces]
     common, causes = tuple(surfaces), audit.common_causes
     if any(s.current.faults or s.current.suspicions for s in surfaces if s.current):
@@ -123,6 +119,19 @@ def _together(
     return {name: verdict_of(seen[name], faults[name], others=others[name]) for name in names}, events
 
 
+def again_by_current(surface: SurfaceAudit, aircraft: Aircraft, context: Context, duration_s: float) -> SurfaceAudit:
+    """The verdict on the current that a monitor recorded of a surface without a position; as it is if there is none."""
+    drawn, own = surface.current, aircraft.surfaces[surface.surface]
+    known, source = own.healthy_current, own.current
+    if drawn is None or drawn.time_s is None or drawn.current_a is None or drawn.command is None:
+        return surface
+    if known is None or source is None or drawn.time_s.size < 2:
+        return surface
+    beside = OfCurrent(surface.surface, motion_model(aircraft, surface.surface), source, known)
+    seen = beside.seen(np.stack([drawn.time_s, drawn.current_a]), drawn.command, context)
+    return _joined(surface, _of_the_log(verdict_of(seen, faults_of(seen)), duration_s))
+
+
 def _read_until(seen: Seen, until_s: float) -> Seen:
     """The same, without what a sensor read after it failed."""
     note = f"from {until_s:.0f} s on its sensor reads nothing while servos move: it failed"
@@ -142,7 +151,9 @@ def healthy_currents(
     reasons: dict[str, str] = {}
     for log, known in flown:
         by_channel: dict[str, dict[str, CurrentSeries]] = {}
-        for name, source in current_sources(log, known).items():
+        sources, unfit = current_sources(log, known)
+        reasons |= unfit
+        for name, source in sources.items():
             try:
                 by_channel.setdefault(source.channel, {})[name] = current_series(log, name, known, source)
             except NoMeasurement as error:
@@ -274,7 +285,7 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
         reason = reason.replace(describe(before), describe(now))
     if known and all(fault.confirmed_by for fault in known):
         reason = reason.replace(SERVO_OR_SENSOR, "servo: ")
-    if left or current.status == "suspect" or _SENSOR in current.reason:
+    if left or current.status == "suspect" or any(one in current.reason for one in (_SENSOR, _MOVES)):
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
     if any(abs(a.start_s - b.start_s) <= _AGREE_S for a in known for b in left):
         reason += "; position and current agree"

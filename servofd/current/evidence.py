@@ -208,10 +208,10 @@ class Evidence:
             found.append(self._fit(self.changes, window))
         return found
 
-    def whole(self, from_s: float, to_s: float) -> Fit:
-        """One window between two times, of the `fine` changes."""
+    def whole(self, from_s: float, to_s: float, changes: Sequence[Change]) -> Fit:
+        """One window between two times, of some changes."""
         rows = slice(*np.searchsorted(self.series.time_s, (from_s, np.nextafter(to_s, np.inf))).tolist())
-        return self._fit(self.fine, Sums.of(self._columns(self.fine)[:, rows], self.usable[rows]).between(0, -1))
+        return self._fit(changes, Sums.of(self._columns(changes)[:, rows], self.usable[rows]).between(0, -1))
 
     def _columns(self, changes: Sequence[Change]) -> FloatArray:
         """A, each x and e."""

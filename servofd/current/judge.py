@@ -180,7 +180,7 @@ def named(
     evidence: Evidence, from_s: float, to_s: float, names: Collection[str] = ()
 ) -> tuple[tuple[tuple[Change, float], ...], Mapping[str, Estimate]]:
     """Changes in the order in which they explain what was read between two times, and the sizes of the first."""
-    found = evidence.whole(from_s, to_s)
+    found = evidence.whole(from_s, to_s, evidence.fine)
 
     def may_be(k: int) -> bool:
         change, size = evidence.fine[k], float(found.size[k, 0])
@@ -296,7 +296,7 @@ def would_show(seen: Seen) -> bool:
     if seen.series.time_s.size < 2 or not seen.usable.any():
         return False
     evidence = Evidence.of({seen.series.surface: seen})
-    deviation = float(evidence.whole(-math.inf, math.inf).deviation[0, 0])
+    deviation = float(evidence.whole(-math.inf, math.inf, evidence.changes[:1]).deviation[0, 0])
     kind = KINDS["unpowered"]
     return 0.5 / (deviation**2 + kind.healthy**2) > kind.limit
 

@@ -54,7 +54,9 @@ _SLOWER: Final = 1.25
 _MOST_ROWS: Final = 4_000
 """Readings of which the lag is found."""
 _LEAST_A: Final = 1e-4
-"""Smallest noise of a current [A]."""
+"""Smallest noise of a current [A], and the finest step of its sensor that is looked for."""
+_OF_STEP: Final = float(1.0 / np.sqrt(12.0))
+"""Noise of a reading in steps, over the step."""
 _FAR_SIGMAS, _MOST_SHARE = 4.0, 3.0
 """Deviations beyond which a reading says nothing about the noise, and the noise of motion over its current at
 most."""
@@ -217,6 +219,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
     drawn = np.concatenate([part.current_a[each] for part, each in zip(parts, rows, strict=True)])
     if not np.ptp(drawn) > 0.0:
         raise CalibrationError("its current never changes: not a measurement")
+    least_a = _least_noise(drawn)
     best = np.inf
     chosen = draft
     step = 1 + drawn.size // _MOST_ROWS
@@ -230,18 +233,18 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
         for draft.lag_s in _LAGS_S:
             table = np.concatenate([terms(part, draft, mean)[0] for part, mean in zip(some, means, strict=True)])
             left = drawn_some - table @ _solved(table, drawn_some, np.ones(len(table)))[0]
-            cost = float(np.mean(np.minimum(np.abs(left), HUBER * _spread(left)) ** 2))
+            cost = float(np.mean(np.minimum(np.abs(left), HUBER * _spread(left, least_a)) ** 2))
             if cost < best:
                 best, chosen = cost, _Seeing(ends, draft.lag_s, width_s, draft.supply_v, draft.airspeed_m_s)
     tables = [terms(part, chosen)[0] for part in parts]
     table = np.concatenate([each[use] for each, use in zip(tables, rows, strict=True)])
     weight = np.ones(drawn.size)
-    still, share = _spread(drawn), 0.0
+    still, share = _spread(drawn, least_a), 0.0
     for _ in range(5):
         theta, covariance = _solved(table, drawn, weight)
         left = drawn - table @ theta
         motion_a = np.maximum(table @ theta - theta[0], 0.0)
-        still, share = _noise(left, motion_a)
+        still, share = _noise(left, motion_a, least_a)
         sigma = np.hypot(still, share * motion_a)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(left) / sigma, 1e-9)) / sigma**2
     theta, covariance = _solved(table, drawn, weight)
@@ -340,22 +343,34 @@ def _solved(table: FloatArray, drawn: FloatArray, weight: FloatArray) -> tuple[F
     return theta, covariance
 
 
-def _spread(values: FloatArray) -> float:
-    return max(MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values)))), _LEAST_A)
+def _least_noise(drawn: FloatArray) -> float:
+    """Noise that a current has at least by the steps of its sensor [A].
+
+    Examples
+    --------
+    >>> float(round(_least_noise(np.array([0.0, 0.3, 0.1, 0.1])), 4))
+    0.0289
+    """
+    steps = np.diff(np.unique(np.round(drawn / _LEAST_A))) * _LEAST_A
+    return max(_OF_STEP * float(steps.min()), _LEAST_A) if steps.size else _LEAST_A
 
 
-def _noise(left: FloatArray, motion_a: FloatArray) -> tuple[float, float]:
+def _spread(values: FloatArray, least_a: float) -> float:
+    return max(MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values)))), least_a)
+
+
+def _noise(left: FloatArray, motion_a: FloatArray, least_a: float) -> tuple[float, float]:
     """Noise at rest [A], and as a share of the current of motion."""
     order = np.argsort(motion_a)
     quiet, busy = order[: order.size // 2], order[3 * order.size // 4 :]
-    still = max(float(np.sqrt(_square(left[quiet]))), _LEAST_A)
-    extra = max(_square(left[busy]) - still**2, 0.0) / max(float(np.mean(motion_a[busy] ** 2)), _LEAST_A**2)
+    still = max(float(np.sqrt(_square(left[quiet], least_a))), least_a)
+    extra = max(_square(left[busy], least_a) - still**2, 0.0) / max(float(np.mean(motion_a[busy] ** 2)), least_a**2)
     return still, min(float(np.sqrt(extra)), _MOST_SHARE)
 
 
-def _square(left: FloatArray) -> float:
+def _square(left: FloatArray, least_a: float) -> float:
     """Mean square of what is left, with what is far off counted as less."""
-    most = _FAR_SIGMAS * _spread(left)
+    most = _FAR_SIGMAS * _spread(left, least_a)
     return float(np.mean(np.clip(left, -most, most) ** 2))
 
 

@@ -23,12 +23,13 @@ _WHILE_IT_FALLS, _WITH_IT_S = 2, 5.0
 """So many do not while their supply falls, within so much of each other: onsets of currents are less sharp [s]."""
 AROUND_S: Final = 15.0
 """Time before and after an instant in which volts and amperes are compared; by then it is known if they return [s]."""
+_SHARP_S: Final = 1.0
+"""Time to either side of an instant in which a supply falls [s]."""
 FALLEN, _UNDER_LOAD = 0.9, 0.1
 """Share of its volts below which a supply has fallen, each taken as those that it is below for a tenth of the time: the
 rail of the simulated motors sags by 5 % under load."""
-_SAGGED, _BRIEF = 0.8, 0.1
-"""Share of its usual volts below which a supply gave way though servos follow, and share of `AROUND_S` in which it has
-to: starts of motors and gusts take less."""
+_SAGGED: Final = 0.8
+"""Share of its usual volts below which a supply gave way though servos follow: starts of motors and gusts take less."""
 _DEAD: Final = 0.3
 """Share of its usual volts on which no servo moves: less, though all servos follow, is no reading of their supply."""
 _EMPTY, _FULL = 0.75, 0.95
@@ -109,18 +110,23 @@ def _first_s(surfaces: Sequence[SurfaceAudit]) -> float:
     return min(begun_s, default=0.0)
 
 
+def _around(time_s: FloatArray, volts_v: FloatArray, at_s: float, apart_s: float = 0.0) -> list[float]:
+    """Volts for `AROUND_S` before an instant, usually and under load, and after it, under load and without any [V].
+
+    Without so much next to it [s]; NaN where nothing was read.
+    """
+    first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-AROUND_S, -apart_s, apart_s, AROUND_S]))
+    if first == falls or fell == last:
+        return [np.nan] * 4
+    before, after = volts_v[first:falls], volts_v[fell:last]
+    return [*np.quantile(before, (0.5, _UNDER_LOAD)), *np.quantile(after, (_UNDER_LOAD, 1.0 - _UNDER_LOAD))]
+
+
 def _fell(volts: Sequence[tuple[FloatArray, FloatArray]], at_s: float) -> str:
     """By how much the supply of most servos fell at a time, in words; empty if it did not, or is not known."""
-    found = []
-    for time_s, volts_v in volts:
-        before_v = volts_v[(time_s < at_s) & (time_s >= at_s - AROUND_S)]
-        after_v = volts_v[(time_s > at_s) & (time_s <= at_s + AROUND_S)]
-        if before_v.size and after_v.size:
-            loaded_v, is_v = (float(np.quantile(one, _UNDER_LOAD)) for one in (before_v, after_v))
-            fell = loaded_v > 0.0 and is_v < FALLEN * loaded_v
-            found.append((fell, float(np.median(before_v)), is_v))
-    fallen = [(was_v, is_v) for has_fallen, was_v, is_v in found if has_fallen]
-    if 2 * len(fallen) <= len(found):
+    known = [each for each in (_around(*one, at_s) for one in volts) if np.isfinite(each[0])]
+    fallen = [(usual_v, low_v) for usual_v, loaded_v, low_v, _ in known if max(low_v, 0.0) < FALLEN * loaded_v]
+    if 2 * len(fallen) <= len(known):
         return ""
     return fell_from(*np.median(fallen, axis=0).tolist())
 
@@ -152,16 +158,13 @@ def _sagged(volts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, str]
     """
     found = []
     for time_s, volts_v in volts:
-        before, after = (np.searchsorted(time_s, time_s + by_s) for by_s in (-AROUND_S, AROUND_S))
-        low = volts_v < _SAGGED * np.quantile(volts_v, _FULL)
-        for k in np.flatnonzero(np.diff(low.astype(int), prepend=1) == 1).tolist():
-            was_v, is_low = volts_v[before[k] : k], low[k : after[k]]
-            is_inside = time_s[0] <= time_s[k] - AROUND_S and time_s[k] + AROUND_S <= time_s[-1]
-            if is_inside and np.mean(low[before[k] : k]) < _BRIEF and np.mean(is_low) >= _BRIEF:
-                usual_v, is_v = float(np.median(was_v)), float(np.median(volts_v[k : after[k]][is_low]))
-                if is_v < _SAGGED * usual_v:
-                    found.append((float(time_s[k]), fell_from(usual_v, is_v)))
-                    break
+        least_v = _SAGGED * float(np.quantile(volts_v, _FULL))
+        inside = (time_s >= time_s[0] + AROUND_S) & (time_s <= time_s[-1] - AROUND_S)
+        for at_s in time_s[(np.diff((volts_v < least_v).astype(int), prepend=1) == 1) & inside].tolist():
+            usual_v, loaded_v, low_v, _ = _around(time_s, volts_v, at_s)
+            if loaded_v >= least_v and low_v < _SAGGED * usual_v:
+                found.append((at_s, fell_from(usual_v, low_v)))
+                break
     return min(found) if 2 * len(found) > len(volts) else None
 
 
@@ -210,13 +213,10 @@ def before_it_fell(context: Context, *, since_s: float | None = None) -> Context
     if since_s is not None:
         low_s = low_s[(low_s > since_s) & (low_s <= time_s[-1] - AROUND_S)]
     for at_s in low_s:
-        first, falls, fell, last = np.searchsorted(time_s, at_s + np.array([-AROUND_S, -1.0, 1.0, AROUND_S]))
-        if first < falls and fell < last:
-            least_v, most_v = np.quantile(volts_v[first:falls], _UNDER_LOAD), np.quantile(volts_v[fell:last], 0.9)
-            if least_v > 0.0 and most_v < FALLEN * least_v:
-                low = (np.arange(time_s.size) >= falls) & (volts_v < FALLEN * least_v)
-                volts_v = np.where(low, np.median(volts_v[first:falls]), volts_v)
-                break
+        usual_v, loaded_v, _, high_v = _around(time_s, volts_v, at_s, _SHARP_S)
+        if max(high_v, 0.0) < FALLEN * loaded_v:
+            volts_v = np.where((time_s >= at_s - _SHARP_S) & (volts_v < FALLEN * loaded_v), usual_v, volts_v)
+            break
     return replace(context, voltage_v=np.maximum(volts_v, _EMPTY * np.quantile(volts_v, _FULL)))
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.aircraft.calibrated import calibrated_to_toml
-from servofd.aircraft.current_source import hub_outputs
+from servofd.aircraft.current_source import hub_outputs, rails_of
 from servofd.aircraft.outputs import (
     WITHOUT_SURFACES,
     LoggedOutput,
@@ -144,7 +144,8 @@ def _described(log: FlightLog) -> tuple[Sequence[Pair], Aircraft, dict[str, Surf
     pairs = find_pairs(log)
     by_current = _by_current(log, pairs)
     if not pairs and not by_current:
-        raise NoMeasurement(f"{log.label}: no measured deflection in this log: {what_to_log(log)}")
+        advice = "; ".join(filter(None, (rails_of(log), what_to_log(log))))
+        raise NoMeasurement(f"{log.label}: no measured deflection in this log: {advice}")
     plain = {pair.surface: Surface.model_validate(surface_entry(log, pair)) for pair in pairs}
     return pairs, Aircraft(surfaces=plain | by_current), by_current
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from logparsers import Channel, FlightLog
-from servofd.aircraft.current_source import current_sources, read_current
+from servofd.aircraft.current_source import current_sources, rails_of, read_current
 from servofd.aircraft.outputs import output_of
 from servofd.aircraft.pace import SLOWEST_RATE_HZ
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.series import cut
+from servofd.aircraft.series import asked, channel_of, cut
 from servofd.core.errors import NoMeasurement
 from servofd.feedback.draft import what_to_log
 from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
@@ -66,6 +66,7 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict
         "damage": [asdict(damage) for damage in log.damage_summary],
         "surfaces": surfaces,
         "by_current": _BY_CURRENT if any(surface["current_hz"] for surface in surfaces) else None,
+        "rails": rails_of(log, [surface["current"] for surface in surfaces]) or None,
         "on_board": _on_board(log, aircraft),
         "channel_details": [_channel(log[name]) for name in log.channels] if every_channel else [],
         "advice": (what_to_log(log) if unfit and log.is_of_autopilot else "") or None,
@@ -74,15 +75,14 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict
 
 def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[dict[str, Any]]:
     """Each surface, with what its current allows beside its position, or instead of it."""
-    try:
-        sources = current_sources(log, aircraft)
-    except NoMeasurement:
-        sources = {}
+    sources, unfit = current_sources(log, aircraft)
     for name in aircraft.surfaces:
         found, source = _surface(log, aircraft, name), sources.get(name)
+        found["verdict"] += f"; {unfit[name]}" if name in unfit else ""
         if source is not None:
             found["current"], can = source.channel, found["verdict"]
             try:
+                asked(aircraft.surfaces[name], channel_of(log, found["command"], "command"))
                 found["current_hz"] = _rate(read_current(log, source).time_s)
                 found["verdict"] = f"{can}; and by its current" if can.startswith("yes") else "yes, by its current"
             except NoMeasurement as reason:

@@ -223,11 +223,13 @@ def calibrate(
     except NoMeasurement as error:  # no position: the currents alone
         found = Calibration(known, (), dict.fromkeys(surfaces or known.surfaces, str(error)))
     good = (log for log in each_once(logs_of(logs, known)) if not runs or log.run in runs)
-    currents, _ = healthy_currents(((log, surfaces_of(log, found.aircraft)) for log in good), spans)
-    currents = {name: current for name, current in currents.items() if name in (surfaces or known.surfaces)}
+    currents, unfit = healthy_currents(((log, surfaces_of(log, found.aircraft)) for log in good), spans)
+    wanted = surfaces or known.surfaces
+    currents = {name: current for name, current in currents.items() if name in wanted}
+    unfit = {name: reason for name, reason in unfit.items() if name in wanted}
     if not found.surfaces and not currents:
-        raise CalibrationError(next(iter(found.kept.values())))
-    return found.with_currents(currents)
+        raise CalibrationError("; ".join([next(iter(found.kept.values())), *dict.fromkeys(unfit.values())]))
+    return found.with_currents(currents, unfit)
 
 
 def _with_kept_servos(aircraft: Aircraft, kept: Collection[str], logs: Log | Sequence[Log]) -> Aircraft:

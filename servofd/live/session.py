@@ -174,7 +174,7 @@ class Session:
         self._match(arrival_now_s)
         for vehicle in tuple(self.vehicles.values()):
             for monitor in vehicle.monitors.values():
-                monitor.listener = self.listener if monitor.quantity == "position" else None
+                monitor.listener = self.listener
             seen = [*vehicle.evaluate(final=final), *vehicle.silence(arrival_now_s), *self._look(vehicle)]
             mine = vehicle.alarms.publish(seen)
             vehicle.look_for_causes()

@@ -32,6 +32,7 @@ def calibrate_report(found: Calibration, wanted_per_hour: float | None = None) -
         notes.append(f"{spoken(one.surface)}: {', '.join(one.effects) or 'no effect beyond a linear servo pays'}")
         notes += [f"{spoken(one.surface)}: note: {note}" for note in (*one.notes, one.sharper)]
     notes += [f"{spoken(name)}: not calibrated: {reason}" for name, reason in found.kept.items()]
+    notes += [f"{spoken(name)}: its current is not calibrated: {why}" for name, why in found.without_current.items()]
     per_hour = found.false_alarms_per_hour
     of = "this surface" if len(found.surfaces) == 1 else f"these {len(found.surfaces)} surfaces"
     rate = f"false alarms to expect: about {per_hour:.2g} an hour of {of}, as measured on simulated aircraft"

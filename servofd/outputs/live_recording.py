@@ -10,7 +10,7 @@ import contextlib
 import itertools
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +24,16 @@ from servofd.detection.event import Event
 from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
-from servofd.outputs.recording.surface import AIRSPEED, SUPPLY, breaks_s, ratio, send_curves, send_styles
+from servofd.outputs.recording.surface import (
+    AIRSPEED,
+    SUPPLY,
+    breaks_s,
+    ratio,
+    send_current,
+    send_curves,
+    send_styles,
+    style_current,
+)
 from servofd.outputs.recording.verdicts import MANY_VEHICLES
 from servofd.outputs.sentence import spoken
 from servofd.servo.context import Context
@@ -59,6 +68,8 @@ class Samples(NamedTuple):
 class LiveRecording:
     """Recording of a running monitor, to a file, to viewers on a port of the loopback interface, or both.
 
+    `currents` are the surfaces that are watched by their current: their samples are in amperes.
+
     What ``servofd review`` needs to judge it afterwards are its `properties` (`recording.verdicts.live_verdicts`).
     """
 
@@ -67,6 +78,7 @@ class LiveRecording:
         name: str,
         surfaces: list[str],
         *,
+        currents: Set[str] = frozenset(),
         path: Path | None = None,
         port: int | None = None,
         properties: Mapping[str, Any] | None = None,
@@ -79,12 +91,12 @@ class LiveRecording:
             if target is None:
                 continue
             try:
-                recorder = _opened(application_name(name or "plain", "live"), surfaces, target)
+                recorder = _opened(application_name(name or "plain", "live"), surfaces, currents, target)
                 recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
                 recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
             except (OSError, RuntimeError, ValueError, OverflowError) as error:  # rerun's own
                 raise ConfigError(f"{target}: cannot record: {str(error).splitlines()[0][:160]}") from None
-            self._sinks.append(_Sink(kind, recorder, round(every_s / _TO_VIEWER_S)))
+            self._sinks.append(_Sink(kind, recorder, round(every_s / _TO_VIEWER_S), currents))
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()
 
@@ -138,6 +150,8 @@ class _Sink:
     recorder: Recorder
     every: int
     """Batches of the fastest one that make one of this."""
+    currents: Set[str]
+    """Surfaces whose samples are in amperes."""
     kept: list[Samples | Event] = field(default_factory=list)
     lanes: dict[str, _Lane] = field(default_factory=dict)
     around_s: dict[str, float] = field(default_factory=dict)
@@ -180,8 +194,12 @@ class _Sink:
             self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
         known_s = np.concatenate([lane.tail_s, time_s])
         broken_s, lane.tail_s = breaks_s(known_s), known_s[-10:]
-        send_curves(self.recorder, place, broken_s, (time_s, *deflections, residual_deg, threshold_deg))
         self.recorder.scalars(f"{place}/command", command_s, came_deg)
+        if surface in self.currents:
+            _, healthy_a, drawn_a = deflections
+            send_current(self.recorder, place, broken_s, time_s, drawn_a, healthy_a, threshold_deg)
+            return
+        send_curves(self.recorder, place, broken_s, (time_s, *deflections, residual_deg, threshold_deg))
         self.recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
         self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))
 
@@ -216,17 +234,20 @@ class _Sink:
         self.recorder.line_colours(f"{place}/residual", [(time_s, (STATES[word], "threshold", "threshold"))])
 
 
-def _opened(application: str, surfaces: list[str], target: Path | int) -> Recorder:
+def _opened(application: str, surfaces: list[str], currents: Set[str], target: Path | int) -> Recorder:
     """A file, or a port of the loopback interface for viewers, with layout and styles."""
     stream = rr.RecordingStream(application, send_properties=False)
     rr.set_log_time_enabled(False, recording=stream)
     if isinstance(target, Path):
-        stream.save(str(target), default_blueprint=live_layout(surfaces))
+        stream.save(str(target), default_blueprint=live_layout(surfaces, currents))
     else:
         sink = rr.GrpcServerSink("127.0.0.1", target)
-        stream.set_sinks(sink, default_blueprint=live_layout(surfaces, following=True))
+        stream.set_sinks(sink, default_blueprint=live_layout(surfaces, currents, following=True))
     recorder = Recorder(stream)
     for surface, tint in zip(surfaces, itertools.cycle(SERIES), strict=False):
-        send_styles(recorder, surface, tint)
+        if surface in currents:
+            style_current(recorder, surface_place(surface))
+        else:
+            send_styles(recorder, surface, tint)
     recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
     return recorder

@@ -112,7 +112,9 @@ def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str
 
 
 def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> ServoEstimate | None:
-    sources = current_sources(log, aircraft)
+    sources, unfit = current_sources(log, aircraft)
+    if name in unfit:
+        raise NoMeasurement(unfit[name])
     known, source = aircraft.surfaces[name].healthy_current, sources.get(name)
     if known is None or source is None or [one.channel for one in sources.values()].count(source.channel) > 1:
         return None  # a wire that several servos share wears for none of them

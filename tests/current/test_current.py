@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import servofd
 from servofd.cli import main
 from servofd.simulation.commands import gusty
+from tests.current.hub import dataflash_of
 from tests.current.motor import Flown, Sensor, fly
 
 START_S = 100.0
@@ -146,6 +148,26 @@ def test_bad_currents_end_in_one_line(tmp_path: Path, change: object, said: str)
     assert found["aileron"].status in ("no_data", "unknown")
 
 
+def test_a_sensor_of_tenths_of_an_ampere_tells_as_well(tmp_path: Path) -> None:
+    """Most of its readings are 0."""
+    path, kinds, sensor = tmp_path / "flight.csv", [], Sensor(10.0, step_a=0.1, noise_a=0.02)
+    for fault in ("", "blocked"):
+        command_deg = gusty(np.arange(0.0, 140.0, 0.04), np.random.default_rng([2, 7]))
+        flight = fly(140.0, 2, sensor=sensor, fault=fault, start_s=START_S, command_deg=command_deg)
+        path.write_text(flight.csv("aileron"))
+        found = servofd.audit(path)["aileron"]
+        kinds.append((found.status, *(one.kind for one in found.faults)))
+    assert kinds == [("healthy",), ("fault", "blocked")]
+
+
+def test_the_current_of_another_servo_is_no_witness(tmp_path: Path) -> None:
+    path, flight = tmp_path / "flight.csv", flown(5, 10.0, seconds=120.0)
+    path.write_text(replace(flight, current_a=flown(9, 10.0, seconds=120.0).current_a).csv("aileron"))
+    found = servofd.audit(path)["aileron"]
+    assert found.status == "unknown"
+    assert "its current goes with only" in found.reason
+
+
 @pytest.mark.slow
 def test_the_end_of_a_range_is_said(tmp_path: Path) -> None:
     path = tmp_path / "flight.csv"
@@ -165,8 +187,7 @@ def test_a_current_that_dies_while_the_position_follows_is_no_fault_of_the_servo
     (tmp_path / "flight.csv").write_text("\n".join([head, *map(",".join, dead)]) + "\n")
     found = servofd.audit(tmp_path / "flight.csv", plane)["aileron"]
     assert (found.status, found.faults) == ("healthy", ())
-    assert found.current is not None
-    assert "the sensor of the current is at fault" in found.current.reason
+    assert "the sensor of the current is at fault; as in its good flights" in found.reason
 
 
 @pytest.mark.slow
@@ -221,6 +242,23 @@ def _current(text: str, change: object) -> str:
     parts = [row.rsplit(",", 1) for row in rows]
     told = [f"{first},{change(float(last)) if last else ''}" for first, last in parts]
     return "\n".join([head, *told]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("column", "said"), [("amps", "and by its current"), ("current", "column current has no unit")]
+)
+def test_a_table_of_one_servo_names_its_current_in_few_letters(
+    tmp_path: Path, column: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bench.csv"
+    text = flown(10, 10.0, seconds=40.0).csv("aileron", position=True)
+    path.write_text(text.replace("aileron_current_a", column))
+    assert main(["info", str(path), "--json"]) == 0
+    ((surface,),) = (log["surfaces"] for log in json.loads(capsys.readouterr().out)["logs"])
+    assert said in surface["verdict"]
+    found = servofd.audit(path)["aileron"]
+    assert found.current is not None
+    assert (found.current.time_s is None) == (column == "current")
 
 
 @pytest.mark.slow
@@ -329,6 +367,60 @@ def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("message", "rail"), [("CSCU", "CSCU[0].Curr, CSCU[1].Curr are currents"), ("BAT", "BAT[1].Curr is")]
+)
+def test_currents_of_circuits_are_told_though_no_file_names_them(
+    tmp_path: Path, message: str, rail: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(dataflash_of(flown(5, 10.0, seconds=40.0), message))
+    assert main(["info", str(path)]) == 0
+    assert f"{rail}" in " ".join(capsys.readouterr().out.split())
+    assert main(["audit", str(path)]) == 2
+    assert f"{rail}" in capsys.readouterr().err
+
+
+def test_runs_that_hold_the_same_are_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = flown(5, 10.0, seconds=20.0).csv("aileron").splitlines()
+    path, commands = tmp_path / "bench.csv", [row for row in rows[1:] if not row.endswith(",")]
+    runs = [f"{run},{row}" for run, of in enumerate([rows[1:]] * 3 + [commands]) for row in of]
+    path.write_text("\n".join([f"run,{rows[0]}", *runs]) + "\n")
+    assert main(["info", str(path)]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith(str(path))]
+    assert [line.split(": table")[0] for line in told] == [f"{path} (runs 0 to 2)", f"{path} (run 3)"]
+
+
+def test_calibrate_says_why_a_current_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "good.csv"
+    text = flown(5, 10.0, seconds=60.0).csv("aileron", position=True)
+    path.write_text(text.replace("aileron_current_a", "aileron_current"))
+    main(["calibrate", str(path), "-o", str(tmp_path / "plane.toml"), "--force"])
+    told = capsys.readouterr()
+    assert "its current is not calibrated: column aileron_current has no unit" in " ".join(told.out.split())
+    path.write_text(text.replace("aileron_pos_deg", "other").replace("aileron_current_a", "aileron_current"))
+    assert main(["calibrate", str(path), "-o", str(tmp_path / "plane.toml")]) == 2
+    assert "column aileron_current has no unit" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_column_without_a_unit_takes_nothing_from_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    flights = {"aileron": flown(5, 10.0), "elevator": flown(9, 10.0, "blocked")}
+    path.write_text(together(flights, lambda _: 6.0).replace("aileron_current_a", "aileron_current"))
+    found = servofd.audit(path)
+    assert [fault.kind for fault in found["elevator"].faults] == ["blocked"]
+    assert "column aileron_current has no unit" in found["aileron"].reason
+
+
+def test_a_current_without_commands_can_be_no_witness(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "flight.csv"
+    rows = [row.split(",") for row in flown(5, 10.0, seconds=20.0).csv("aileron").splitlines()]
+    path.write_text("\n".join([",".join(rows[0]), *(f"{row[0]},,{row[2]}" for row in rows[1:])]) + "\n")
+    assert main(["info", str(path), "--json"]) == 0
+    assert '"verdict": "no: ' in capsys.readouterr().out
+
+
 def test_info_says_once_what_currents_allow(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(Path(__file__).parents[2] / "sample_logs" / "ardupilot_volz_stuck.bin")]) == 0
     assert capsys.readouterr().out.count("blocked") == 1

@@ -79,6 +79,25 @@ def test_a_stream_with_current_and_no_position_alarms(
 
 
 @pytest.mark.slow
+def test_what_it_records_is_judged_as_an_audit_of_the_log_would(
+    tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, recording = tmp_path / "flight.bin", str(tmp_path / "flight.rrd")
+    log.write_bytes(dataflash_of(flown(5, "blocked")))
+    assert main(["monitor", str(log), "-c", plane, "--speed", "0", "--plain", "--rrd", recording]) == 1
+    said = []
+    for words in (["audit", str(log), "-c", plane], ["review", recording]):
+        capsys.readouterr()
+        assert main([*words, "--json", "-"]) == 1
+        (document,) = json.loads(capsys.readouterr().out)["logs"]
+        aileron = document["surfaces"]["aileron"]
+        said.append((document["sentence"], aileron["feedback"], [(f["kind"], f["alarm_s"]) for f in aileron["faults"]]))
+    assert said[0] == said[1]
+    ((alarm_s, level),) = [(event["time_s"], event["level"]) for event in document["events"]]
+    assert (alarm_s, level) == (said[0][2][0][1], "ERROR")
+
+
+@pytest.mark.slow
 def test_good_currents_raise_nothing(tmp_path: Path, plane: str) -> None:
     log = tmp_path / "flight.tlog"
     log.write_bytes(telemetry_of(flown(6, seconds=150.0)))

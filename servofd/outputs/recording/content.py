@@ -89,6 +89,8 @@ class Recording:
     """What a reader of the recording should know: that it was cut, or judged anew."""
     on_board: Mapping[str, Seen] = field(default_factory=dict)
     """What a script on the autopilot saw of each surface that it watched; a recording read back has none."""
+    context: Context = NO_CONTEXT
+    """Airspeed and supply of a recording read back."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "traces", MappingProxyType(dict(self.traces)))
@@ -106,12 +108,18 @@ class Recording:
     @property
     def end_s(self) -> float:
         """Last time of all curves [s]."""
-        return max((float(t.time_s[-1]) for t in self.traces.values() if t.time_s.size), default=0.0)
+        return max((float(time_s[-1]) for time_s in self._times()), default=0.0)
 
     @property
     def start_s(self) -> float:
         """First time of all curves [s]."""
-        return min((float(t.time_s[0]) for t in self.traces.values() if t.time_s.size), default=0.0)
+        return min((float(time_s[0]) for time_s in self._times()), default=0.0)
+
+    def _times(self) -> list[FloatArray]:
+        """Time stamps of all curves that hold any [s]."""
+        found = [trace.time_s for trace in self.traces.values()]
+        found += [s.current.time_s for s in self.audit.surfaces if s.current and s.current.time_s is not None]
+        return [time_s for time_s in found if time_s.size]
 
 
 def _rising(time_s: FloatArray) -> BoolArray:

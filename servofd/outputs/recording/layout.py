@@ -5,7 +5,7 @@ Time axes are linked, legends stand top left, side panels are folded.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import Any
 
 import rerun as rr
@@ -113,13 +113,7 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     alone = [name for name in currents if name not in drawn]
     for name, trace in drawn.items():
         tabs.append(_surface(name, deflection_range(trace), residual_range(trace), has_current=name in currents))
-    for name in alone:  # what was asked and what was drawn
-        place = surface_place(name)
-        views = [
-            curves(f"{name}: {what}", [f"{place}/{which}"], origin=place)
-            for what, which in (("command [deg]", "command"), ("current [A]", "current"))
-        ]
-        tabs.append(stacked(name, views, [2, 3]))
+    tabs += map(_by_current, alone)
     tabs += [_axis(axis) for axis in recording.audit.axes]
     alarms: list[tuple[str, Fault | AxisEvent]] = [
         *((surface.surface, fault) for surface in recording.audit.surfaces for fault in surface.faults),
@@ -136,9 +130,20 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     return blueprint(tabs, None, around_s, 1 + names.index(name), marked_s)
 
 
-def live_layout(surfaces: Sequence[str], *, following: bool = False) -> Any:  # noqa: ANN401
-    """Layout of what a monitor records: the whole flight, or the last minute, following."""
-    return blueprint([_overview(surfaces, surfaces), *map(_surface, surfaces)], _LAST_S if following else None)
+def live_layout(surfaces: Sequence[str], currents: Set[str] = frozenset(), *, following: bool = False) -> Any:  # noqa: ANN401
+    """Layout of what a monitor records: the whole flight, or the last minute, following.
+
+    `currents` are the surfaces that it watches by their current.
+    """
+    tabs = [_by_current(name) if name in currents else _surface(name) for name in surfaces]
+    return blueprint([_overview(surfaces, surfaces), *tabs], _LAST_S if following else None)
+
+
+def _by_current(name: str) -> Any:  # noqa: ANN401 - rerun is untyped
+    """What was asked of a surface without a position, and what its servo drew."""
+    place = surface_place(name)
+    what = (("command [deg]", "command"), ("current [A]", "current"))
+    return stacked(name, [curves(f"{name}: {text}", [f"{place}/{one}"], origin=place) for text, one in what], [2, 3])
 
 
 def _surface(

@@ -18,6 +18,7 @@ from servofd.aircraft.series import LeftOut, is_streamed
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning
 from servofd.core.types import FloatArray, IntArray
+from servofd.current.audit import again_by_current
 from servofd.detection.audit import audit_segment
 from servofd.detection.verdict import WITHIN_SIGMAS, CurrentAudit, Statistics
 from servofd.outputs.recording.content import Recording, Trace
@@ -53,7 +54,7 @@ def read_recording(path: str | Path) -> Recording:
         traces |= {} if trace is None else {surface.surface: trace}
         current = surface.current and _drawn(stored, surface.surface, surface.current)
         surfaces.append(replace(surface, current=current))
-    return Recording(replace(audit, surfaces=tuple(surfaces)), traces, notes)
+    return Recording(replace(audit, surfaces=tuple(surfaces)), traces, notes, context=context)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +230,7 @@ def contradictions(recording: Recording) -> list[str]:
 
 
 def rejudged(recording: Recording) -> Recording:
-    """Judge the recorded commands and deflections of a monitor, as an audit of the log would.
+    """Judge the recorded commands, and deflections or currents, of a monitor, as an audit of the log would.
 
     The recording has the aircraft's models and tolerances, so that new alarms get names as well.
     """
@@ -244,7 +245,7 @@ def rejudged(recording: Recording) -> Recording:
             expected, duration_s = surface.expected, audit.log.duration_s
             surfaces.append(audit_segment(segment, audit.aircraft, duration_s=duration_s, expected=expected))
         else:
-            surfaces.append(surface)
+            surfaces.append(again_by_current(surface, audit.aircraft, recording.context, audit.log.duration_s))
     again = Recording.of(replace(audit, surfaces=tuple(surfaces)))
     notes = (*(n for n in recording.notes if n != LIVE), "judged again, by the recorded threshold")
     return Recording(replace(again.audit, log=audit.log), {**recording.traces, **again.traces}, notes)

@@ -92,13 +92,29 @@ def _send_current(recorder: Recorder, place: str, current: CurrentAudit, *, is_a
     """What was drawn and what a good servo draws; without a position, what was asked as well."""
     if current.time_s is None or current.current_a is None or current.healthy_a is None or current.sigma_a is None:
         return
+    style_current(recorder, place)
     width_a = WITHIN_SIGMAS * current.sigma_a
-    recorder.lines(f"{place}/current", CURRENTS, ("measured", "simulated", "threshold", "threshold"))
-    values = [current.current_a, current.healthy_a, current.healthy_a + width_a, current.healthy_a - width_a]
-    recorder.scalars(f"{place}/current", current.time_s, np.column_stack(values))
+    send_current(
+        recorder, place, breaks_s(current.time_s), current.time_s, current.current_a, current.healthy_a, width_a
+    )
     if is_alone and current.command is not None:
-        recorder.lines(f"{place}/command", ("command",), ("command",))
         recorder.scalars(f"{place}/command", *current.command)
+
+
+def style_current(recorder: Recorder, place: str) -> None:
+    """Name and colour the curves of a current, and the command above it."""
+    recorder.lines(f"{place}/current", CURRENTS, ("measured", "simulated", "threshold", "threshold"))
+    recorder.lines(f"{place}/command", ("command",), ("command",))
+
+
+def send_current(
+    recorder: Recorder, place: str, broken_s: FloatArray, time_s: FloatArray, drawn_a: FloatArray,
+    healthy_a: FloatArray, width_a: FloatArray,
+) -> None:  # fmt: skip
+    """Send what was drawn beside what a good servo draws, with what good ones differ by, and break the curves."""
+    recorder.scalars(f"{place}/current", broken_s, np.full((broken_s.size, 4), np.nan))
+    values = [drawn_a, healthy_a, healthy_a + width_a, healthy_a - width_a]
+    recorder.scalars(f"{place}/current", time_s, np.column_stack(values))
 
 
 def send_on_board(recorder: Recorder, surface: str, seen: Seen) -> None:
@@ -224,7 +240,8 @@ def events(trace: Trace | None, surface: SurfaceAudit, start_s: float = 0.0) -> 
             if fault.end_s is not None:
                 lines.append((fault.end_s, "INFO", f"{name}: last sign of {spoken(fault.kind)}"))
     if trace is None or not trace.time_s.size:
-        return [(start_s, "WARN", f"{name}: {surface.status}, {surface.reason}")]
+        level = "INFO" if surface.status == "healthy" else "WARN"
+        return sorted(lines) or [(start_s, level, f"{name}: {surface.status}, {surface.reason}")]
     if surface.is_judged:
         late = (s for s in _silences(trace) if s[0] > trace.time_s[0])
         lines += [(a, "WARN", f"{name}: nothing to judge for {b - a:.1f} s") for a, b in late]

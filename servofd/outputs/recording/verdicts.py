@@ -87,7 +87,10 @@ def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dic
     for key in surfaces:
         one = aircraft.surfaces[key]
         threshold, expected = (one.threshold, one.threshold_deg), one.measured is not None
-        watched.append(SurfaceAudit(key, "no_data", reason, one.servo, *threshold, expected, model=one.model))
+        current = CurrentAudit("unknown", reason) if one.is_told_by_current else None
+        watched.append(
+            SurfaceAudit(key, "no_data", reason, one.servo, *threshold, expected, model=one.model, current=current)
+        )
     log = FlightLog(Path(name), "live", {}, span_s=(0.0, 0.0))
     return verdicts_of(Recording(LogAudit(log, aircraft, tuple(watched)), {}, notes=(LIVE,)))
 
