@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
 
 PERIOD_S = 0.02
+_COLUMNS = FITTED + len(PATTERNS)
 KNOWN = CalibratedServo.model_validate(
     {
         "parameters": {prior.name: prior.value for prior in PRIORS},
@@ -116,21 +117,38 @@ def test_nothing_is_unknown_where_every_command_arrived() -> None:
     assert sent_period_s(sent_s[:101]) is None
 
 
-def test_a_residual_that_tells_of_lost_commands_breaks_no_row() -> None:
-    """Of four residuals on one side one says nothing, for the commands before it are lost: the others are a row."""
-    time_s, slopes = PERIOD_S * np.arange(1.0, 21.0), np.zeros((20, FITTED + len(PATTERNS)))
-    error_deg, noise_deg, lost_deg = (np.zeros(20) for _ in range(3))
-    error_deg[10:14], noise_deg[:], noise_deg[12], lost_deg[12] = 8.0, 1.0, 8.0, 7.9
-    tests = changes.Tests.of(KNOWN, PERIOD_S, is_lossy=True)
+def largest_row(error_deg: FloatArray, lost_deg: FloatArray, time_s: FloatArray, *, is_lossy: bool = True) -> float:
+    """Of residuals in a row on one side, by a servo that is known to 1 deg."""
+    tests, slopes = changes.Tests.of(KNOWN, PERIOD_S, is_lossy=is_lossy), np.zeros((time_s.size, _COLUMNS))
+    noise_deg = np.hypot(1.0, lost_deg)
+    return float(
+        changes.follow(tests, changes.Memory(tests), time_s, error_deg, slopes, noise_deg, lost_deg).triple.max()
+    )
 
-    def tested(lost_deg: FloatArray) -> changes.Tested:
-        return changes.follow(tests, changes.Memory(tests), time_s, error_deg, slopes, noise_deg, lost_deg)
 
-    assert tested(0.0 * lost_deg).triple.max() == pytest.approx(1.0)
-    assert tested(lost_deg).triple.max() == pytest.approx(8.0)
-    assert np.flatnonzero(~tested(lost_deg).clear).tolist() == [12]
+@pytest.mark.parametrize("lost", [1.5, 7.9])
+def test_a_residual_that_lost_commands_may_explain_breaks_no_row(lost: float) -> None:
+    """Of four residuals on one side the third is no farther off than its commands leave it: the others are a row."""
+    time_s, error_deg, lost_deg = PERIOD_S * np.arange(1.0, 21.0), np.zeros(20), np.zeros(20)
+    error_deg[10:14] = 8.0
+    assert largest_row(error_deg, lost_deg, time_s) == pytest.approx(8.0)
+    error_deg[13] = 0.0
+    lost_deg[12] = lost
+    assert largest_row(error_deg, lost_deg, time_s) == pytest.approx(8.0 / np.hypot(1.0, lost))
+    error_deg[13] = 8.0
+    assert largest_row(error_deg, lost_deg, time_s) == pytest.approx(8.0)
     error_deg[12] = -8.0  # what contradicts the two before it is no longer the same row
-    assert tested(lost_deg).triple.max() == 0.0
+    assert largest_row(error_deg, lost_deg, time_s) == 0.0
+
+
+def test_a_row_outlives_positions_that_a_lossy_link_loses() -> None:
+    time_s, error_deg = PERIOD_S * np.arange(1.0, 21.0), np.zeros(20)
+    error_deg[10:13] = 8.0
+    time_s[12:] += 4.0 * PERIOD_S
+    assert largest_row(error_deg, 0.0 * error_deg, time_s) == pytest.approx(8.0)
+    assert largest_row(error_deg, 0.0 * error_deg, time_s, is_lossy=False) == 0.0
+    time_s[12:] += 0.2  # in more than a quarter of a second nothing is known of what was asked
+    assert largest_row(error_deg, 0.0 * error_deg, time_s) == 0.0
 
 
 @pytest.mark.parametrize("loss", [0.5, 0.7])
