@@ -252,17 +252,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         if fresh:
             runs[2] = 0.0
         u = error_deg[i] / total
-        if t - runs[7] > row_s:
-            runs[8] = 0.0
-        least = min(abs(runs[4]), abs(runs[5]))
-        is_row = runs[8] >= 2.0 and u * runs[4] > 0.0 and u * runs[5] > 0.0
-        if is_row:
-            triple[i] = min(abs(u), least)
-            runs[6] = max(runs[6], triple[i])
-        known = np.sqrt(max(total**2 - lost_deg[i] ** 2, 0.0))
-        # What would be as far off as the two before it but for lost commands, or tells of these alone, breaks no row.
-        if not (is_row and abs(u) < least and (not clear[i] or abs(error_deg[i]) >= least * known)):
-            runs[5], runs[4], runs[7], runs[8] = runs[4], u, t, runs[8] + 1.0
+        triple[i] = _in_a_row(runs, row_s, t, u, error_deg[i], total, lost_deg[i], clear[i])
         if runs[2] >= 2.0:
             for k in range(width + 1):
                 w[k] = (z[k] - colour[0] * before[0, k] - colour[1] * before[1, k]) / colour[2]
@@ -294,6 +284,27 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         runs[1] = t
         runs[2] += 1.0
     return count
+
+
+@inner
+def _in_a_row(
+    runs: FloatArray, row_s: float, time_s: float, u: float, error_deg: float, total_deg: float, lost_deg: float,
+    is_clear: bool,
+) -> float:  # fmt: skip
+    """Least of this residual over its sigma, and the two that make a row with it; 0 if they are not on one side."""
+    if time_s - runs[7] > row_s:
+        runs[8] = 0.0
+    least: float = min(abs(runs[4]), abs(runs[5]))
+    passed = 0.0
+    if runs[8] >= 2.0 and u * runs[4] > 0.0 and u * runs[5] > 0.0:
+        passed = min(abs(u), least)
+        runs[6] = max(runs[6], passed)
+        known_deg = max(total_deg**2 - lost_deg**2, 0.0) ** 0.5
+        # What would be as far off as the two before it but for lost commands, or tells of these alone, breaks no row.
+        if abs(u) < least and (not is_clear or abs(error_deg) >= least * known_deg):
+            return passed
+    runs[5], runs[4], runs[7], runs[8] = runs[4], u, time_s, runs[8] + 1.0
+    return passed
 
 
 @inner
