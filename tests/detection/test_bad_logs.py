@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import pytest
-from strangers import SURFACES, fly, stranger
+from strangers import SURFACES, draw_failure, fly, stranger
 
 import servofd
 
@@ -191,3 +191,23 @@ def test_rows_of_ten_hertz_that_come_unevenly_are_judged_and_their_servos_not_ac
             assert all(verdict.status != "fault" for verdict in found)
             origins += [verdict.model.origin for verdict in found]
     assert origins.count("fitted") >= 1.5 * len(seeds)
+
+
+@pytest.mark.slow
+def test_a_jam_in_little_motion_shows_at_10_hz(tmp_path: Path) -> None:
+    """A residual counts for three sigma there, so that no mean square may be asked for more than nine."""
+    failure = draw_failure(9836, 110.0, "stuck", "large")
+    flight = fly(stranger(9836, position_hz=10.0), 1, "loiter", duration_s=110.0, failure=failure)
+    (log,) = servofd.audit(flight.only(failure.surface).write(tmp_path / "flight.csv"))
+    assert [fault.kind for fault in log[failure.surface].faults] == ["stuck"]
+    assert abs(log[failure.surface].faults[0].start_s - failure.start_s) < 1.0
+
+
+@pytest.mark.slow
+def test_a_reading_that_a_slow_logger_holds_for_three_rows_accuses_nobody(tmp_path: Path) -> None:
+    flight = fly(stranger(15), 2, "turbulence", duration_s=60.0).only("elevator")
+    assert np.median(np.diff(flight.position_s)) == pytest.approx(0.1, abs=0.01)
+    deg, turns = flight.position_deg.copy(), int(np.searchsorted(flight.position_s, 20.3))  # where it turns round
+    deg[turns + 1 : turns + 4] = deg[turns]
+    (log,) = servofd.audit(replace(flight, position_deg=deg).write(tmp_path / "flight.csv"))
+    assert log["elevator"].status != "fault"
