@@ -139,7 +139,7 @@ An alarm is raised where a statistic is beyond its limit twice in a row, or once
 A residual counts for {changes._LARGEST:g} sigma at most, and for {changes._LARGEST_UNSEEN:g} where positions lie further apart than {changes._UNSEEN_S:g} s or a link loses most commands, for
 one may have gone and come back unseen; the limit of a mean square lies within {changes._MOST_SHARE:g} of the most that it can be so.
 A named servo's fast test is the residual over its threshold (D1, D3); a calibrated one's are three errors in a row over sigma_tot,
-which at such rates tell of the servo only if the reading is not the same in all three: a slow logger may hold it.
+which at such rates tell of the servo only if the reading is not the same in all three, or has been for longer than a logger holds it.
 Where the file or the user names a constant level, that alone makes a fault, and what the windows see beside it is *suspect*; with
 `--threshold-deg` nothing but the level counts.
 """

@@ -67,8 +67,8 @@ class Bus:
         self._read: dict[str, float] = {}
         self.since_s = float("inf")
         """Since when it is known to stand still [s]; infinity while it does not."""
-        self.stood_s = float("inf"), float("-inf")
-        """From which last change of a reading until when it stood, in the rows that came last [s]."""
+        self.stood_s: list[tuple[float, float]] = []
+        """From which last change of a reading until when it stood, each time in the rows that came last [s]."""
 
     def take(self, new: dict[str, New]) -> dict[str, BoolArray]:
         """Take what came of some surfaces; of each of their rows, whether the bus stood still then."""
@@ -83,11 +83,12 @@ class Bus:
         standing(self._memory, who[order], time_s[order], moved_deg[order], asked_deg[order], other, stands)
         if stands.size:
             self.since_s = min(self.since_s, float(time_s[order][stands.argmax()])) if stands[-1] else float("inf")
+        at_s, changes = time_s[order], moved_deg[order] != 0.0
         stood = np.flatnonzero(stands)
-        self.stood_s = float("inf"), float("-inf")
-        if stood.size:
-            changes_s = time_s[order][: stood[0]][moved_deg[order][: stood[0]] != 0.0]
-            self.stood_s = max(changed_s, float(changes_s.max(initial=-np.inf))), float(time_s[order][stood[-1]])
+        runs = np.split(stood, np.flatnonzero(np.diff(stood) > 1) + 1) if stood.size else []
+        self.stood_s = [
+            (float(at_s[: run[0]][changes[: run[0]]].max(initial=changed_s)), float(at_s[run[-1]])) for run in runs
+        ]
         back = np.empty(stands.size, dtype=bool)
         back[order] = stands > 0
         sizes = [each.time_s.size for each in new.values()]

@@ -84,6 +84,8 @@ there: (3 / 6.4)^2."""
 _LARGEST, _LARGEST_UNSEEN, _UNSEEN_S = 6.0, 3.0, 0.05
 """Times its sigma that a residual counts for; the second where a command may have gone and come back unseen, for most
 are lost or positions lie further apart than the last [s]: it is in several positions, or in one that is far off."""
+_MOST_HELD: Final = 4
+"""Rows for which a logger holds a value, as marks know it (`servofd.aircraft.marks.Why.HELD`)."""
 _MOST_SHARE: Final = 0.75
 """Of the most that a mean square can be: a limit beyond it would never be passed. Where a residual counts for 3 sigma,
 that is 6.8; good flights at 10 Hz reach 3.9 (80 surfaces of 20 aircraft of even seed, nothing given)."""
@@ -495,7 +497,7 @@ class Moving:
         self._table = variants(known.theta, middle_deg=known.middle_deg)
         self._state = new_state(self._table.shape[0])
         self._noise, self._peak = known.noise.noise.at(period_s), np.array([0.0, np.nan])
-        self._may_hold, self._last_deg = period_s > _UNSEEN_S, np.full(2, np.nan)
+        self._may_hold, self._last_deg, self._repeats = period_s > _UNSEEN_S, np.nan, 0
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply as far as they are known by now; its own come with each piece."""
@@ -531,15 +533,22 @@ class Moving:
         threshold = Threshold("interval", self._limit * tested.sigma_deg, tested.sigma_deg, noise_deg)
         passed = tested.triple / self._limit
         if self._may_hold:
-            passed[self._repeats(measured_deg)] = 0.0
+            passed[self._is_held(measured_deg)] = 0.0
         return Shown(residuals, threshold, passed)
 
-    def _repeats(self, measured_deg: FloatArray) -> BoolArray:
-        """Whether a position is that of the two rows before it, shape (m,): a slow logger may hold it for so long."""
-        rows_deg = np.concatenate([self._last_deg, measured_deg])
-        self._last_deg = rows_deg[-2:]
-        same: BoolArray = (rows_deg[2:] == rows_deg[1:-1]) & (rows_deg[2:] == rows_deg[:-2])
-        return same
+    def _is_held(self, measured_deg: FloatArray) -> BoolArray:
+        """Whether a position is that of two to four rows before it, shape (m,): for so long a slow logger may hold it.
+
+        What repeats for longer is a surface that stands.
+        """
+        rows = np.arange(measured_deg.size)
+        changed = measured_deg != np.append(self._last_deg, measured_deg[:-1])
+        since = np.maximum.accumulate(np.where(changed, rows, -1))
+        repeats = np.where(since >= 0, rows - since, rows + 1 + self._repeats)
+        if rows.size:
+            self._last_deg, self._repeats = float(measured_deg[-1]), int(repeats[-1])
+        held: BoolArray = (repeats >= 2) & (repeats <= _MOST_HELD)
+        return held
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,7 +33,7 @@ from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
@@ -177,7 +177,7 @@ class SurfaceMonitor:
         commands: tuple[FloatArray, FloatArray],
         positions: tuple[FloatArray, FloatArray],
         stands: BoolArray | None = None,
-        stood_s: tuple[float, float] = (np.inf, -np.inf),
+        stood_s: Sequence[tuple[float, float]] = (),
     ) -> list[Event]:
         """Take the next commands and positions, each times [s] and values as logged, of shape (n,).
 
@@ -211,7 +211,9 @@ class SurfaceMonitor:
             return events + self._warm_up(asked, counting)
         self._hand_over(asked, counting)
         events += self._evaluated(self._stream.evaluate())
-        return events + (self._taken_back(*stood_s) if self.quantity == "position" else [])
+        for from_s, until_s in stood_s if self.quantity == "position" else ():
+            events += [*self._taken_back(from_s, until_s), *self.stands_still(from_s, until_s)]
+        return events
 
     def _asked_at(self, new: New) -> FloatArray:
         """The command in force at each new position [deg]; NaN before any."""
@@ -234,11 +236,14 @@ class SurfaceMonitor:
 
     def _taken_back(self, from_s: float, until_s: float) -> list[Event]:
         """Take back an alarm between two times at which the telemetry of all surfaces turns out to have stood [s]."""
+        if self._crossed is not None and from_s < self._crossed[0] <= until_s:
+            self._crossed = None
         alarm = self._alarm or self._doubtful
         if alarm is None or self._stream is None or not from_s < alarm.raised_s <= until_s:
             return []
         is_reported = self._alarm is not None
         self._stream.history.forget(from_s, until_s)
+        self._from_s = until_s  # a look that is under way may not raise it again
         self._over(until_s)
         text = f"positions of all servos stood still from {from_s:.1f} to {until_s:.1f} s"
         return [Event(until_s, self.name, "clear", "unknown", text=text)] if is_reported else []

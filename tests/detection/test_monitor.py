@@ -408,16 +408,15 @@ class TestMemory:
         assert buffer.time_s.tolist() == at_once.time_s.tolist() == time_s[2:].tolist()
 
 
-@pytest.mark.parametrize("at_once", [1, 25])
-def test_an_alarm_is_taken_back_where_all_positions_turn_out_to_have_stood_still(at_once: int) -> None:
-    """The bus stops while one servo is asked to move and the others, at rest, flicker: it is not known at once."""
+def bus_that_stops(for_s: float, at_once: int) -> tuple[SurfaceMonitor, list[Event]]:
+    """A bus stops at 10 s while one servo is asked to move and the others flicker at rest: it is not known at once."""
     names, rng = ("elevator", "aileron", "rudder", "flap"), np.random.default_rng(5)
     aircraft = plain_aircraft(names, "hs225bb-eq31")
     model, time_s = aircraft.model("elevator"), np.arange(0.0, 20.0, 0.04)
     asked_deg = np.where(time_s < 3.0, 8.0 * np.sin(3.0 * time_s), np.where(time_s < 10.0, 0.0, 10.0))
     read_deg = 0.5 * np.round(rng.uniform(-0.5, 0.5, (4, time_s.size)) * 1.4)
     read_deg[0] = 0.5 * np.round(2.0 * model.simulate(time_s, asked_deg, time_s))
-    stopped = (time_s >= 10.0) & (time_s < 10.8)
+    stopped = (time_s >= 10.0) & (time_s < 10.0 + for_s)
     read_deg[:, stopped] = read_deg[:, [np.argmax(stopped) - 1]]
     bus, monitor = Bus(names), SurfaceMonitor("elevator", aircraft.surfaces["elevator"], model)
     events: list[Event] = []
@@ -430,8 +429,21 @@ def test_an_alarm_is_taken_back_where_all_positions_turn_out_to_have_stood_still
         events += monitor.feed(new["elevator"][:2], new["elevator"][2:], stands["elevator"], bus.stood_s)
         if look := monitor.due():
             events += monitor.events_of(look, look.judge())
-    events += monitor.finish()
+    return monitor, events + monitor.finish()
+
+
+@pytest.mark.parametrize("at_once", [1, 25])
+def test_an_alarm_is_taken_back_where_all_positions_turn_out_to_have_stood_still(at_once: int) -> None:
+    monitor, events = bus_that_stops(0.8, at_once)
     assert [event.event for event in events] == ["alarm", "clear"]
     assert 10.0 <= events[0].time_s <= events[1].time_s <= 11.0 + 0.04 * at_once
     assert "stood still" in events[1].text
     assert not monitor.has_fault
+
+
+@pytest.mark.parametrize("at_once", [1, 100])
+def test_a_bus_that_stood_for_more_than_a_second_is_told_however_much_is_evaluated_at_once(at_once: int) -> None:
+    _, events = bus_that_stops(1.5, at_once)
+    told = [event for event in events if event.event == "no_data"]
+    assert [event.text for event in told] == ["positions of all servos stand still since 10.0 s: servo bus?"]
+    assert told[0].time_s <= 11.7
