@@ -62,6 +62,11 @@ hardly known, it explains any current better than a rest does. A jammed elevon d
 pushed against its stop 1.3 A for 0.15 A, and their sensors were accused."""
 
 
+_NEARLY, _NEARLY_FOR = 0.5, 0.05
+"""Share of its limit that a fault reaches, and of the windows in which it does, from which on the same log clears no
+servo: servos blocked in gusts, which hardly push, reach it in 10 to 16 % of all windows, good ones in 3 % at most."""
+
+
 def limit_of(known: CalibratedCurrent, kind: str) -> float:
     """Nats by which a kind of fault has to be likelier than a good servo; never, where one log is all that is known."""
     if known.fitted_between_s is not None and kind == "binding":
@@ -262,6 +267,8 @@ def verdict_of(
     when = " while all others on its wire were well" if others else ""
     asked = would_show(seen)
     status, reason = _status(known, asked, faults, suspicions, ratio, when)
+    if status == "healthy" and known.fitted_between_s is not None and (alike := _alike(seen)):
+        status, reason = "unknown", alike
     return CurrentAudit(
         status, "; ".join((reason, *series.notes)), known.explained_share, ratio, faults, suspicions, series.time_s,
         series.current_a, seen.healthy_a, seen.sigma_a, (series.motion.time_s, series.motion.asked_deg), whole_share,
@@ -289,6 +296,23 @@ def _status(
         f"its current is as from {from_s:.0f} to {to_s:.0f} s of this log: would have shown a servo that becomes "
         "blocked or loses its power, and not one that was so from the beginning, or wears"
     )
+
+
+def _alike(seen: Seen) -> str:
+    """Which fault explains the current nearly as well as it would have to, in words; nothing if none does for long.
+
+    What a good servo draws is known from the same log alone, and a fault may be in it.
+    """
+    evidence = Evidence.of({seen.series.surface: seen})
+    near = held(shares_of(evidence, grid_s(evidence)), evidence.series.period_s) >= _NEARLY
+    for kind in KINDS:
+        alike = near[[change.kind == kind for change in evidence.changes]].any(axis=0)
+        if alike.mean() >= _NEARLY_FOR:
+            return (
+                f"its current does not clear it: for {alike.mean():.0%} of the time it is nearly that of a servo that "
+                f"is {kind}; calibrate what it draws on a good flight"
+            )
+    return ""
 
 
 def would_show(seen: Seen) -> bool:

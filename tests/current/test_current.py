@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 
 import servofd
+from servofd.aircraft.schema import plain_aircraft
 from servofd.cli import main
+from servofd.servo.faults import Stuck
 from servofd.simulation.commands import gusty
+from servofd.simulation.flight import simulate_flight
+from servofd.simulation.surroundings import current_a, stalled_a
 from tests.current.hub import dataflash_of
 from tests.current.motor import Flown, Sensor, fly
 
@@ -289,6 +293,25 @@ def test_a_recording_says_what_the_audit_said(tmp_path: Path, position: bool) ->
     assert main(["review", paths["flight.rrd"], "--json", paths["review.json"]]) == 1
     said = [json.loads(Path(paths[name]).read_text())["logs"][0]["surfaces"] for name in ("audit.json", "review.json")]
     assert said[0] == said[1]
+
+
+@pytest.mark.parametrize("seed", [500, 511])
+def test_a_blocked_servo_that_hardly_pushes_is_not_cleared_by_its_own_current(seed: int) -> None:
+    """In gusts it is asked to be elsewhere for moments alone, and draws more than in motion in a tenth of its rows."""
+    aircraft = plain_aircraft(["elevator", "aileron"], "s9254")
+    flight = simulate_flight(
+        aircraft, duration_s=120.0, seed=seed, noise_deg=0.05, command="gusty", faults={"elevator": (Stuck(50.0),)}
+    )
+    log, rng = {"time_s": flight.time_s}, np.random.default_rng(seed)
+    for k, name in enumerate(aircraft.surfaces):
+        command_deg, position_deg = flight.command_deg[:, k], flight.measured_deg[:, k]
+        smooth_deg = np.convolve(np.pad(position_deg, 2, mode="edge"), np.full(5, 0.2), "valid")
+        drawn_a = current_a(np.gradient(smooth_deg, flight.time_s), rng)
+        log[f"{name}_cmd_deg"] = command_deg
+        log[f"{name}_current_a"] = drawn_a + stalled_a(flight.time_s, command_deg, position_deg)
+    (audit,) = servofd.audit(log)
+    assert audit["elevator"].status in ("fault", "suspect", "unknown")
+    assert audit["aileron"].status == "healthy"
 
 
 @pytest.mark.slow
