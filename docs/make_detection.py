@@ -136,7 +136,7 @@ explains of e, and a narrow band from 1 Hz on, over the noise and what a servo t
 
 An alarm is raised where a statistic is beyond its limit twice in a row, or once by {changes._AT_ONCE:g} times; the limits are a table in
 `servofd/detection/changes.py` (loss of travel in 2 s {floors["loss_2s"]}, in 30 s {floors["loss_30s"]}; an offset {floors["bias_10s"]}; energy in 0.5 s {floors["energy_0.5s"]}).
-A residual counts for {changes._LARGEST:g} sigma at most, and for {changes._LARGEST_UNSEEN:g} where positions lie further apart than {changes._UNSEEN_S:g} s or a link loses most commands, for
+A residual counts for {changes._LARGEST:g} sigma at most, and for {changes._LARGEST_UNSEEN:g} where positions lie further apart than {changes.UNSEEN_S:g} s or a link loses most commands, for
 one may have gone and come back unseen; the limit of a mean square lies within {changes._MOST_SHARE:g} of the most that it can be so.
 A named servo's fast test is the residual over its threshold (D1, D3); a calibrated one's are three errors in a row over sigma_tot,
 which at such rates tell of the servo only if the reading is not the same in all three, or has been for longer than a logger holds it.

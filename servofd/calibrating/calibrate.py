@@ -19,7 +19,7 @@ from servofd.core.errors import CalibrationError
 from servofd.core.evidence import USUAL_GAINS, Detectable, ModelOrigin, what_is_unknown
 from servofd.core.statistics import Z_95, Estimate
 from servofd.core.types import FloatArray
-from servofd.detection.changes import detectable, watched
+from servofd.detection.changes import detectable
 from servofd.detection.evidence import is_blind
 from servofd.detection.flights import Flight
 from servofd.detection.known import (
@@ -35,6 +35,7 @@ from servofd.detection.known import (
     thresholds_above,
     tolerance_of,
 )
+from servofd.detection.moving import watched
 from servofd.estimate.family import PRESSURE_PA
 from servofd.estimate.fit import WIDTHS, Fit, fit
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v

@@ -14,8 +14,9 @@ from servofd.aircraft.series import Series, cut
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
-from servofd.detection.changes import STATISTICS, Watched, exceeded
+from servofd.detection.changes import STATISTICS, exceeded
 from servofd.detection.faults import watched_segment
+from servofd.detection.moving import Watched
 from servofd.detection.named import NamedMoving, with_hold
 from servofd.detection.residual import ResidualGenerator, ThresholdKind, noise_deg
 from servofd.servo.servo_model import ServoModel

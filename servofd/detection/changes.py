@@ -21,27 +21,22 @@ Whole logs and streams are tested sample by sample the same; `servofd.detection.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.evidence import Detectable
-from servofd.detection.residual import Residuals, Threshold
-from servofd.estimate.family import PATTERNS, new_state, sensitivities, simulated, variants
-from servofd.estimate.fit import peaks, residual
-from servofd.estimate.record import LONGEST_S, load_at
+from servofd.estimate.family import PATTERNS
+from servofd.estimate.record import LONGEST_S
 from servofd.servo.loops import compiled, inner
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.aircraft.calibrated import CalibratedServo, Noise
+    from servofd.aircraft.calibrated import CalibratedServo
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.outages import Outage
-    from servofd.estimate.record import Record
-    from servofd.servo.context import Context
+    from servofd.detection.moving import Watched
 
 GRID_S: Final = 0.25
 """Time between two evaluations of the windows [s]."""
@@ -81,11 +76,9 @@ _CHANGE_OF: Final = tuple(
 _LATE: Final = 0.22
 """A line passes its limit of 6.4 where it is three times what a servo that is late by one standard deviation leaves
 there: (3 / 6.4)^2."""
-_LARGEST, _LARGEST_UNSEEN, _UNSEEN_S = 6.0, 3.0, 0.05
+_LARGEST, _LARGEST_UNSEEN, UNSEEN_S = 6.0, 3.0, 0.05
 """Times its sigma that a residual counts for; the second where a command may have gone and come back unseen, for most
 are lost or positions lie further apart than the last [s]: it is in several positions, or in one that is far off."""
-_MOST_HELD: Final = 4
-"""Rows for which a logger holds a value, as marks know it (`servofd.aircraft.marks.Why.HELD`)."""
 _MOST_SHARE: Final = 0.75
 """Of the most that a mean square can be: a limit beyond it would never be passed. Where a residual counts for 3 sigma,
 that is 6.8; good flights at 10 Hz reach 3.9 (80 surfaces of 20 aircraft of even seed, nothing given)."""
@@ -133,7 +126,7 @@ class Tests(NamedTuple):
         hz = np.arange(_FIRST_HZ, min(_LAST_HZ, 1.0 / period_s / 3.0) + 1e-9, _SPACING_HZ)
         turn = np.exp(-2j * np.pi * hz * period_s)
         spectrum = (noise.innovation / np.abs(1.0 - first * turn - second * turn**2)) ** 2
-        largest = _LARGEST_UNSEEN if is_lossy or period_s > _UNSEEN_S else _LARGEST
+        largest = _LARGEST_UNSEEN if is_lossy or period_s > UNSEEN_S else _LARGEST
         colour = np.array([first, second, noise.innovation, largest])
         root = np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
         inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
@@ -427,174 +420,6 @@ _PLAY_DEG: Final = 2.4
 (66 flights of even seed: 85 % found without it, 92 % with it)."""
 
 
-class OtherMotion(Protocol):
-    """Motion of a named servo, with parameters changed."""
-
-    def __call__(
-        self,
-        record: Record,
-        theta: FloatArray,
-        rows: slice,
-        start_deg: float,
-        *,
-        behind: bool = False,
-        outages: tuple[Outage, ...] = (),
-    ) -> FloatArray:
-        """Position at some samples [deg], from a given one on; travel is lost in front of its play, or behind."""
-        ...
-
-
-class Asked(NamedTuple):
-    """What acts on a servo in a piece of a flight; arrays of shape (m,) unless said."""
-
-    commands: tuple[FloatArray, FloatArray, FloatArray]
-    """Times, values and slopes of those that are held, shape (n,)."""
-    time_s: FloatArray
-    load: FloatArray
-    """Dynamic pressure over 300 Pa."""
-    power: FloatArray
-    """Supply over the usual one."""
-    start_deg: FloatArray
-    """Where it begins anew; NaN where it goes on."""
-
-
-class Moved(NamedTuple):
-    """How a healthy servo moves in a piece of a flight; arrays of shape (m,) unless said."""
-
-    time_s: FloatArray
-    reading_deg: FloatArray
-    slopes: FloatArray
-    """Sensitivities and patterns, shape (m, parameters + patterns)."""
-    speed_deg_s: FloatArray
-    """Of the servo, and the one that its drive aims at, shape (m, 2)."""
-    start_deg: FloatArray
-    """Where it begins anew; NaN where it goes on."""
-
-
-class Shown(NamedTuple):
-    """What is shown of a piece of a flight."""
-
-    residuals: Residuals
-    threshold: Threshold
-    passed: FloatArray
-    """By how much the residual passes its threshold so often in a row that it is an alarm, from 1 on, shape (m,)."""
-
-
-class Moving:
-    """A healthy servo on its way beside a flight, piece by piece: one of the family."""
-
-    missed_deg = 0.0
-    """What its model is known to miss of how a sound servo moves."""
-    alone = False
-    """Whether the threshold that is shown is the user's, and the only test."""
-    at_once = False
-    """Whether it is judged from where it begins at rest on, and not after a second."""
-    own: OtherMotion | None = None
-    """Its motion with other parameters, where that is not the family's."""
-
-    def __init__(self, known: CalibratedServo, period_s: float) -> None:
-        self.known, self._limit = known, thresholds_of(known)[0]
-        self._table = variants(known.theta, middle_deg=known.middle_deg)
-        self._state = new_state(self._table.shape[0])
-        self._noise, self._peak = known.noise.noise.at(period_s), np.array([0.0, np.nan])
-        self._may_hold, self._last_deg, self._repeats = period_s > _UNSEEN_S, np.nan, 0
-
-    def surroundings(self, context: Context) -> None:
-        """Airspeed and supply as far as they are known by now; its own come with each piece."""
-
-    def forget(self, commands: int) -> None:
-        """The oldest commands are no longer held."""
-        self._state.forget(commands)
-
-    def moved(self, asked: Asked) -> Moved:
-        """How it moves at the next instants."""
-        position_deg, speed_deg_s = simulated(self._table, self._state, *asked)
-        reading_deg, slopes = sensitivities(position_deg, speed_deg_s, self.known.theta, self.known.reach_deg)
-        return Moved(asked.time_s, reading_deg, slopes, speed_deg_s, asked.start_deg)
-
-    def noise_deg(self, moved: Moved, measured_deg: FloatArray) -> FloatArray:  # noqa: ARG002 - known from good flights
-        """Standard deviation of the noise of the positions (m,), as known at each instant [deg]."""
-        sigma_deg: FloatArray = self._noise.sigma_deg(peaks(moved.speed_deg_s, moved.time_s, self._peak))
-        return sigma_deg
-
-    def shown(
-        self,
-        moved: Moved,
-        measured_deg: FloatArray,
-        judged: BoolArray,
-        tested: Tested,
-        noise_deg: FloatArray,
-    ) -> Shown:
-        """The error of the prediction, and the level that three in a row would have to pass; shape (m,) each."""
-        error_deg, _ = residual(measured_deg, moved.reading_deg, self.known.reach_deg)
-        error_deg = np.where(judged, error_deg, np.nan)
-        anew = np.isfinite(moved.start_deg).astype(np.int8)
-        residuals = Residuals(moved.time_s, moved.reading_deg, measured_deg, error_deg, judged, anew)
-        threshold = Threshold("interval", self._limit * tested.sigma_deg, tested.sigma_deg, noise_deg)
-        passed = tested.triple / self._limit
-        if self._may_hold:
-            passed[self._is_held(measured_deg)] = 0.0
-        return Shown(residuals, threshold, passed)
-
-    def _is_held(self, measured_deg: FloatArray) -> BoolArray:
-        """Whether a position is that of two to four rows before it, shape (m,): for so long a slow logger may hold it.
-
-        What repeats for longer is a surface that stands.
-        """
-        rows = np.arange(measured_deg.size)
-        changed = measured_deg != np.append(self._last_deg, measured_deg[:-1])
-        since = np.maximum.accumulate(np.where(changed, rows, -1))
-        repeats = np.where(since >= 0, rows - since, rows + 1 + self._repeats)
-        if rows.size:
-            self._last_deg, self._repeats = float(measured_deg[-1]), int(repeats[-1])
-        held: BoolArray = (repeats >= 2) & (repeats <= _MOST_HELD)
-        return held
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Watched:
-    """A stretch of flight of a surface beside its healthy servo; arrays of shape (m,) unless said."""
-
-    known: CalibratedServo
-    noise: Noise
-    """At the rate of this flight."""
-    record: Record
-    reading_deg: FloatArray
-    """Of the healthy servo."""
-    slopes: FloatArray
-    """Sensitivities and patterns, shape (m, parameters + patterns)."""
-    judged: BoolArray
-    noise_deg: FloatArray
-    """Of the reading, and of the commands that were lost."""
-    lost_deg: FloatArray
-    """Of the latter alone."""
-    tests: Tests
-    tested: Tested
-    shown: Shown
-    alone: bool
-    """Whether the threshold that is shown is the user's, and the only test."""
-    own: OtherMotion | None
-    """Motion of a named servo with other parameters; None for one of the family."""
-
-    @property
-    def ends_deg(self) -> tuple[float, float]:
-        """Ends of the travel: those of the flights that it was fitted to, or as far as this one asked it to go."""
-        if self.own is None or not self.reading_deg.size:
-            return self.known.reach_deg
-        return float(np.min(self.reading_deg)), float(np.max(self.reading_deg))
-
-    @property
-    def sigma_deg(self) -> FloatArray:
-        """Total."""
-        return self.tested.sigma_deg
-
-    @property
-    def error_deg(self) -> FloatArray:
-        """Residual; NaN where none is judged."""
-        error_deg, _ = residual(self.record.measured_deg, self.reading_deg, self.known.reach_deg)
-        return np.where(self.judged, error_deg, np.nan)
-
-
 def thresholds_of(known: CalibratedServo) -> FloatArray:
     """Threshold of each statistic, in their order."""
     return np.array([known.thresholds.get(name, FLOORS[name] * MARGIN) for name in STATISTICS])
@@ -623,55 +448,6 @@ def first_over(
     over_s = rows[0][rows[1] >= 1.0], windows[0][ratios >= 1.0]
     by_level_s, by_windows_s = (float(each[0]) if each.size else np.inf for each in over_s)
     return by_level_s, by_windows_s
-
-
-def watched(
-    known: CalibratedServo, record: Record, moving: Moving | None = None, noise_deg: FloatArray | None = None
-) -> Watched:
-    """Simulate the healthy servo beside a record, and see what can be judged.
-
-    `moving` moves it, as one of the family if left out; `noise_deg` (m,) is the noise of the positions, where a stream
-    has seen more of them than these.
-    """
-    moving = moving or Moving(known, record.period_s)
-    moved, noise_deg, lost_deg, tests = _beside(moving, record, noise_deg)
-    error_deg, _ = residual(record.measured_deg, moved.reading_deg, known.reach_deg)
-    usable = record.usable & (record.load <= load_at(known.last_judged_m_s))
-    judged_deg = np.where(usable, error_deg, np.nan)
-    tested = follow(tests, Memory(tests), record.time_s, judged_deg, moved.slopes, noise_deg, lost_deg)
-    shown = moving.shown(moved, record.measured_deg, usable, tested, noise_deg)
-    noise = known.noise.noise.at(record.period_s)
-    return Watched(
-        known, noise, record, moved.reading_deg, moved.slopes, usable, noise_deg, lost_deg, tests, tested, shown,
-        moving.alone, moving.own,
-    )  # fmt: skip
-
-
-def _beside(
-    moving: Moving, record: Record, noise_deg: FloatArray | None
-) -> tuple[Moved, FloatArray, FloatArray, Tests]:
-    """How a healthy servo moves beside a record, and what tests need to know.
-
-    Between them the noise of its positions, and how much of it comes of lost commands, (m,) each [deg].
-    """
-    moved = moving.moved(Asked(record.commands, record.time_s, record.load, record.power, record.start_deg))
-    lost_deg = record.unknown_deg(moving.known.theta)
-    if noise_deg is None:
-        noise_deg = np.hypot(moving.noise_deg(moved, record.measured_deg), lost_deg)
-    tests = Tests.of(moving.known, record.period_s, is_lossy=record.is_lossy, missed_deg=moving.missed_deg)
-    return moved, noise_deg, lost_deg, tests
-
-
-def statistics_of(known: CalibratedServo, record: Record, error_deg: FloatArray) -> FloatArray:
-    """Largest value of each statistic for some residuals (m,) of a flight, as far as two in a row reach it."""
-    moved, noise_deg, lost_deg, tests = _beside(Moving(known, record.period_s), record, None)
-    tested = follow(tests, Memory(tests), record.time_s, error_deg, moved.slopes, noise_deg, lost_deg)
-    statistics = tested.statistics[:, : len(STATISTICS)]
-    if len(statistics) < 2:
-        return np.zeros(len(STATISTICS))
-    largest: FloatArray = np.minimum(statistics[1:], statistics[:-1]).max(axis=0)
-    largest[0] = statistics[:, 0].max()
-    return largest
 
 
 def detectable(flights: Sequence[Watched]) -> Detectable:

@@ -14,13 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from servofd.core.statistics import Estimate
-from servofd.detection.changes import (
-    STATISTICS,
-    Memory,
-    first_over,
-    follow,
-    watched,
-)
+from servofd.detection.changes import STATISTICS, Memory, first_over, follow
 from servofd.detection.hypotheses import (
     LOUD,
     SHORTEST_WINDOW_S,
@@ -33,6 +27,7 @@ from servofd.detection.hypotheses import (
     ranked,
     unexplained_deg,
 )
+from servofd.detection.moving import watched
 from servofd.detection.outages import LONGEST_S
 from servofd.detection.verdict import EVEN, Fault
 from servofd.estimate.record import Record
@@ -43,7 +38,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
-    from servofd.detection.changes import Moving, Watched
+    from servofd.detection.moving import Moving, Watched
 
 _SETTLING_S: Final = 0.5
 """Time after an alarm before which a window that explains it does not begin [s]."""
@@ -384,7 +379,7 @@ def as_raised(flight: Watched, found: Found, look: Callable[[float, float], Foun
 def watched_segment(
     known: CalibratedServo, segment: Series, moving: Moving | None = None, noise_deg: FloatArray | None = None
 ) -> Watched:
-    """What the detector needs of a flight; see `servofd.detection.changes.watched`."""
+    """What the detector needs of a flight; see `servofd.detection.moving.watched`."""
     has_airspeed = segment.context.airspeed_s.size > 0
     at_once = moving is not None and moving.at_once
     record = Record.of(segment, known.supply_v, known.airspeed_m_s, at_once=at_once)

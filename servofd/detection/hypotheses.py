@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.changes import Watched
+    from servofd.detection.moving import Watched
 
 WINDOW_S, SHORTEST_WINDOW_S = 20.0, 5.0
 """Longest window that is explained, and the one below which it is not halved any more [s]."""

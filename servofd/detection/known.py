@@ -14,9 +14,10 @@ from servofd.core.errors import CalibrationError
 from servofd.core.series import latest
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
-from servofd.detection.changes import FLOORS, MARGIN, STATISTICS, statistics_of, watched
+from servofd.detection.changes import FLOORS, MARGIN, STATISTICS
 from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, asked_deg, cropped
+from servofd.detection.moving import statistics_of, watched
 from servofd.detection.verdict import describe
 from servofd.detection.wiring import ENOUGH_MOTION_DEG
 from servofd.estimate.family import middle_of

@@ -18,8 +18,8 @@ from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_
 from servofd.aircraft.pace import pace_steps
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.aircraft.series import Series
-from servofd.detection.changes import Asked, Moved, Moving, Shown
 from servofd.detection.faults import SAME_S, Found, judged
+from servofd.detection.moving import Asked, Moved, Moving, Shown
 from servofd.detection.outages import Outage, held
 from servofd.detection.pulse import design_pulse_filter
 from servofd.detection.residual import (
@@ -41,8 +41,9 @@ if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.changes import Tested, Watched
+    from servofd.detection.changes import Tested
     from servofd.detection.faults import Named
+    from servofd.detection.moving import Watched
     from servofd.detection.verdict import Fault
     from servofd.servo.context import Context
     from servofd.servo.servo_model import ServoModel

@@ -19,10 +19,11 @@ from scipy.special import ndtr, stdtrit
 from servofd.aircraft.calibrated import CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES
 from servofd.core.evidence import ModelOrigin
-from servofd.detection.changes import FLOORS, MARGIN, SQUARES, STATISTICS, statistics_of, watched
+from servofd.detection.changes import FLOORS, MARGIN, SQUARES, STATISTICS
 from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
+from servofd.detection.moving import statistics_of, watched
 from servofd.estimate.fit import LEAST_DEG, fit, reach_of
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from servofd.aircraft.pace import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOST, pace_steps, sent_period_s
 from servofd.core.errors import ServofdError
-from servofd.detection.changes import Moving, detectable
+from servofd.detection.changes import detectable
 from servofd.detection.evidence import passing, too_short
 from servofd.detection.faults import as_raised, judged, watched_segment
+from servofd.detection.moving import Moving
 from servofd.detection.named import NamedMoving, found_of, with_hold
 from servofd.detection.probability import Noise
 from servofd.detection.residual import ResidualGenerator
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     from servofd.aircraft.series import Series
     from servofd.core.evidence import Detectable, ModelOrigin
     from servofd.core.types import FloatArray
-    from servofd.detection.changes import Watched
     from servofd.detection.faults import Found, Named
+    from servofd.detection.moving import Watched
     from servofd.detection.residual import Residuals, Threshold
     from servofd.servo.servo_model import ServoModel
 

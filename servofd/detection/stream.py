@@ -15,7 +15,8 @@ import numpy as np
 from servofd.aircraft.pace import Rhythm, gap_s, rhythm
 from servofd.aircraft.series import Series
 from servofd.core.series import subdivided
-from servofd.detection.changes import STATISTICS, Asked, Memory, Tests, first_over, follow
+from servofd.detection.changes import STATISTICS, Memory, Tests, first_over, follow
+from servofd.detection.moving import Asked
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import LONGEST_PAUSE_S
 from servofd.estimate.fit import residual
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray, Marks
-    from servofd.detection.changes import Moving
     from servofd.detection.faults import Found, Named
+    from servofd.detection.moving import Moving
     from servofd.detection.residual import ThresholdKind
     from servofd.servo.context import Context
 

@@ -20,7 +20,7 @@ from servofd.core.errors import NoMeasurement
 from servofd.core.fitting import Noise, Problem, Solution, fit
 from servofd.core.statistics import Estimate, correlation_factor
 from servofd.core.types import FloatArray
-from servofd.detection.changes import Watched
+from servofd.detection.moving import Watched
 from servofd.detection.residual import noise_deg
 from servofd.detection.seen import Seen, healthy_of
 from servofd.estimate.fit import reading, residual

@@ -15,9 +15,9 @@ from servofd.aircraft.priors import FITTED, PRIORS
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.detection import changes
-from servofd.detection.changes import watched
 from servofd.detection.faults import judged
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.moving import watched
 from servofd.detection.seen import Pace, healthy_of
 from servofd.estimate.family import PATTERNS, new_state, simulated, variants
 from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg
