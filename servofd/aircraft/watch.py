@@ -65,8 +65,6 @@ class Bus:
         self._memory = new_bus(len(self._index))
         self._asked: dict[str, tuple[float, float]] = {}
         self._read: dict[str, float] = {}
-        self.since_s = float("inf")
-        """Since when it is known to stand still [s]; infinity while it does not."""
         self.stood_s: list[tuple[float, float]] = []
         """From which last change of a reading until when it stood, each time in the rows that came last [s]."""
 
@@ -81,8 +79,6 @@ class Bus:
         other = np.full(time_s.size, NO_OTHERS, dtype=np.int8)
         changed_s = last_change_s(self._memory)
         standing(self._memory, who[order], time_s[order], moved_deg[order], asked_deg[order], other, stands)
-        if stands.size:
-            self.since_s = min(self.since_s, float(time_s[order][stands.argmax()])) if stands[-1] else float("inf")
         at_s, changes = time_s[order], moved_deg[order] != 0.0
         stood = np.flatnonzero(stands)
         runs = np.split(stood, np.flatnonzero(np.diff(stood) > 1) + 1) if stood.size else []

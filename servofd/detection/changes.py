@@ -144,7 +144,7 @@ class Tested(NamedTuple):
     """Total, shape (m,)."""
     triple: FloatArray
     """Least of three residuals in a row on one side, over their total sigma, shape (m,)."""
-    clear: BoolArray
+    sharp: BoolArray
     """Where what is seen tells of the servo, and not mostly of the commands that were lost, (m,)."""
     grid_s: FloatArray
     """When a block of a quarter second was complete, shape (g,)."""
@@ -181,13 +181,13 @@ def follow(
     since = memory.runs[0] if np.isfinite(memory.runs[0]) else time_s[0]
     room = int(min((time_s[-1] - since) / GRID_S + 3, m + 3))
     grid_s, statistics = np.empty(room), np.zeros((room, _COLUMNS))
-    sigma_deg, triple, clear = np.empty(m), np.empty(m), np.empty(m, dtype=np.bool_)
+    sigma_deg, triple, sharp = np.empty(m), np.empty(m), np.empty(m, dtype=np.bool_)
     count = _follow(
         *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, memory.room, _UNITS, tests.period_s,
         tests.missed_deg, tests.enough_deg, tests.row_s or _ROW * tests.period_s, time_s, error_deg, slopes, noise_deg,
-        lost_deg, sigma_deg, triple, clear, grid_s, statistics,
+        lost_deg, sigma_deg, triple, sharp, grid_s, statistics,
     )  # fmt: skip
-    return Tested(sigma_deg, triple, clear, grid_s[:count], statistics[:count])
+    return Tested(sigma_deg, triple, sharp, grid_s[:count], statistics[:count])
 
 
 @compiled
@@ -195,7 +195,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
     colour: FloatArray, root: FloatArray, precision: FloatArray, spectrum: FloatArray, before: FloatArray,
     runs: FloatArray, sums: FloatArray, ring: FloatArray, room: FloatArray, units: FloatArray, period_s: float,
     missed_deg: float, enough_deg: float, row_s: float, time_s: FloatArray, error_deg: FloatArray, slopes: FloatArray,
-    noise_deg: FloatArray, lost_deg: FloatArray, sigma_deg: FloatArray, triple: FloatArray, clear: BoolArray,
+    noise_deg: FloatArray, lost_deg: FloatArray, sigma_deg: FloatArray, triple: FloatArray, sharp: BoolArray,
     grid_s: FloatArray, statistics: FloatArray,
 ) -> int:  # fmt: skip
     """Take all samples, and tell how many blocks were complete.
@@ -235,7 +235,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
             inner += part * part
         total = np.sqrt(noise_deg[i] ** 2 + inner)
         sigma_deg[i] = total
-        clear[i] = total <= enough_deg or (1.0 - _BLURRED) * total**2 >= lost_deg[i] ** 2
+        sharp[i] = total <= enough_deg or (1.0 - _BLURRED) * total**2 >= lost_deg[i] ** 2
         triple[i] = 0.0
         if np.isnan(error_deg[i]):
             continue
@@ -247,7 +247,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         if fresh:
             runs[2] = 0.0
         u = error_deg[i] / total
-        triple[i] = _in_a_row(runs, row_s, t, u, error_deg[i], total, lost_deg[i], clear[i])
+        triple[i] = _in_a_row(runs, row_s, t, u, error_deg[i], total, lost_deg[i], sharp[i])
         if runs[2] >= 2.0:
             for k in range(width + 1):
                 w[k] = (z[k] - colour[0] * before[0, k] - colour[1] * before[1, k]) / colour[2]
@@ -284,7 +284,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
 @inner
 def _in_a_row(
     runs: FloatArray, row_s: float, time_s: float, u: float, error_deg: float, total_deg: float, lost_deg: float,
-    is_clear: bool,
+    is_sharp: bool,
 ) -> float:  # fmt: skip
     """Least of this residual over its sigma, and the two that make a row with it; 0 if they are not on one side."""
     if time_s - runs[7] > row_s:
@@ -296,7 +296,7 @@ def _in_a_row(
         runs[6] = max(runs[6], passed)
         known_deg = max(total_deg**2 - lost_deg**2, 0.0) ** 0.5
         # What would be as far off as the two before it but for lost commands, or tells of these alone, breaks no row.
-        if abs(u) < least and (not is_clear or abs(error_deg) >= least * known_deg):
+        if abs(u) < least and (not is_sharp or abs(error_deg) >= least * known_deg):
             return passed
     runs[5], runs[4], runs[7], runs[8] = runs[4], u, time_s, runs[8] + 1.0
     return passed

@@ -208,11 +208,12 @@ class SurfaceMonitor:
             new = New.of(self.surface, commands, positions)
             counting = self._watch.take(new.time_s, new.position_deg, self._asked_at(new), seen_deg, stands)
         if self._stream is None:
-            return events + self._warm_up(asked, counting)
-        self._hand_over(asked, counting)
-        events += self._evaluated(self._stream.evaluate())
+            events += self._warm_up(asked, counting)
+        else:
+            self._hand_over(asked, counting)
+            events += self._evaluated(self._stream.evaluate())
         for from_s, until_s in stood_s if self.quantity == "position" else ():
-            events += [*self._taken_back(from_s, until_s), *self.stands_still(from_s, until_s)]
+            events += [*self._taken_back(from_s, until_s), *self._stands_still(from_s, until_s)]
         return events
 
     def _asked_at(self, new: New) -> FloatArray:
@@ -226,7 +227,7 @@ class SurfaceMonitor:
         self._asked_last = float(command_s[-1]), float(command_deg[-1])
         return latest(command_s, command_deg, new.time_s)
 
-    def stands_still(self, since_s: float, now_s: float) -> list[Event]:
+    def _stands_still(self, since_s: float, now_s: float) -> list[Event]:
         """Tell, once in each outage, that the telemetry of all surfaces stands still since then [s]."""
         if self.suspended or now_s - since_s < STANDS_STILL_S:
             return []
@@ -651,7 +652,7 @@ class SurfaceMonitor:
             valued_s = residuals.time_s[valued]
             begin_s = self._valued_s if np.isfinite(self._valued_s) else valued_s[0]
             steps_s = np.minimum(np.diff(valued_s, prepend=begin_s), OUTAGE_S)
-            self._judged_s += float(steps_s[(residuals.settled & piece.clear)[valued]].sum())
+            self._judged_s += float(steps_s[(residuals.settled & piece.sharp)[valued]].sum())
             self._valued_s = float(valued_s[-1])
             events += self._hardly_judged()
         last = int(residuals.time_s.size) - 1

@@ -156,7 +156,7 @@ class Piece(NamedTuple):
     threshold: Threshold
     alarm: Marks
     """`BY_LEVEL` or `BY_WINDOWS` where an alarm is raised, else 0."""
-    clear: BoolArray
+    sharp: BoolArray
     """Whether what arrived tells of the servo, and not mostly of the commands that did not."""
 
 
@@ -365,7 +365,7 @@ class Stream(Following):
         statistics = tested.statistics[:count, : len(STATISTICS)]
         raised = self._alarms(time_s, passed, tested.grid_s[:count], statistics)
         self.history.append(History.packed(residuals, threshold))
-        return Piece(residuals, threshold, raised, tested.clear)
+        return Piece(residuals, threshold, raised, tested.sharp)
 
     def _starts(self, ready: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Where to begin anew and what to judge, from the last seconds and what is ready."""

@@ -391,8 +391,6 @@ class Vehicle:
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
             for monitor in self.monitors.values():
-                if monitor.quantity == "position":
-                    events += monitor.stands_still(self._bus.since_s, self.now_s)
                 events += monitor.silence(self.now_s)
         if self.axes is not None and math.isfinite(self.now_s):
             events += self.axes.due(self.now_s)
