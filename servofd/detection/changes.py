@@ -21,7 +21,7 @@ Whole logs and streams are tested sample by sample the same; `servofd.detection.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.moving import Watched
 
 GRID_S: Final = 0.25
 """Time between two evaluations of the windows [s]."""
@@ -450,7 +449,26 @@ def first_over(
     return by_level_s, by_windows_s
 
 
-def detectable(flights: Sequence[Watched]) -> Detectable:
+class Looked(Protocol):
+    """A stretch of flight after its tests."""
+
+    @property
+    def tests(self) -> Tests:
+        """What they knew."""
+        ...
+
+    @property
+    def tested(self) -> Tested:
+        """What came of them."""
+        ...
+
+    @property
+    def judged(self) -> BoolArray:
+        """Which samples they took, shape (m,)."""
+        ...
+
+
+def detectable(flights: Sequence[Looked]) -> Detectable:
     """The smallest change of each kind that some window of these flights would have shown, 19 times in 20.
 
     A change shows where its score, of unit variance, passes its threshold by 1.64 standard deviations.
@@ -465,8 +483,8 @@ def detectable(flights: Sequence[Watched]) -> Detectable:
             each = float(np.quantile(table[:, _EACH + test], _OFTEN))
             size = (limits[_FIRST + test] + _POWER) / each if each > 0.0 else np.inf
             sizes[kind] = min(sizes[kind], size * (_BENT if kind == "weak" else 1.0))
-        total_deg = float(np.median(flight.sigma_deg[flight.judged])) if flight.judged.any() else np.inf
-        seen_deg = total_deg * (np.sqrt(limits[2]) + _POWER / np.sqrt(_ENERGY_S[-1] / flight.record.period_s))
+        total_deg = float(np.median(flight.tested.sigma_deg[flight.judged])) if flight.judged.any() else np.inf
+        seen_deg = total_deg * (np.sqrt(limits[2]) + _POWER / np.sqrt(_ENERGY_S[-1] / flight.tests.period_s))
         sizes["bias"] = min(sizes["bias"], seen_deg / PRIORS[1].between)
         count, weight = np.median(table[:, [_COUNT, _WEIGHT]], axis=0)
         needed = (limits[_BAND] + _POWER) * np.sqrt(count * np.median(flight.tests.spectrum))
