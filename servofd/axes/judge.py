@@ -29,7 +29,9 @@ import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
-from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, AxisStatus, excludes_none, left_out, reason_of
+from servofd.axes.verdict import (
+    KNOWN_WITHIN, AxisAudit, AxisDetectable, AxisEvent, AxisStatus, excludes_none, left_out, reason_of,
+)  # fmt: skip
 from servofd.axes.windows import LAG, SIZES, Windows, part
 from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR, Z_95, Estimate
@@ -40,8 +42,6 @@ if TYPE_CHECKING:
     from servofd.aircraft.axes import AxisModel, MotionModel, Spread
     from servofd.axes.motion import Motion
 
-_KNOWN_WITHIN = 0.3
-"""Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""
 _NAMING_S = 1.0
 """As long after an alarm another axis may still show that it is the cause: a nose that drops late follows a rudder."""
 _KIND_S = 20.0
@@ -378,13 +378,13 @@ def _between(axis: AxisModel, value: float, variance: float) -> Estimate:
 
 
 def _is_known(whole: tuple[Estimate, Estimate] | None) -> bool:
-    return whole is not None and whole[0].high - whole[0].low <= 2.0 * _KNOWN_WITHIN
+    return whole is not None and whole[0].high - whole[0].low <= 2.0 * KNOWN_WITHIN
 
 
 def _is_known_in(found: Sizes, spread: Spread) -> BoolArray:
     """Windows in which lambda is known to less than +-0.3."""
     variance = np.where(found.known, found.covariance[0, 0], np.inf) + spread.loss_var
-    is_known: BoolArray = Z_95 * np.sqrt(variance) < _KNOWN_WITHIN
+    is_known: BoolArray = Z_95 * np.sqrt(variance) < KNOWN_WITHIN
     return is_known
 
 

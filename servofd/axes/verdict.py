@@ -168,6 +168,8 @@ _ALL = 0.25
 """Lost share that, if the interval stays below it, makes an offset of the fault."""
 _OFTEN = 0.25
 """Share of the flight outside the calibrated regime that is given as the reason."""
+KNOWN_WITHIN = 0.3
+"""Half width of the 95 % interval of lambda beyond which an axis is never called healthy."""
 _ENOUGH_DAYS = 3
 """From which on another day changes the rate of false alarms by less than a half."""
 
@@ -241,7 +243,7 @@ def reason_of(
         seen = shown(shows)
         text = f"{_share_left(lost)}{_unusual(lost)}{f'; {seen} would have been seen' if seen else ''}"
     else:
-        text = _not_judged(name, model, members, identifiable, outside, lost)
+        text = _not_judged(name, model, members, identifiable, outside, lost, shows)
     if model.days >= _ENOUGH_DAYS:
         return text
     days = "one day" if model.days == 1 else f"{model.days} days"
@@ -320,6 +322,7 @@ def _not_judged(
     identifiable: float,
     outside: Mapping[str, float],
     lost: Estimate | None,
+    shows: AxisDetectable,
 ) -> str:
     if not outside:
         return "the aircraft never flew"
@@ -329,8 +332,9 @@ def _not_judged(
         return f"{outside[most]:.0%} of the flight was {_OUTSIDE[most].format(low=low, high=high)}"
     if not model.axes[name].own_command:
         return f"{named(members, name)} never moved on its own: a surface that does not move would look the same"
-    if identifiable >= MOST_OF_THE_FLIGHT and lost is not None:
-        half = (lost.high - lost.low) / 2.0
+    half = (lost.high - lost.low) / 2.0 if lost is not None else 0.0
+    is_loose = shows.loss < 1.0 / max(len(members), 1) and half > KNOWN_WITHIN  # one that got stuck would have shown
+    if lost is not None and (is_loose or identifiable >= MOST_OF_THE_FLIGHT):
         return f"had {1.0 - lost.value:.0%} of its effect, known to ±{half:.0%} only: healthy flights differ as much"
     if name == "thrust":
         return f"too little change of throttle: in {1.0 - identifiable:.0%} of the flight lost thrust would not show"

@@ -151,6 +151,25 @@ def test_an_offset_that_is_known_is_not_called_a_loss_that_may_be_none() -> None
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("least", "lost", "says"),
+    [
+        (0.1, Estimate(0.1, -0.6, 0.8), "known to ±70% only"),
+        (0.1, Estimate(0.0, -0.1, 0.1), "too little motion"),
+        (0.6, Estimate(0.1, -0.6, 0.8), "too little motion"),
+    ],
+)
+def test_too_little_motion_is_no_reason_where_one_that_got_stuck_would_have_shown(
+    least: float, lost: Estimate, says: str
+) -> None:
+    both, smallest = ("aileron_left", "aileron_right"), AxisDetectable(least, 40.0)
+    reason = reason_of(
+        "roll", calibrated(), both, (), 0.05, {"stall": 0.0}, lost, status="unknown", worst=None, shows=smallest
+    )
+    assert says in reason
+
+
+@pytest.mark.slow
 def test_few_flights_of_calibration_leave_the_lost_share_less_sure() -> None:
     flight, widths = flown(50, "2026-05-09"), []
     for flights in (2, 6, 100):
