@@ -30,8 +30,15 @@ import numpy as np
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
 from servofd.axes.verdict import (
-    KNOWN_WITHIN, AxisAudit, AxisDetectable, AxisEvent, AxisStatus, excludes_none, left_out, reason_of,
-)  # fmt: skip
+    KNOWN_WITHIN,
+    AxisAudit,
+    AxisDetectable,
+    AxisEvent,
+    AxisStatus,
+    excludes_none,
+    left_out,
+    reason_of,
+)
 from servofd.axes.windows import LAG, SIZES, Windows, part
 from servofd.core.errors import NoMeasurement
 from servofd.core.statistics import LEAST_DIVISOR, Z_95, Estimate

@@ -10,6 +10,7 @@ was faulty throughout is what was fitted, and only what sound servos are like ca
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -81,14 +82,18 @@ _CONTRADICT: Final = 4.0
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
 """What sound servos are like whose command and position are in one unit: standard deviations of their gain and offset,
 width of dead band, friction and play together, and the speed below which they are slow, with its logarithm's."""
+_SLOWEST_RAD_S, _BANDWIDTH, _LEAST_DAMPING, _DAMPING = 20.0, 0.3, 0.37, 0.21
+"""The bandwidth and damping below which they are rare, and deviations of their logarithms: of 138 sound surfaces (24
+aircraft of even seed, 6 simulated, 4 flights in wind) 137 have more than 18 rad/s and 133 more than .31. A flight that
+swings through its autopilot is explained by a servo of 9 to 16 rad/s that rings."""
 _UNUSUAL: Final = 3.0
 """Deviations from a sound servo beyond which a log is not cleared."""
 _CAUGHT_UP_S, _LASTS_S = 2.0, 3
 """After so long even a slow servo is where it was asked to be, and so many seconds in a row are no passing thing."""
 _TURNS_DEG: Final = 180.0
 """No surface is further from its command: a reading that is has another unit, or is none."""
-_DEADBAND, _FRICTION, _PLAY, _RATE = (
-    NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "ln_rate")
+_LN_BANDWIDTH, _LN_DAMPING, _DEADBAND, _FRICTION, _PLAY, _RATE = (
+    NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "deadband_deg", "friction_deg", "play_deg", "ln_rate")
 )
 
 
@@ -324,11 +329,15 @@ def _deviations(theta: FloatArray) -> dict[str, float]:
     """By how many deviations it differs from a sound servo, and how, in words."""
     rest_deg = theta[_DEADBAND] + 2.0 * theta[_FRICTION] + theta[_PLAY]
     slow = max(float(np.log(_SLOWEST_DEG_S)) - theta[_RATE], 0.0)
+    late = max(float(np.log(_SLOWEST_RAD_S)) - theta[_LN_BANDWIDTH], 0.0)
+    rings = max(float(np.log(_LEAST_DAMPING)) - theta[_LN_DAMPING], 0.0)
     return {
         f"its position moves by {theta[0]:.2f} times its command": abs(theta[0] - 1.0) / _GAIN,
         f"it stands off by {theta[1]:+.1f} deg": abs(theta[1]) / _BIAS_DEG,
         f"it rests within {rest_deg:.1f} deg of where it is asked to be": rest_deg / _REST_DEG,
         f"it is no faster than {float(np.exp(theta[_RATE])):.0f} deg/s": slow / _SPEED,
+        f"it follows nothing quicker than {float(np.exp(theta[_LN_BANDWIDTH])) / math.tau:.1f} Hz": late / _BANDWIDTH,
+        f"it rings, with a damping of {float(np.exp(theta[_LN_DAMPING])):.2f}": rings / _DAMPING,
     }
 
 

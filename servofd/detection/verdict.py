@@ -286,7 +286,7 @@ def describe(fault: Fault) -> str:
     )
     doubt = ""
     if fault.kind == "unknown" and fault.alternatives:
-        text, doubt = "at fault, with too little motion to tell which", _perhaps(fault)
+        text, doubt = "at fault, and it cannot be told which fault it is", _perhaps(fault)
     elif fault.probability < SURE and fault.alternatives and fault.kind != "healthy":
         doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":

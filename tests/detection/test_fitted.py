@@ -353,3 +353,27 @@ def test_volts_on_which_no_servo_moves_are_no_reading_where_it_follows() -> None
     gone = (table.time_s > table.time_s[0] + 17.0) & (table.time_s < table.time_s[0] + 20.0)
     (found,) = servofd.audit(table.assign(servo_voltage_v=np.where(gone, 0.0, 6.0)))
     assert (found.surfaces[0].status, found.common_causes) == ("healthy", ())
+
+
+@pytest.mark.slow
+def test_a_surface_that_swings_against_its_autopilot_is_no_servo_that_rings(tmp_path: Path) -> None:
+    """From 64 s on it swings as a servo of 2.6 Hz and a damping of 0.2 would for what the autopilot does about it."""
+    rng, time_s, swings_s = np.random.default_rng(0), np.arange(0.0, 110.0, 0.02), 64.0
+    window = np.hanning(101)
+    command_deg = np.convolve(rng.normal(size=time_s.size), window, "same")
+    command_deg *= 0.35 / command_deg.std()
+    command_deg += np.where(time_s >= swings_s, 0.6 * np.cos(2.0 * np.pi * 2.6 * time_s), 0.0)
+    position_deg, at_deg, speed_deg_s = np.zeros(time_s.size), 0.0, 0.0
+    for k, now_s in enumerate(time_s.tolist()):
+        rad_s, damping = (40.0, 0.8) if now_s < swings_s else (2.0 * np.pi * 2.6, 0.2)
+        away_deg = command_deg[max(k - 2, 0)] - at_deg
+        speed_deg_s += 0.02 * (rad_s**2 * away_deg - 2.0 * damping * rad_s * speed_deg_s)
+        at_deg += 0.02 * speed_deg_s
+        position_deg[k] = at_deg
+    read_deg = np.round(10.0 * (position_deg + rng.normal(0.0, 0.04, time_s.size))) / 10.0
+    table = pd.DataFrame({"time_s": time_s, "rudder_cmd_deg": command_deg, "rudder_pos_deg": read_deg})
+    path = tmp_path / "flight.csv"
+    table.to_csv(path, index=False)
+    (audit,) = servofd.audit(path)
+    assert [fault.kind for fault in audit["rudder"].faults] == ["oscillation"]
+    assert audit["rudder"].faults[0].start_s == pytest.approx(swings_s, abs=1.0)
