@@ -21,6 +21,8 @@ import servofd
 
 _FLIGHT_S = 110.0
 _STYLES = ("mixed", "aerobatics", "turbulence", "loiter", "cruise")
+_BRISK = _STYLES[:3]
+"""In which each surface moves by several degrees a second."""
 _ALIKE = {("floating", "stuck"), ("floating", "hardover"), ("stuck", "hardover"), ("stuck", "floating")}
 """A geared servo without power stays where it is, and where it stopped may be as far as it ever was."""
 
@@ -66,7 +68,9 @@ def main() -> None:
         results = list(pool.map(told, cases))
     healthy = [one for one in results if one.failure is None]
     print(f"aircraft {cases[0][0]} to {cases[-1][0]}, every second")
-    print(f"healthy flights: {len(healthy)}, cleared {sum(one.clears for one in healthy)}")
+    brisk = [one for one in healthy if one.style in _BRISK]
+    cleared, briskly = (sum(one.clears for one in some) for some in (healthy, brisk))
+    print(f"healthy flights: {len(healthy)}, cleared {cleared}; brisk ones: {len(brisk)}, cleared {briskly}")
     print("their surfaces:", dict(Counter(status for one in healthy for status in one.statuses.values())))
     others = [s for one in results if one.failure for name, s in one.statuses.items() if name != one.failure.surface]
     print("sound surfaces beside a faulty one:", dict(Counter(others)))

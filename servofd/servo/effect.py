@@ -72,6 +72,10 @@ class Now(NamedTuple):
     """Drawn by the servo; 0 if never logged."""
     external: float
     """Load that was logged on the shaft, in its own unit; 0 if never logged."""
+    travel_deg: float
+    """Of the shaft in the step, in `Slot.OUTPUT` alone, as the next."""
+    arrives_deg_s: float
+    """Speed of the shaft at the end of the step."""
 
 
 _AT_BOUND, _NEAR = 1e-3, 0.1
@@ -235,6 +239,8 @@ class Effect:
     longest_s: ClassVar[float] = 2.5e-3
     """Longest step in which it is held: half of it changes a flight with much manoeuvring by less than 0.002 deg rms
     (tests/laws/test_stepper.py)."""
+    apart_s: ClassVar[float] = math.inf
+    """The same behind something else that hangs on the shaft, so that it does not move with the shaft."""
     sees: ClassVar[tuple[str, ...]] = ()
     """Fields of `Physics` that `act` is given; if none is given, those of its parameters."""
 

@@ -133,7 +133,7 @@ def check(effect: type[Effect]) -> None:
     for act in _acts_of([effect])[0]:
         source = _Source.of(act, 0)
         space: dict[str, Any] = {"math": math}
-        now = Now(1e-3, 1.0, 1.0, 0.05, 1.0, 0.0, 300.0, 5.0, 1.0, 0.1, 0.0)
+        now = Now(1e-3, 1.0, 1.0, 0.05, 1.0, 0.0, 300.0, 5.0, 1.0, 0.1, 0.0, 1e-3, 1.0)
         try:
             exec(source.function, space)  # noqa: S102 - the user asked for this effect
             result = space["act_0"](1.0, now, *(sizes[f] for f in effect.sees), *([0.0] * effect.memory))

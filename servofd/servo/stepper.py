@@ -240,7 +240,7 @@ def run(
             else:  # what holds it can only have been an earlier command
                 u, s = (measured - (p[0, BIAS] if BIAS >= 0 else 0.0)) / (p[0, GAIN] if GAIN >= 0 else 1.0), 0.0
                 u /= facts[0, 0]
-            still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
+            still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external, 0.0, 0.0)
             for v in range(count):
                 rest(0.0, u, still, p, v, m)
                 shaft = command(u, still, p, v, m) * facts[v, 0]
@@ -277,8 +277,9 @@ def run(
                         y, fast, w = x[v, 0], x[v, 1], x[v, 2]
                         middle = y + 0.5 * h * fast
                         now = Now(
-                            h, middle * gain, fast * gain, error_s, 0.0, 0.0, pressure, supply, power, current, external
-                        )
+                            h, middle * gain, fast * gain, error_s, 0.0, 0.0,
+                            pressure, supply, power, current, external, 0.0, 0.0,
+                        )  # fmt: skip
                         wanted, slope = come, s
                         if commanding:  # its mean over the step
                             mean = command(come + 0.5 * h * s, now, p, v, m)
@@ -317,7 +318,7 @@ def run(
                             effort = abs(bent) if rate[5] != 1.0 else 0.5 * abs(w + w1) / per_error
                             slips = Now(
                                 h, middle * gain, fast * gain, error_s, effort * gain, away,
-                                pressure, supply, power, current, external,
+                                pressure, supply, power, current, external, 0.0, 0.0,
                             )  # fmt: skip
                             limit = per_error * grip(0.0, slips, p, v, m) / gain
                             brake = min(max(-v1 / by_v, -limit), limit)
@@ -344,7 +345,7 @@ def run(
                         middle = 0.5 * (was + shaft) + 0.125 * h * (parted - arriving)  # of a cubic
                         then = Now(
                             h, middle * gain, parted * gain, error_s, 0.0, away,
-                            pressure, supply, power, current, external,
+                            pressure, supply, power, current, external, (shaft - was) * gain, arriving * gain,
                         )  # fmt: skip
                         m[v, 0] = output(shaft * gain, then, p, v, m)
         if left > NO_STEP_S:
@@ -362,10 +363,10 @@ def run(
             if hangs and bends:
                 seen = m[v, 0]
             elif hangs or reads:
-                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
+                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external, 0.0, 0.0)
                 seen = output(seen, still, p, v, m)
             if reads:
-                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external)
+                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external, 0.0, 0.0)
                 seen = reading(seen, still, p, v, m)
             read_deg[k, v] = seen
         if k < speed_deg_s.size:

@@ -269,6 +269,22 @@ def test_half_of_the_longest_step_changes_a_gusty_flight_by_less_than_is_said(ef
     assert np.sqrt(np.mean((whole_deg - half_deg) ** 2)) < within_deg
 
 
+@pytest.mark.parametrize("hangs", [{"resonance_hz": 12.0, "resonance_damping": 0.05}, {"lag_s": 0.03}], ids=named)
+@pytest.mark.parametrize("servo", [{}, {"rate_up_deg_s": 60.0, "rate_down_deg_s": 60.0}], ids=named)
+def test_what_hangs_on_a_shaft_is_as_exact_as_its_way_in_a_step(
+    hangs: dict[str, float], servo: dict[str, float]
+) -> None:
+    """On a straight line from step to step, of 5 ms, it would be off by up to 4e-3 deg."""
+    physics = Physics(**hangs, **servo)
+    whole_deg, tenth_deg = (
+        moved(machine_of(EQ31, [physics], finer), physics, FLIGHT, FLIGHT_S, CALM)[:, 0] for finer in (1.0, 10.0)
+    )
+    alone_deg = [
+        moved(machine_of(EQ31, [Physics(**servo)], n), Physics(**servo), FLIGHT, FLIGHT_S, CALM) for n in (1.0, 10.0)
+    ]
+    assert np.abs(whole_deg - tenth_deg).max() < 1e-4 + 2.0 * np.abs(alone_deg[0] - alone_deg[1]).max()
+
+
 # What holds of every effect.
 
 

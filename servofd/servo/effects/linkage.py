@@ -47,8 +47,7 @@ class RateLimit(Effect):
         step_s, was = now.step_s, at + lag
         # Travels of the step at its first and last speed, and between; all of its speeds lie between these three.
         most, least = up_deg_s * step_s, -down_deg_s * step_s
-        begins, mean = now.speed_deg_s * step_s, x - was
-        ends = begins + 8.0 * (0.5 * (was + x) - now.position_deg)
+        begins, mean, ends = now.speed_deg_s * step_s, x - was, now.arrives_deg_s * step_s
         between = 3.0 * mean - begins - ends
         if lag == 0.0 and least <= min(begins, between, ends) and max(begins, between, ends) <= most:
             return x, x, 0.0
@@ -114,12 +113,31 @@ def turns(short: float, faster: float, square: float) -> float:
     return 2.0 * short / below if short > 0.0 and within >= 0.0 and below > short else 1.0
 
 
+def speed_over(x: float, at: float, now: Now) -> tuple[float, float, float, float]:
+    """Speed of what moves from `at` to x in a step: b + f t + s t^2; b, f, s, and the speed at its end.
+
+    It moves with the shaft, on a cubic, or else (in play, at its limit) on a straight line.
+
+    Examples
+    --------
+    >>> now = Now(0.1, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.2, 3.0)
+    >>> [round(part, 9) for part in speed_over(0.2, 0.0, now)], speed_over(0.5, 0.0, now)
+    ([1.0, 20.0, 0.0, 3.0], (5.0, 0.0, 0.0, 5.0))
+    """
+    mean = (x - at) / now.step_s
+    if abs(x - at - now.travel_deg) > 1e-12 * (abs(x) + abs(at)):  # beyond rounding
+        return mean, 0.0, 0.0, mean
+    begins, ends = now.speed_deg_s, now.arrives_deg_s
+    faster, square = 3.0 * mean - 2.0 * begins - ends, begins + ends - 2.0 * mean
+    return begins, 2.0 * faster / now.step_s, 3.0 * square / now.step_s**2, ends
+
+
 class Resonance(Effect):
     """Flexible linkage between servo and surface."""
 
     name, slot, rank, memory = "resonance", Slot.OUTPUT, 33, 3
     spoken = "a flexible linkage"
-    longest_s, surprise = 5e-4, 8.0
+    longest_s, apart_s, surprise = 5e-3, 5e-4, 8.0
     parameters = (
         Parameter(
             "frequency_hz",
@@ -138,18 +156,23 @@ class Resonance(Effect):
     def act(
         x: float, now: Now, frequency_hz: float, damping: float, at: float, away: float, speed: float
     ) -> tuple[float, float, float, float]:
-        """A tip on a spring, exactly, while its root moves on a straight line; remembered from there."""
-        if frequency_hz <= 0.0 or now.step_s <= 0.0:
+        """A tip on a spring, exactly, while its root moves with the shaft, on a cubic, or else on a straight line."""
+        step_s = now.step_s
+        if frequency_hz <= 0.0 or step_s <= 0.0:
             return x + away, x, away, speed
         natural = 2.0 * math.pi * frequency_hz
-        turn = natural * math.sqrt(1.0 - damping * damping)
-        rate = (x - at) / now.step_s
-        behind = -2.0 * damping * rate / natural  # of a root that goes on like this for ever
-        free, faster = away - behind, speed - rate
-        decay = math.exp(-damping * natural * now.step_s)
-        cosine, sine = decay * math.cos(turn * now.step_s), decay * math.sin(turn * now.step_s) / turn
-        after = behind + free * (cosine + damping * natural * sine) + faster * sine
-        speed = rate + faster * (cosine - damping * natural * sine) - natural * natural * free * sine
+        turn, damps, stiff = natural * math.sqrt(1.0 - damping * damping), 2.0 * damping * natural, natural * natural
+        begins, faster, square, ends = speed_over(x, at, now)
+        # What a tip leaves of a way that goes on so for ever, and how it swings about that.
+        bent = -damps * square / stiff
+        drifts = -(2.0 * square + damps * faster + 2.0 * damps * bent) / stiff
+        behind = -(faster + damps * begins + 2.0 * bent + damps * drifts) / stiff
+        free, swings = away - behind, speed - begins - drifts
+        decay = math.exp(-0.5 * damps * step_s)
+        cosine, sine = decay * math.cos(turn * step_s), decay * math.sin(turn * step_s) / turn
+        after = behind + step_s * (drifts + step_s * bent)
+        after += free * (cosine + 0.5 * damps * sine) + swings * sine
+        speed = ends + drifts + 2.0 * step_s * bent + swings * (cosine - 0.5 * damps * sine) - stiff * free * sine
         return x + after, x, after, speed
 
 

@@ -6,6 +6,7 @@ import math
 
 from servofd.servo.effect import Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import STEPS_DEG
+from servofd.servo.effects.linkage import speed_over
 
 
 class SensorLag(Effect):
@@ -13,7 +14,7 @@ class SensorLag(Effect):
 
     name, slot, rank, memory = "sensor_lag", Slot.OUTPUT, 17, 2
     spoken = "a sensor that lags"
-    longest_s = 1e-3
+    longest_s, apart_s = 5e-3, 1e-3
     parameters = (
         Parameter(
             "time_constant_s",
@@ -29,11 +30,16 @@ class SensorLag(Effect):
 
     @staticmethod
     def act(x: float, now: Now, constant_s: float, at: float, ahead: float) -> tuple[float, float, float]:
-        """A low pass, exactly, while the surface moves on a straight line; remembered by how far it is ahead of it."""
-        if now.step_s <= 0.0:
+        """A low pass, exactly, as the surface moves in a step; remembered by how far it is ahead of it."""
+        step_s = now.step_s
+        if step_s <= 0.0:
             return x + ahead, x, ahead
-        behind = -constant_s * (x - at) / now.step_s
-        ahead = behind + math.exp(-now.step_s / constant_s) * (ahead - behind)
+        begins, faster, square, _ = speed_over(x, at, now)
+        bent = -constant_s * square  # behind, drifts and bent: of a surface that goes on so for ever
+        drifts = -constant_s * (faster + 2.0 * bent)
+        behind = -constant_s * (begins + drifts)
+        ahead = math.exp(-step_s / constant_s) * (ahead - behind)
+        ahead += behind + step_s * (drifts + step_s * bent)
         return x + ahead, x, ahead
 
 
