@@ -74,6 +74,11 @@ def main() -> None:
     print("their surfaces:", dict(Counter(status for one in healthy for status in one.statuses.values())))
     others = [s for one in results if one.failure for name, s in one.statuses.items() if name != one.failure.surface]
     print("sound surfaces beside a faulty one:", dict(Counter(others)))
+    for one in results:
+        accused = [s for s, status in one.statuses.items() if status in ("fault", "suspect")]
+        wrongly = [s for s in accused if one.failure is None or s != one.failure.surface]
+        if wrongly:
+            print(f"  {one.seed} {one.style}: {', '.join(wrongly)} wrongly accused")
     counts: Counter[tuple[str, str, str]] = Counter()
     for one, (_, kind, size) in zip(results, cases, strict=True):
         if one.failure is None or kind is None:
