@@ -154,9 +154,9 @@ def _machine(
         acts[STEPPED.index(act.effect.slot)] = True
         if act.effect.slot in INSIDE_LOOP or act.effect.memory:
             acts[-1], longest_s = True, min(longest_s, act.effect.longest_s)
-    hanging = {act.effect for name in acting for act in switched.get(name, ()) if act.effect.slot is Slot.OUTPUT}
-    if len(hanging) > 1:
-        longest_s = min(longest_s, *(effect.apart_s for effect in hanging))
+    on_shaft = {act.effect for name in acting for act in switched.get(name, ()) if act.effect.slot is Slot.OUTPUT}
+    if len(on_shaft) > 1:
+        longest_s = min(longest_s, *(effect.apart_s for effect in on_shaft))
     if acts[-1]:
         fastest = max(loop.natural_rad_s for loop in loops)
         longest_s = min(longest_s, max(_FASTEST_TIMES_STEP / fastest, _SHORTEST_S))
