@@ -139,6 +139,7 @@ def test_a_position_that_follows_takes_back_what_an_unknown_current_looks_like(t
         (lambda text: _current(text, lambda value: 1e3 * value), "which no servo draws"),
         (lambda text: _current(text, lambda value: 1e2 * value), "which no servo draws"),
         (lambda text: _current(text, lambda value: 512.0 + round(value / 8e-4)), "counts have to be converted"),
+        (lambda text: _current(text, lambda value: round(10.0 * value)), "reads whole amperes alone"),
         (lambda text: _later(text, 1.7e9), "has a clock of its own"),
         (lambda text: _current(text, lambda value: value * float("nan")), "holds no value"),
     ],
@@ -491,3 +492,15 @@ def test_limits_of_an_older_file_are_those_of_other_tests_and_hide_nothing(tmp_p
     (tmp_path / "older.toml").write_text("\n".join(older))
     (found,) = servofd.audit(written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")), tmp_path / "older.toml")
     assert [fault.kind for fault in found["aileron"].faults] == ["blocked"]
+
+
+def test_what_to_do_about_a_unit_is_said_once_below_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flight.csv"
+    flights = {name: flown(5 + k, 10.0, seconds=20.0) for k, name in enumerate(("aileron", "elevator"))}
+    path.write_text(together(flights, lambda _: 6.0).replace("_current_a", "_current"))
+    assert main(["audit", str(path)]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("[surfaces.<surface>.current] of the aircraft file" in line for line in lines) == 1
+    assert sum("column elevator_current has no unit" in line for line in lines) == 1
