@@ -17,7 +17,7 @@ from servofd.servo.faults import Stuck
 from servofd.simulation.commands import gusty
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.surroundings import current_a, stalled_a
-from tests.current.hub import dataflash_of
+from tests.current.hub import dataflash_of, ulog_of
 from tests.current.motor import Flown, Sensor, fly
 
 START_S = 100.0
@@ -403,6 +403,18 @@ def test_currents_of_circuits_are_told_though_no_file_names_them(
     assert f"{rail}" in " ".join(capsys.readouterr().out.split())
     assert main(["audit", str(path)]) == 2
     assert f"{rail}" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_topic_of_a_fork_is_a_current_once_the_aircraft_file_names_it(tmp_path: Path) -> None:
+    log, plane = tmp_path / "flight.ulg", tmp_path / "plane.toml"
+    log.write_bytes(ulog_of(flown(5, 10.0, "blocked", seconds=120.0)))
+    plane.write_text(
+        '[surfaces.aileron]\ncommand = { channel = "actuator_outputs[0].output[0]", unit = "us", trim_us = 1500.0, '
+        'slope_deg_per_us = 0.09 }\ncurrent = { channel = "servo_status[0].servo_current[0]", unit = "A" }\n'
+    )
+    (fault,) = servofd.audit(log, plane)["aileron"].faults
+    assert (fault.kind, fault.witness) == ("blocked", "current")
 
 
 def test_runs_that_hold_the_same_are_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
