@@ -44,6 +44,8 @@ _STYLES = {
     "settling": "cyan",
     "not judged": "dim",
 }
+_BLIND = "land soon: nobody sees whether it moves"
+"""About a servo whose position sensor is at fault."""
 _LATER = "fly on, check it on the ground"
 """About one that is but a notice."""
 
@@ -342,7 +344,8 @@ def _to_do(alarm: Alarm | None) -> str:
     if alarm is None:
         return ""
     kind = KINDS.get(alarm.kind, KINDS["unknown"])
-    return f"{said_of(alarm)}: {_LATER if alarm.severity == Severity.NOTICE else kind.in_flight}"
+    to_do = _LATER if alarm.severity == Severity.NOTICE else kind.in_flight
+    return f"{said_of(alarm)}: {_BLIND if alarm.fault is not None and alarm.fault.is_of_sensor else to_do}"
 
 
 def _bar(share: float) -> Text:

@@ -77,7 +77,9 @@ def test_a_monitor_says_what_an_audit_says(
     assert abs(told["fault"]["start_s"] - fault.start_s) < 2.0
     assert events[0]["event"] == "alarm"
     assert events[0]["time_s"] <= min(one.alarm_s for one in found.faults) + 1.0
-    assert "aileron current: watched, command" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "aileron current: watched, command" in shown
+    assert ("its sensor, by its current: land soon: nobody sees whether it moves" in shown) == (other == "sensor")
 
 
 @pytest.mark.slow
