@@ -36,6 +36,10 @@ _EARLY = 0.1
 _MOST_A, _MOST_OF_ONE_A, _SELDOM = 100.0, 25.0, 0.01
 """More than the servos of an aircraft of this size draw, and than one of them does, stalled ones of the largest less
 than 20 A [A]; and the share of readings that may be none."""
+_ASK = (
+    'say in which unit (a column <surface>_current_ma, or unit = "mA" or "cA" in the aircraft file); counts have to be '
+    "converted"
+)
 _REVERSED = 2.0
 """Times as far below zero as above it that a sensor reads which is wired the wrong way round."""
 _OFTEN, _PILED = 0.05, 2.0
@@ -111,8 +115,8 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, Curre
             )
         elif unitless:
             unfit[name] = (
-                f"column {unitless} has no unit: call it {name}_current_a or {name}_current_ma, or name channel "
-                f"and unit in [surfaces.{name}.current] of the aircraft file"
+                f"column {unitless} has no unit: call it <surface>_current_a or <surface>_current_ma, or name channel "
+                "and unit in [surfaces.<surface>.current] of the aircraft file"
             )
     return found, unfit
 
@@ -173,10 +177,11 @@ def read_current(log: FlightLog, source: CurrentSource) -> CurrentChannel:
     most_a = _MOST_OF_ONE_A if is_of_one else _MOST_A
     absurd = np.abs(current_a) > most_a
     if float(np.mean(absurd)) > _SELDOM:
+        up_to_a = f"{np.abs(current_a).max():.4g} A"
+        raise NoMeasurement(f"current channel {source.channel!r} reads up to {up_to_a}, which no servo draws: {_ASK}")
+    if source.unit == "A" and np.array_equal(current_a, np.round(current_a)):
         raise NoMeasurement(
-            f"current channel {source.channel!r} reads up to {np.abs(current_a).max():.4g} A, which no servo draws: "
-            'say in which unit (a column <surface>_current_ma, or unit = "mA" or "cA" in the aircraft file); counts '
-            "have to be converted"
+            f"current channel {source.channel!r} reads whole amperes alone, which no sensor of a servo does: {_ASK}"
         )
     if absurd.any():
         notes.append(f"{np.count_nonzero(absurd)} of its currents are beyond {most_a:g} A and left out")

@@ -524,9 +524,12 @@ def _streamed(surface: Surface, *, has_card: bool) -> Surface:
             name = "SERVO_OUTPUT_RAW" + (f"[{message}]" if message else "")
             change["command"] = pulse.model_copy(update={"channel": f"{name}.servo{rest + 1}_raw"})
     channel = f"NAMED_VALUE_FLOAT[SRVP{number}].value"
+    is_of_log = surface.current is None or _OF_A_LOG.match(surface.current.channel)
+    if surface.healthy_current is not None and is_of_log and not has_card:
+        drawn = CurrentSource(channel=f"NAMED_VALUE_FLOAT[SRVA{number}].value", unit="A")
+        surface = surface.model_copy(update={"current": drawn})
     if surface.is_told_by_current:
-        if surface.current is None and not has_card:
-            change["current"] = CurrentSource(channel=f"NAMED_VALUE_FLOAT[SRVA{number}].value", unit="A")
+        pass
     elif measured is None and surface.output is not None:
         change["measured"] = DegreeCalibration(channel=channel, unit="deg")
     elif not has_card and isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):

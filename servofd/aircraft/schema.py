@@ -190,6 +190,12 @@ class Surface(_Entry):
         return self.current.channel if self.healthy_current is not None and self.current is not None else ""
 
     @property
+    def beside_channel(self) -> str:
+        """Channel of the current by which a monitor watches it beside its position; empty if there is none."""
+        is_known = self.measured is not None and self.healthy_current is not None and self.current is not None
+        return self.current.channel if is_known and self.current is not None else ""
+
+    @property
     def names_servo(self) -> bool:
         """Whether its file says which servo it is."""
         return self.servo != UNKNOWN_SERVO

@@ -89,7 +89,7 @@ def calibration_to_toml(calibration: Calibration) -> str:
     aircraft = calibration.aircraft
     logs = {label: None for one in calibration.surfaces for label in one.flights}
     lines = [
-        f"# Calibrated by `servofd calibrate` from {', '.join(logs)}: flights taken to be good.",
+        f"# Calibrated by `servofd calibrate` from {', '.join(logs) or 'their currents'}: flights taken to be good.",
         "# Numbers in square brackets behind a # are 95% intervals.",
         "",
         f"name = {toml_value(aircraft.name)}",

@@ -18,6 +18,10 @@ _ON_BOARD = (
     "in flight: `servofd onboard AIRCRAFT.toml -o servofd.lua` writes the script that watches these servos on the "
     "autopilot; copy it to APM/scripts, set SCR_ENABLE = 1"
 )
+_BY_CURRENT_ALONE = (
+    "in flight: `servofd calibrate GOOD... -o AIRCRAFT.toml` learns what they draw, `servofd onboard AIRCRAFT.toml "
+    "--stream-only -o servofd.lua` writes the script that sends it, and `servofd monitor` watches them"
+)
 
 
 def run(options: Options) -> int:
@@ -53,7 +57,9 @@ def _of(found: Mapping[str, Any]) -> tuple[str, str, list[Part]]:
     advice = [found[name] for name in ("by_current", "rails") if found[name]]
     advice += [f"to audit this aircraft: {found['advice']}"] if found["advice"] else []
     if not found["on_board"] and found["format"] in ("dataflash", "tlog") and found["surfaces"]:
-        advice.insert(bool(found["by_current"]), _ON_BOARD)
+        has_position = any(surface["position_hz"] for surface in found["surfaces"])
+        alone = bool(found["by_current"]) and not has_position
+        advice.insert(bool(found["by_current"]), _BY_CURRENT_ALONE if alone else _ON_BOARD)
     surfaces, channels, on_board = [], [], []
     for s in found["surfaces"]:
         names = ", ".join(filter(None, (s["command"], s["position"], s["current"])))

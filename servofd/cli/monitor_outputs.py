@@ -134,7 +134,7 @@ class Outputs:
     def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
         # What Rerun would print of a full disk, in lines of its own, `LiveRecording.errors` tells; it reads this first.
         os.environ.setdefault("RUST_LOG", "off")
-        from servofd.outputs.live_recording import LiveRecording, Samples
+        from servofd.outputs.live_recording import Currents, LiveRecording, Samples
         from servofd.outputs.recording.verdicts import live_verdicts
 
         first = next(iter(aircraft.values()))
@@ -144,8 +144,12 @@ class Outputs:
         path = Path(options.rrd) if options.rrd else None
         # Of several vehicles it would not be known whose surface it was.
         known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
-        currents = {n for craft in aircraft.values() for n, one in craft.surfaces.items() if one.is_told_by_current}
-        recording = LiveRecording(first.name, surfaces, currents=currents, path=path, port=port, properties=known)
+        each = {name: one for craft in aircraft.values() for name, one in craft.surfaces.items()}
+        currents = {name for name, one in each.items() if one.is_told_by_current}
+        beside = {name for name, one in each.items() if one.beside_channel}
+        recording = LiveRecording(
+            first.name, surfaces, currents=currents, beside=beside, path=path, port=port, properties=known
+        )
         open_.callback(recording.close)
         self._recording = recording
         if options.serve:
@@ -153,6 +157,10 @@ class Outputs:
 
         def listen(surface: str, piece: Piece, inputs: Inputs) -> None:
             r = piece.residuals
+            if inputs.is_current:
+                time_s, within_a = r.time_s + self._began_s(surface), piece.threshold.level_deg
+                recording.add(Currents(surface, time_s, r.measured_deg, r.simulated_deg, within_a))
+                return
             residual_deg = np.where(r.settled, r.residual_deg, np.nan)
             began_s = self._began_s(surface)  # a recording has one time line
             columns = (r.time_s + began_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
@@ -195,4 +203,6 @@ def event_document(event: Published) -> dict[str, Any]:
             "parameters": {name: estimate.value for name, estimate in event.fault.parameters.items()},
             "alternatives": list(event.fault.alternatives),
         }
+        if event.fault.other:
+            document["fault"] |= {"other_witness": event.fault.other}
     return dict(finite(document))

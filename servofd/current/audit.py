@@ -16,8 +16,9 @@ from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import SURROUNDINGS, asked, channel_of, signal_of
 from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.core.types import FloatArray
+from servofd.current.both import AGREE_S, agree, beside, confirmed
 from servofd.current.evidence import largest_of
-from servofd.current.judge import faults_of, limits_of, pushed, tells_motion, verdict_of
+from servofd.current.judge import faults_of, limits_of, verdict_of
 from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
@@ -25,12 +26,10 @@ from servofd.current.stream import OfCurrent, motion_model
 from servofd.current.wear import features_of, wear_of
 from servofd.detection.causes import with_common_causes
 from servofd.detection.evidence import LEAST_OF_THE_LOG, MOST_OF_THE_LOG
-from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.verdict import (
     SERVO_OR_SENSOR,
     CommonCause,
     CurrentAudit,
-    Fault,
     LogAudit,
     SurfaceAudit,
     describe,
@@ -38,10 +37,6 @@ from servofd.detection.verdict import (
 from servofd.servo.context import Context
 
 _GRAVEST: Final = ("fault", "suspect", "healthy", "unknown", "no_data")
-_AGREE_S: Final = 15.0
-"""Two witnesses tell of one event if they notice it within so much of each other."""
-_AT_REST: Final = ("blocked", "unpowered")
-"""What a current tells of a servo that stands still."""
 
 
 def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAudit:
@@ -63,14 +58,15 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
             currents, events = currents | found, events + new
         elif names[0] in verdicts:
             name = names[0]
-            currents[name] = _judged(log, aircraft, verdicts[name], sources[name], cycles.setdefault(name, []))
+            before = cycles.setdefault(name, [])
+            verdicts[name], currents[name] = _judged(log, aircraft, verdicts[name], sources[name], before)
     currents = {name: _of_the_log(current, log.duration_s) for name, current in currents.items()}
     currents |= {name: CurrentAudit("unknown", reason) for name, reason in unfit.items()}
-    surfaces = [_joined(surface, currents.get(surface.surface)) for surface in audit.surfaces]
+    surfaces = [_joined(surface, currents.get(name)) for name, surface in verdicts.items()]
     common, causes = tuple(surfaces), audit.common_causes
     if any(s.current.faults or s.current.suspicions for s in surfaces if s.current):
         common, new = with_common_causes(surfaces, supplies(log, aircraft))
-        causes = (*(one for one in causes if all(abs(one.since_s - other.since_s) > _AGREE_S for other in new)), *new)
+        causes = (*(one for one in causes if all(abs(one.since_s - other.since_s) > AGREE_S for other in new)), *new)
     return replace(audit, surfaces=common, common_causes=(*causes, *events))
 
 
@@ -127,9 +123,10 @@ def again_by_current(surface: SurfaceAudit, aircraft: Aircraft, context: Context
         return surface
     if known is None or source is None or drawn.time_s.size < 2:
         return surface
-    beside = OfCurrent(surface.surface, motion_model(aircraft, surface.surface), source, known)
-    seen = beside.seen(np.stack([drawn.time_s, drawn.current_a]), drawn.command, context)
-    return _joined(surface, _of_the_log(verdict_of(seen, faults_of(seen)), duration_s))
+    watched = OfCurrent(surface.surface, motion_model(aircraft, surface.surface), source, known)
+    seen = watched.seen(np.stack([drawn.time_s, drawn.current_a]), drawn.command, context)
+    surface, found = _two(surface, seen, verdict_of(seen, faults_of(seen)))
+    return _joined(surface, _of_the_log(found, duration_s))
 
 
 def _read_until(seen: Seen, until_s: float) -> Seen:
@@ -220,14 +217,14 @@ def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: Curren
 
 def _judged(
     log: FlightLog, aircraft: Aircraft, surface: SurfaceAudit, source: CurrentSource, before: list[FloatArray]
-) -> CurrentAudit:
-    """What the current of one surface tells, and of its position."""
+) -> tuple[SurfaceAudit, CurrentAudit]:
+    """What the position of one surface tells, as its current leaves it, and its current."""
     name = surface.surface
     try:
         series = current_series(log, name, aircraft, source)
         known = aircraft.surfaces[name].healthy_current or own_current(series)
     except (NoMeasurement, CalibrationError) as error:
-        return CurrentAudit("unknown", str(error))
+        return surface, CurrentAudit("unknown", str(error))
     seen = see(series, known)
     found = verdict_of(seen, faults_of(seen), before)
     before.append(features_of(seen))
@@ -237,24 +234,31 @@ def _judged(
         and found.suspicions + found.faults
     ):
         # What this servo draws when well is not known, and one that is blocked or has no power does not follow.
-        return replace(found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=())
-    if surface.status == "healthy" and any(fault.kind in _AT_REST for fault in found.faults):
-        return replace(found, status="unknown", reason=f"{found.reason}; {_MOVES}", faults=(), suspicions=())
-    still = [fault for fault in surface.faults if fault.kind in STANDS_STILL]
-    if still and not found.faults and surface.segment is not None:
-        to_s = np.inf if still[0].end_s is None else still[0].end_s
-        where = surface.segment.measured_s, surface.segment.measured_deg
-        pushes = pushed(seen, still[0], where)
-        if pushes is not None:
-            found = replace(found, faults=(pushes,), status="fault", reason=f"by its current: {describe(pushes)}")
-        elif tells_motion(seen, still[0].start_s, to_s):
-            found = replace(found, reason=f"{found.reason}; {_SENSOR}")
-    return found
+        return surface, replace(
+            found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=()
+        )
+    return _two(surface, seen, found)
+
+
+def _two(surface: SurfaceAudit, seen: Seen, found: CurrentAudit) -> tuple[SurfaceAudit, CurrentAudit]:
+    """The verdicts on the position of a surface and on its current, each as the other leaves it."""
+    if surface.segment is None:
+        return surface, found
+    where = surface.segment.measured_s, surface.segment.measured_deg
+    told = beside(seen, found.faults, surface.faults, where, follows=surface.status == "healthy")
+    reason = surface.reason
+    for before, now in zip(surface.faults, told.position, strict=True):
+        reason = reason.replace(describe(before), describe(now))
+    if told.is_denied:
+        found = replace(found, status="unknown", reason=f"{found.reason}; {_MOVES}", faults=(), suspicions=())
+    elif told.current != found.faults:
+        said = f"by its current: {'; then '.join(map(describe, told.current))}"
+        found = replace(found, faults=told.current, status="fault", reason=said)
+    return replace(surface, faults=told.position, reason=reason), found
 
 
 _FOLLOWED: Final = "but its position followed: calibrate what it draws on a good flight"
 _MOVES: Final = "but its position followed: the sensor of the current is at fault"
-_SENSOR: Final = "the position stands still, the current says that it moves: its sensor is at fault"
 
 
 def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit:
@@ -264,7 +268,7 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
     joined = replace(surface, current=current)
     if current.time_s is None:  # it could not be judged, which takes nothing from what the position says
         return joined if surface.is_judged else replace(joined, reason=f"{surface.reason}; {current.reason}")
-    known, left = _confirmed(surface.faults, current.faults)
+    known, left = confirmed(surface.faults, current.faults)
     faults = tuple(sorted((*known, *left), key=lambda fault: fault.start_s))
     suspicions = tuple(sorted((*surface.suspicions, *current.suspicions), key=lambda fault: fault.start_s))
     joined = replace(joined, faults=faults, suspicions=suspicions)
@@ -285,33 +289,10 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
         reason = reason.replace(describe(before), describe(now))
     if known and all(fault.confirmed_by for fault in known):
         reason = reason.replace(SERVO_OR_SENSOR, "servo: ")
-    if left or current.status == "suspect" or any(one in current.reason for one in (_SENSOR, _MOVES)):
+    if known and all(fault.is_of_sensor for fault in known):
+        reason = reason.replace(SERVO_OR_SENSOR, "feedback: ")
+    if left or current.status == "suspect" or _MOVES in current.reason:
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
-    if any(abs(a.start_s - b.start_s) <= _AGREE_S for a in known for b in left):
+    if agree(known, left):
         reason += "; position and current agree"
     return replace(joined, status=status, reason=reason)
-
-
-def _confirmed(positions: Sequence[Fault], currents: Sequence[Fault]) -> tuple[list[Fault], list[Fault]]:
-    """Faults that a position tells, those made surer that its current tells as well; and what it tells beside them.
-
-    A servo that stands still while it pushes, or without power, is one fault. Two witnesses that err independently
-    multiply their odds, and what only one of them takes for possible is none of its alternatives any more.
-    """
-    found, left = list(positions), list(currents)
-    for place, fault in enumerate(found):
-        until_s = np.inf if fault.end_s is None else fault.end_s
-        same = [c for c in left if c.kind in _AT_REST and fault.start_s - _AGREE_S <= c.start_s <= until_s]
-        if fault.kind in STANDS_STILL and same:
-            wrong, other = 1.0 - fault.probability, 1.0 - same[0].probability
-            right = fault.probability * same[0].probability
-            found[place] = replace(
-                fault,
-                start_s=min(fault.start_s, same[0].alarm_s),
-                alarm_s=min(fault.alarm_s, same[0].alarm_s),
-                probability=right / (right + wrong * other),
-                alternatives=(),
-                confirmed_by=same[0],
-            )
-            left = [c for c in left if c not in same]
-    return found, left

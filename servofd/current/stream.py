@@ -176,12 +176,24 @@ class CurrentStream(Following):
         self.history.append(History.packed(residuals, threshold))
         return Piece(residuals, threshold, raised, np.ones(time_s.size, dtype=bool))
 
+    def remembered(self, context: Context, from_s: float, until_s: float) -> Remembered | None:
+        """A copy of what is remembered between two times [s]; None of less than two readings with a command."""
+        if self.history.size < 2 or not self.logged.size:
+            return None
+        residuals, threshold = self.history.snapshot("interval", from_s, until_s)
+        residuals = replace(residuals, context=context)
+        return Remembered(residuals, threshold, self.logged.copied(from_s)) if residuals.time_s.size > 1 else None
+
+    def seen(self, known: Remembered) -> Seen:
+        """Readings that are remembered, beside a healthy servo."""
+        readings = np.stack([known.residuals.time_s, known.residuals.measured_deg])
+        commands = known.commands.effective_s, known.commands.command_deg
+        return self._healthy.seen(readings, commands, known.residuals.context)
+
     def found(self, seen: Remembered, names: dict[float, Named]) -> Found:  # noqa: ARG002 - each look names anew
         """What an audit finds in what is remembered."""
-        readings = np.stack([seen.residuals.time_s, seen.residuals.measured_deg])
-        if readings.shape[1] < 2 or not seen.commands.effective_s.size:
+        if seen.residuals.time_s.size < 2 or not seen.commands.effective_s.size:
             return Found((), (), seen.residuals.residual_deg)
-        commands = seen.commands.effective_s, seen.commands.command_deg
-        found = faults_of(self._healthy.seen(readings, commands, seen.residuals.context))
+        found = faults_of(self.seen(seen))
         faults, suspicions = (tuple(one for one in found if one.level == level) for level in ("fault", "suspect"))
         return Found(faults, suspicions, seen.residuals.residual_deg)

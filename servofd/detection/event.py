@@ -101,6 +101,8 @@ class Inputs(NamedTuple):
     command_deg: FloatArray
     """and what they asked for [deg]."""
     context: Context
+    is_current: bool = False
+    """Whether they are of the current beside a position [A]."""
 
 
 class Look(NamedTuple):

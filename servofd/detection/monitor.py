@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -27,8 +26,9 @@ from servofd.core.errors import DesignError
 from servofd.core.series import latest
 from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
 from servofd.detection.faults import AGAIN_S, LOOKS_BACK_S, LOOKS_S
+from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.seen import Pace, healthy_of, least_rate_hz, too_few
-from servofd.detection.stream import BY_WINDOWS, Remembered
+from servofd.detection.stream import BY_OTHER, BY_WINDOWS, Remembered
 from servofd.detection.verdict import EXPLAINED, SURE, too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
@@ -53,6 +53,8 @@ _LOOKS_AGAIN_S = 30.0
 """and how often after that: sooner while no name is likely, after as long as the alarm has stood."""
 _AGAIN_S = 1.0
 """When a look has found nothing of a fault that one before has named, the next one follows so much later [s]."""
+_OTHER_S, _OTHER_UNTIL_S = 5.0, 60.0
+"""How often a current is asked about a position that stands still, and until how long after its alarm [s]."""
 _MOVED_DEG = 1.0
 """A surface that is further from where it was taken to be stuck, and from what is known of that, is looked at anew."""
 _LIKELY = 0.5
@@ -105,6 +107,8 @@ class SurfaceMonitor:
     listener: Callable[[str, Piece, Inputs], None] | None = None
     """Called with every piece that was evaluated."""
     reading: Reading | None = None
+    drawn: Reading | None = None
+    """What was read last of the current beside its position [A]."""
     problem: str = ""
     """Why this surface is not watched; empty if it is."""
     suspended: str = ""
@@ -117,6 +121,8 @@ class SurfaceMonitor:
     """Without commands or positions for so long, while the vehicle sends, nothing is known of it [s]."""
     _stream: Following | None = None
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
+    _drawn: list[tuple[float, float]] = field(default_factory=list)
+    """Currents beside positions that are not handed over yet."""
     _alarm: Alarm | None = None
     """The one that stands."""
     _doubtful: Alarm | None = None
@@ -178,8 +184,9 @@ class SurfaceMonitor:
         positions: tuple[FloatArray, FloatArray],
         stands: BoolArray | None = None,
         stood_s: Sequence[tuple[float, float]] = (),
+        drawn: tuple[FloatArray, FloatArray] | None = None,
     ) -> list[Event]:
-        """Take the next commands and positions, each times [s] and values as logged, of shape (n,).
+        """Take the next commands, positions and currents `drawn` beside them: times [s] and values as logged, (n,).
 
         Commands come before positions of the same instant. `stands` tells of each position whether the telemetry of
         all surfaces stood still then (`servofd.aircraft.watch.Bus`), and `stood_s` from when to when it turns out to
@@ -203,6 +210,9 @@ class SurfaceMonitor:
                 until_s, gap_s = self._excused
                 self._received[what] = [rows[-1][0], gap_s if rows[-1][0] < until_s else 0.0]
         events = self._alive(seen)
+        if drawn is not None:
+            self._drawn += zip(drawn[0].tolist(), drawn[1].tolist(), strict=True)
+            del self._drawn[:-_LONGEST_WAIT]
         counting = seen
         if self.quantity == "position":  # a current may well stand still
             new = New.of(self.surface, commands, positions)
@@ -252,7 +262,7 @@ class SurfaceMonitor:
     @property
     def quantity(self) -> Literal["position", "current"]:
         """What is read of it."""
-        return "position" if self.beside is None else "current"
+        return "current" if self.surface.is_told_by_current else "position"
 
     @property
     def is_watched(self) -> bool:
@@ -434,8 +444,19 @@ class SurfaceMonitor:
                 return events
             events.append(self._event(look, "named", fault))
             alarm.reported = fault.kind
+        elif alarm.fault is not None and fault.other not in ("", alarm.fault.other):
+            events.append(self._event(look, "named", fault))
+            alarm.reported = fault.kind
         alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
         self._look_later(look, fault)
+        is_asked = self._stream is not None and self._stream.is_of_two and fault.kind in STANDS_STILL
+        soon_s = look.at_s + _OTHER_S
+        if (
+            is_asked
+            and not fault.other
+            and alarm.raised_s + _OTHER_UNTIL_S > soon_s < min(self._looks_s, default=np.inf)
+        ):
+            self._looks_s = sorted([*self._looks_s, soon_s])
         if fault.end_s is not None:
             is_nameless = fault.kind == alarm.reported == "unknown"
             is_passing = is_nameless and fault.end_s - fault.start_s < _NAMED_S
@@ -514,6 +535,7 @@ class SurfaceMonitor:
         self.problem = ""
         self._over(np.nan)
         self._stream, self._waiting = None, ([], [])
+        self._drawn.clear()
         self._watch, self._asked_last = Watch(), (float("nan"), float("nan"))
         self._latest_seen, self._moved = float("nan"), False
         self._recent.clear()
@@ -625,24 +647,23 @@ class SurfaceMonitor:
             self._stream.commands(*np.array(asked, dtype=float).reshape(-1, 2).T)
             for time_s, measured_deg in seen:
                 self._stream.position(time_s, measured_deg)
+            for time_s, current in self._drawn:
+                self._stream.drawn(time_s, current)
+            self._drawn.clear()
 
     def _evaluated(self, piece: Piece | None) -> list[Event]:
         """Events of a piece."""
+        if self._stream is not None and self._stream.beside is not None:
+            self._shown_beside(self._stream.beside)
         if piece is None or self._stream is None:
             return []
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        for k in np.flatnonzero(piece.alarm).tolist():
-            time_s = float(residuals.time_s[k])
-            if piece.alarm[k] != BY_WINDOWS:
-                self._crossed = self._crossed or (time_s, float(residuals.residual_deg[k]), float(level_deg[k]))
-            elif self._alarm is None and self._crossed is None:
-                self._doubtful = Alarm(time_s)
-                self._looks_s = [time_s + after_s for after_s in LOOKS_S]
+        is_by_other = self._crossings(piece)
         events = self._raised()
         if self._alarm is not None:
             self._alarm.quiet.follow(piece)
             last_s = float(residuals.time_s[-1])
-            due_s = self._alarm.quiet.due_s(last_s)
+            due_s = [] if is_by_other else self._alarm.quiet.due_s(last_s)
             soon_s = last_s + _AGAIN_S
             if min(self._looks_s, default=np.inf) > soon_s and _has_moved(self._alarm.fault, residuals.measured_deg):
                 due_s = [*due_s, soon_s]
@@ -673,6 +694,37 @@ class SurfaceMonitor:
             bool(residuals.settled[last]),
         )
         return events
+
+    def _crossings(self, piece: Piece) -> bool:
+        """Keep what a piece raises until it is looked at; whether the alarm that stands is told by another witness."""
+        residuals, level_deg = piece.residuals, piece.threshold.level_deg
+        known = self._alarm.fault if self._alarm is not None else None
+        is_by_other = known is not None and known.witness != self.quantity
+        is_told = is_by_other or (known is not None and known.other != "")
+        for k in np.flatnonzero(piece.alarm).tolist():
+            time_s = float(residuals.time_s[k])
+            if piece.alarm[k] == BY_OTHER:
+                if not is_told:
+                    self._doubtful = self._doubtful or (Alarm(time_s) if self._alarm is None else None)
+                    self._looks_s = sorted([*self._looks_s, time_s])
+            elif piece.alarm[k] != BY_WINDOWS:
+                self._crossed = self._crossed or (time_s, float(residuals.residual_deg[k]), float(level_deg[k]))
+            elif self._alarm is None and self._crossed is None:
+                self._doubtful = Alarm(time_s)
+                self._looks_s = [time_s + after_s for after_s in LOOKS_S]
+            if is_by_other and piece.alarm[k] != BY_OTHER:
+                self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
+        return is_by_other
+
+    def _shown_beside(self, piece: Piece) -> None:
+        """Keep what was drawn beside the position, and pass it on."""
+        r, level_a = piece.residuals, piece.threshold.level_deg
+        command_deg = float(self._stream.logged.commands().command_deg[-1]) if self._stream is not None else np.nan
+        last = float(r.time_s[-1]), command_deg, float(r.measured_deg[-1]), float(r.residual_deg[-1])
+        self.drawn = Reading(*last, float(level_a[-1]), bool(r.settled[-1]))
+        if self.listener is not None:
+            none = np.zeros(0)
+            self.listener(self.name, piece, Inputs(none, none, none, self._context, is_current=True))
 
     def _hardly_judged(self) -> list[Event]:
         """Say once that a link leaves too few commands to judge the servo for most of the time, and how many would."""
@@ -720,7 +772,7 @@ class SurfaceMonitor:
         residuals, threshold = stream.history.snapshot(self.surface.threshold, from_s, until_s)
         residuals, commands = replace(residuals, context=self._context), stream.logged.copied(from_s)
         names = alarm.names if alarm is not None else {}
-        find = partial(stream.found, Remembered(residuals, threshold, commands), names)
+        find = stream.finder(Remembered(residuals, threshold, commands), names, until_s)
         return Look(float(residuals.time_s[-1]), residuals, threshold, find, stream.doubts_wiring)
 
     def _event(self, look: Look, event: EventKind, fault: Fault) -> Event:

@@ -8,6 +8,7 @@ position waits for the next command, since what was lost is put back on the stra
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -145,8 +146,9 @@ FASTEST_COMMANDS_S = 0.005
 """Shortest period of commands for which room is kept [s]."""
 
 
-BY_WINDOWS, BY_LEVEL = 1, 2
-"""What raises an alarm: windows alone, of which the bank tells more, or residuals over their threshold."""
+BY_WINDOWS, BY_LEVEL, BY_OTHER = 1, 2, 3
+"""What raises an alarm: windows alone, of which the bank tells more, residuals over their threshold, or the windows of
+another witness."""
 
 
 class Piece(NamedTuple):
@@ -155,7 +157,7 @@ class Piece(NamedTuple):
     residuals: Residuals
     threshold: Threshold
     alarm: Marks
-    """`BY_LEVEL` or `BY_WINDOWS` where an alarm is raised, else 0."""
+    """What raises one where an alarm is raised, else 0."""
     sharp: BoolArray
     """Whether what arrived tells of the servo, and not mostly of the commands that did not."""
 
@@ -172,6 +174,10 @@ class Remembered(NamedTuple):
 class Following:
     """What a monitor hands commands and readings of one surface to, a reading every so often [s]."""
 
+    is_of_two = False
+    """Whether another witness is followed beside the position."""
+    beside: Piece | None = None
+    """What was decided just now of its current, where a position is followed as well."""
     doubts_wiring = False
     """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
     logged: CommandBuffer
@@ -203,6 +209,9 @@ class Following:
             self.latest_s = time_s
             self._positions.append((time_s, measured_deg))
 
+    def drawn(self, time_s: float, current: float) -> None:
+        """Add a reading of the current beside the position, in the unit of its channel."""
+
     @property
     def is_waiting(self) -> bool:
         """Whether any reading waits for a command."""
@@ -223,6 +232,10 @@ class Following:
     def found(self, seen: Remembered, names: dict[float, Named]) -> Found:
         """Faults and suspicions of what is remembered; depends on nothing that changes as the stream goes on."""
         raise NotImplementedError
+
+    def finder(self, seen: Remembered, names: dict[float, Named], until_s: float) -> Callable[[], Found]:  # noqa: ARG002 - of another witness
+        """Finds them in what is remembered until a time [s]."""
+        return partial(self.found, seen, names)
 
     def again(self) -> None:
         """Begin the tests anew, because the alarm that stood is over."""

@@ -51,6 +51,13 @@ class Fault:
     """What tells of it."""
     confirmed_by: Fault | None = None
     """The same event as another witness tells it."""
+    is_of_sensor: bool = False
+    """Whether another witness says that the servo moves, whose position stands still."""
+
+    @property
+    def other(self) -> str:
+        """What another witness says of it: its name for it, `sensor` where it denies it, nothing if it is silent."""
+        return "sensor" if self.is_of_sensor else self.confirmed_by.kind if self.confirmed_by is not None else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +257,8 @@ SERVO_OR_SENSOR = "servo or its feedback: "
 EVEN = 0.5
 """Probability below which all other kinds together are likelier: of sound surfaces in calm air three were at fault with
 .28 to .48, for jams and play of at most 1 deg (even seeds of `benchmarks/jsbsim_flights.py`)."""
+OF_SENSOR = "the position stands still, the current says that it moves: its sensor is at fault"
+"""What two witnesses tell that disagree."""
 EXPLAINED = "the tolerances of a working servo explain it"
 """Why an alarm is taken back."""
 
@@ -294,7 +303,8 @@ def describe(fault: Fault) -> str:
         if fault.probability < EVEN and fault.alternatives:
             text, doubt = "crossed the threshold by too little to tell what it is", _perhaps(fault)
     confirmed = "" if fault.confirmed_by is None else f", and {_confirmation(fault.confirmed_by)}"
-    return f"{text} {since}{doubt}{confirmed} (alarm at {fault.alarm_s:.2f} s)"
+    sensor = f"; {OF_SENSOR}" * fault.is_of_sensor
+    return f"{text} {since}{doubt}{confirmed}{sensor} (alarm at {fault.alarm_s:.2f} s)"
 
 
 def _confirmation(other: Fault) -> str:

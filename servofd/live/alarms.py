@@ -184,8 +184,9 @@ class Alarms:
         return [self._published(event, alarm.id, alarm.severity)]
 
     def _named(self, alarm: Alarm, event: Event) -> list[Published]:
-        """A name that is new, or graver, of an alarm that stands."""
-        if event.kind in ("unknown", alarm.kind):
+        """A name that is new, or graver, of an alarm that stands; or what another witness says of it."""
+        is_told = event.fault is not None and event.fault.other not in ("", alarm.fault and alarm.fault.other)
+        if event.kind == "unknown" or (event.kind == alarm.kind and not is_told):
             return []
         self._learn(alarm, event)
         return [self._published(event, alarm.id, alarm.severity, "named")]

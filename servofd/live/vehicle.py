@@ -18,10 +18,13 @@ from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.watch import Bus, New
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
+from servofd.current.both import OfBoth
+from servofd.current.judge import is_witness
 from servofd.current.stream import OfCurrent, motion_model
 from servofd.detection.causes import cause_of_alarms
 from servofd.detection.event import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
+from servofd.detection.seen import HealthyStream, healthy_of
 from servofd.detection.verdict import CommonCause
 from servofd.live.alarms import Alarms, Published, travel_deg
 from servofd.live.alerts import Alerts
@@ -190,7 +193,8 @@ class Vehicle:
     _checked_s: float = float("-inf")
     _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     _early: list[tuple[Received, float]] = field(default_factory=list)
-    _samples: dict[str, tuple[Samples, Samples]] = field(default_factory=dict)
+    _samples: dict[str, tuple[Samples, Samples, Samples]] = field(default_factory=dict)
+    """What waits of each surface: commands, what it is watched by, and the current beside its position."""
     _disorder: Disorder = field(default_factory=Disorder)
     _bus: Bus = field(init=False)
 
@@ -204,6 +208,8 @@ class Vehicle:
                 continue
             self._routes.setdefault(surface.command.channel, []).append((name, 0))
             self._routes.setdefault(surface.watched_channel, []).append((name, 1))
+            if name in self.monitors and isinstance(self.monitors[name].beside, OfBoth):
+                self._routes.setdefault(surface.beside_channel, []).append((name, 2))
         self._bus = self._new_bus()
         streamed: set[str] = set()
         if self.aircraft.motion is not None:
@@ -235,12 +241,14 @@ class Vehicle:
             )
 
     def _monitor(self, name: str, surface: Surface) -> SurfaceMonitor:
-        if surface.is_told_by_current and surface.current is not None and surface.healthy_current is not None:
-            model = motion_model(self.aircraft, name)
-            beside = OfCurrent(name, model, surface.current, surface.healthy_current)
-            monitor = SurfaceMonitor(name, surface, model, beside)
-        else:
-            monitor = SurfaceMonitor(name, surface, self.aircraft.model(name))
+        known, model = surface.healthy_current, motion_model(self.aircraft, name)
+        beside: HealthyStream | None = None
+        if surface.current is not None and known is not None:
+            beside = OfCurrent(name, model, surface.current, known)
+            if not surface.is_told_by_current:
+                is_two = name not in self.aircraft.sharing_current and is_witness(known)
+                beside = OfBoth(healthy_of(surface, model), beside) if is_two else None
+        monitor = SurfaceMonitor(name, surface, model, beside)
         monitor.is_periodic = self.is_stream
         if not self.is_stream:
             monitor.patience_s = LOG_SILENCE_S
@@ -381,13 +389,17 @@ class Vehicle:
                 monitor.surroundings(context)
         surfaces = self.aircraft.surfaces | {name: monitor.surface for name, monitor in self.monitors.items()}
         stands = self._bus.take(
-            {name: New.of(surfaces[name], *now) for name, now in ready.items() if surfaces[name].measured is not None}
+            {
+                name: New.of(surfaces[name], *now[:2])
+                for name, now in ready.items()
+                if surfaces[name].measured is not None
+            }
         )
         if ready and not math.isfinite(self._watched_s):
             self._watched_s = self.now_s
-        for name, now in ready.items():
+        for name, (asked, read, drawn) in ready.items():
             if name in self.monitors:
-                events += self.monitors[name].feed(*now, stands.get(name), self._bus.stood_s)
+                events += self.monitors[name].feed(asked, read, stands.get(name), self._bus.stood_s, drawn)
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
             for monitor in self.monitors.values():
@@ -396,19 +408,21 @@ class Vehicle:
             events += self.axes.due(self.now_s)
         return events
 
-    def _ready(self, *, final: bool) -> dict[str, tuple[Rows, Rows]]:
-        """Commands and positions of each surface that are evaluated now; all others wait."""
+    def _ready(self, *, final: bool) -> dict[str, tuple[Rows, Rows, Rows]]:
+        """Commands, positions and currents of each surface that are evaluated now; all others wait."""
         samples, self._samples = self._samples, {}
         known_s, ready = self._disorder.known_s(), {}
-        for name, (commands, positions) in samples.items():
+        for name, (commands, positions, drawn) in samples.items():
             monitor = None if final else self.monitors.get(name)
             if monitor is not None and monitor.may_wait(len(commands[0]), len(positions[0])):
-                self._samples[name] = commands, positions
+                self._samples[name] = commands, positions, drawn
                 continue
-            now, later = zip(*(_in_order(each, known_s) for each in (commands, positions)), strict=True)
-            ready[name] = now
+            (asked, read, beside), later = zip(
+                *(_in_order(each, known_s) for each in (commands, positions, drawn)), strict=True
+            )
+            ready[name] = asked, read, beside
             if any(times for times, _ in later):
-                self._samples[name] = later
+                self._samples[name] = later[0], later[1], later[2]
         return ready
 
     def look_for_causes(self) -> None:
@@ -460,7 +474,7 @@ class Vehicle:
             if time_s < self._held_s.get(name, time_s):
                 continue
             self.has_positions |= role == 1
-            columns = self._samples.setdefault(name, (([], []), ([], [])))[role]
+            columns = self._samples.setdefault(name, (([], []), ([], []), ([], [])))[role]
             columns[0].append(time_s)
             columns[1].append(value)
 

@@ -44,6 +44,8 @@ _STYLES = {
     "settling": "cyan",
     "not judged": "dim",
 }
+_BLIND = "land soon: nobody sees whether it moves"
+"""About a servo whose position sensor is at fault."""
 _LATER = "fly on, check it on the ground"
 """About one that is but a notice."""
 
@@ -85,7 +87,8 @@ def said_of(alarm: Alarm) -> str:
     'off by -2.1 deg'
     """
     if alarm.fault is not None:
-        return re.split(r",? (?:since|from) -?\d|, perhaps", describe(alarm.fault), maxsplit=1)[0]
+        other = {"": "", "sensor": ": its sensor, by its current"}.get(alarm.fault.other, " by position and current")
+        return re.split(r",? (?:since|from) -?\d|, perhaps", describe(alarm.fault), maxsplit=1)[0] + other
     if alarm.kind == "unknown" and math.isfinite(alarm.residual_deg):
         return f"off by {alarm.residual_deg:+.1f} deg"
     return "does not follow its command" if alarm.kind == "unknown" else alarm.kind.replace("_", " ")
@@ -183,6 +186,12 @@ class View:
             since, words = _since(alarm), monitor.silenced if word in ("no data", "waiting") else _to_do(alarm)
             numbers = _numbers(reading, " A" * (monitor.quantity == "current"))
             yield Row(vehicle.now_s, name, word, numbers, _share(reading), since, words)
+            if monitor.drawn is not None:
+                is_late = vehicle.is_lost or vehicle.now_s - monitor.drawn.time_s > monitor.patience_s
+                beside = "no data" if is_late else "watched" if monitor.drawn.settled else "settling"
+                yield Row(
+                    vehicle.now_s, f"{name} current", beside, _numbers(monitor.drawn, " A"), _share(monitor.drawn)
+                )
 
     def _axes(self) -> Iterator[Row]:
         """Axes of all vehicles by the latest judgement of their motion."""
@@ -335,7 +344,8 @@ def _to_do(alarm: Alarm | None) -> str:
     if alarm is None:
         return ""
     kind = KINDS.get(alarm.kind, KINDS["unknown"])
-    return f"{said_of(alarm)}: {_LATER if alarm.severity == Severity.NOTICE else kind.in_flight}"
+    to_do = _LATER if alarm.severity == Severity.NOTICE else kind.in_flight
+    return f"{said_of(alarm)}: {_BLIND if alarm.fault is not None and alarm.fault.is_of_sensor else to_do}"
 
 
 def _bar(share: float) -> Text:

@@ -196,7 +196,12 @@ def outputs_of(aircraft: Aircraft, surfaces: Sequence[str] = ()) -> list[int]:
 
 
 def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> OnboardSurface:
-    surface, model = aircraft.surfaces[name], aircraft.model(name)
+    surface = aircraft.surfaces[name]
+    if surface.is_told_by_current:
+        raise ConfigError(
+            "it has a current and no position: --stream-only sends that, and 'servofd monitor' watches it"
+        )
+    model = aircraft.model(name)
     if surface.measured is None:
         raise ConfigError("the aircraft file names no measured channel for it")
     output = _output(surface)

@@ -257,8 +257,12 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
     elif surface.segment is not None or surface.current is not None:
         parts += numbers
     sizes = seen(surface.detectable) if surface.status == "healthy" else ""
-    said = "; ".join(filter(None, (surface.reason, other_way_round(surface), sizes)))
-    return Item(surface.surface, surface.status, said, next_step(surface), surface.model.origin, parts)
+    reason, step = surface.reason, next_step(surface)
+    if surface.status in ("no_data", "unknown") and surface.current is not None and surface.current.time_s is None:
+        what, colon, unit = surface.current.reason.partition(": ")
+        reason, step = reason.replace(surface.current.reason, what), unit if colon else step
+    said = "; ".join(filter(None, (reason, other_way_round(surface), sizes)))
+    return Item(surface.surface, surface.status, said, step, surface.model.origin, parts)
 
 
 def _current(surface: SurfaceAudit) -> list[tuple[str, str]]:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from servofd.detection.kinds import KINDS
 from servofd.outputs.audit_report import quantity
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Cell, Document, Figures, Part, Section, Table, Words
-from servofd.outputs.sentence import clock, minute_of, spoken
+from servofd.outputs.sentence import clock, gravity_of, minute_of, spoken
 
 _HIGHEST_SHARE = 3.0
 """Top of the chart of flights, in thresholds; what is higher is drawn there."""
@@ -58,7 +59,7 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
     for rank, flight in enumerate(flights[:_MOST_FLIGHTS]):
         name, status = flight_name(flight), flight["status"].replace("not_judged", "unknown")
         page = flight["page"] if flight["page"] in pages else ""
-        said_of_it = flight["sentence"].replace(flight["path"], name)
+        said_of_it = flight["sentence"].replace(flight["path"], name) + _also(flight, faults)
         rows.append(flight_row(name, status, flight | {"sentence": said_of_it}, page, rank))
     lost = [(flight_name(one), one["reason"].replace(one["path"], flight_name(one))) for one in not_judged[:_MOST_ROWS]]
     each_fault = Table("Each fault, in s after the beginning", _FAULTS_HEAD, list(map(_fault, faults[:_MOST_ROWS])))
@@ -85,6 +86,27 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
         ],
         data=document,
     )
+
+
+def _also(flight: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> str:
+    """What surfaces of a flight did beside the gravest, which its sentence names.
+
+    Examples
+    --------
+    >>> flight = {"path": "a.bin", "run": None}
+    >>> found = [flight | {"surface": "aileron", "kind": kind} for kind in ("binding", "stuck", "stuck")]
+    >>> _also(flight, found), _also({"path": "b.bin", "run": None}, found)
+    (' Also: aileron binding.', '')
+    """
+    of_surface: dict[str, list[str]] = {}
+    for one in faults:
+        if (one["path"], one["run"]) == (flight["path"], flight["run"]):
+            of_surface.setdefault(one["surface"], []).append(one["kind"])
+    others = []
+    for name, kinds in of_surface.items():
+        _, *more = dict.fromkeys(sorted(kinds, key=lambda kind: gravity_of([kind])))
+        others += [f"{spoken(name)} {', '.join(KINDS[kind].perhaps for kind in more)}"] if more else []
+    return f" Also: {'; '.join(others)}." if others else ""
 
 
 def _chart(flights: Sequence[Mapping[str, Any]]) -> Chart:

@@ -145,13 +145,17 @@ def _faults(name: str, faults: Sequence[Fault]) -> list[dict[str, Any]]:
 
 
 def _fault(identity: str, fault: Fault) -> dict[str, Any]:
-    return _named(fault, _OF_FAULT) | {
-        "id": identity,
-        "confirmed_by": fault.confirmed_by and _fault(f"{identity}-confirmed", fault.confirmed_by),
-        "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
-        "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
-        "alternatives": list(fault.alternatives),
-    }
+    return (
+        _named(fault, _OF_FAULT)
+        | ({"is_of_sensor": True} if fault.is_of_sensor else {})
+        | {
+            "id": identity,
+            "confirmed_by": fault.confirmed_by and _fault(f"{identity}-confirmed", fault.confirmed_by),
+            "parameters": {name: estimate.value for name, estimate in fault.parameters.items()},
+            "intervals": {name: [estimate.low, estimate.high] for name, estimate in fault.parameters.items()},
+            "alternatives": list(fault.alternatives),
+        }
+    )
 
 
 def finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value

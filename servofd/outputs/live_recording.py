@@ -65,10 +65,21 @@ class Samples(NamedTuple):
     context: Context
 
 
+class Currents(NamedTuple):
+    """What was drawn beside the position of one surface; columns of shape (n,)."""
+
+    surface: str
+    time_s: FloatArray
+    drawn_a: FloatArray
+    healthy_a: FloatArray
+    within_a: FloatArray
+
+
 class LiveRecording:
     """Recording of a running monitor, to a file, to viewers on a port of the loopback interface, or both.
 
-    `currents` are the surfaces that are watched by their current: their samples are in amperes.
+    `currents` are the surfaces that are watched by their current alone: their samples are in amperes. Those `beside`
+    are watched by it and by their position.
 
     What ``servofd review`` needs to judge it afterwards are its `properties` (`recording.verdicts.live_verdicts`).
     """
@@ -79,11 +90,12 @@ class LiveRecording:
         surfaces: list[str],
         *,
         currents: Set[str] = frozenset(),
+        beside: Set[str] = frozenset(),
         path: Path | None = None,
         port: int | None = None,
         properties: Mapping[str, Any] | None = None,
     ) -> None:
-        self._entries: deque[Samples | Event] = deque(maxlen=_ROOM)
+        self._entries: deque[Samples | Currents | Event] = deque(maxlen=_ROOM)
         self.dropped = 0
         self._stop = threading.Event()
         self._sinks = []
@@ -91,7 +103,7 @@ class LiveRecording:
             if target is None:
                 continue
             try:
-                recorder = _opened(application_name(name or "plain", "live"), surfaces, currents, target)
+                recorder = _opened(application_name(name or "plain", "live"), surfaces, currents, beside, target)
                 recorder.properties(name or "monitor", properties or {"schema": MANY_VEHICLES})
                 recorder.document(REPORT, f"# {name or 'monitor'}\n\n{_ABOUT}\n")
             except (OSError, RuntimeError, ValueError, OverflowError) as error:  # rerun's own
@@ -100,7 +112,7 @@ class LiveRecording:
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()
 
-    def add(self, entry: Samples | Event) -> None:
+    def add(self, entry: Samples | Currents | Event) -> None:
         """Record samples or an event; never waits."""
         self.dropped += len(self._entries) == self._entries.maxlen
         self._entries.append(entry)
@@ -152,7 +164,7 @@ class _Sink:
     """Batches of the fastest one that make one of this."""
     currents: Set[str]
     """Surfaces whose samples are in amperes."""
-    kept: list[Samples | Event] = field(default_factory=list)
+    kept: list[Samples | Currents | Event] = field(default_factory=list)
     lanes: dict[str, _Lane] = field(default_factory=dict)
     around_s: dict[str, float] = field(default_factory=dict)
     """Until when airspeed and supply were sent [s]."""
@@ -173,6 +185,8 @@ class _Sink:
         for entry in self.kept:
             if isinstance(entry, Samples):
                 waiting.setdefault(entry.surface, []).append(entry)
+            elif isinstance(entry, Currents):
+                self._drawn(entry)
             else:
                 # In order: what it was before the event, it was until the event.
                 if entry.surface in waiting:
@@ -181,6 +195,12 @@ class _Sink:
         for surface, pieces in waiting.items():
             self._samples(surface, pieces)
         self.recorder.stream.flush(timeout_sec=_PATIENCE_S)
+
+    def _drawn(self, entry: Currents) -> None:
+        lane = self.lanes.setdefault(f"{entry.surface} current", _Lane())
+        known_s = np.concatenate([lane.tail_s, entry.time_s])
+        broken_s, lane.tail_s = breaks_s(known_s), known_s[-10:]
+        send_current(self.recorder, surface_place(entry.surface), broken_s, *entry[1:])
 
     def _samples(self, surface: str, pieces: list[Samples]) -> None:
         time_s, *deflections, residual_deg, threshold_deg, command_s, came_deg = (
@@ -234,20 +254,22 @@ class _Sink:
         self.recorder.line_colours(f"{place}/residual", [(time_s, (STATES[word], "threshold", "threshold"))])
 
 
-def _opened(application: str, surfaces: list[str], currents: Set[str], target: Path | int) -> Recorder:
+def _opened(
+    application: str, surfaces: list[str], currents: Set[str], beside: Set[str], target: Path | int
+) -> Recorder:
     """A file, or a port of the loopback interface for viewers, with layout and styles."""
     stream = rr.RecordingStream(application, send_properties=False)
     rr.set_log_time_enabled(False, recording=stream)
     if isinstance(target, Path):
-        stream.save(str(target), default_blueprint=live_layout(surfaces, currents))
+        stream.save(str(target), default_blueprint=live_layout(surfaces, currents, beside))
     else:
         sink = rr.GrpcServerSink("127.0.0.1", target)
-        stream.set_sinks(sink, default_blueprint=live_layout(surfaces, currents, following=True))
+        stream.set_sinks(sink, default_blueprint=live_layout(surfaces, currents, beside, following=True))
     recorder = Recorder(stream)
     for surface, tint in zip(surfaces, itertools.cycle(SERIES), strict=False):
-        if surface in currents:
+        if surface in currents | beside:
             style_current(recorder, surface_place(surface))
-        else:
+        if surface not in currents:
             send_styles(recorder, surface, tint)
     recorder.lines(ALARM_LINE, ["threshold"], ["threshold"])
     return recorder

@@ -198,6 +198,8 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
 def _what(fault: Fault) -> str:
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
     text = filled(KINDS[fault.kind].headline, {"since": clock(fault.start_s), **values})
+    if fault.is_of_sensor:
+        return f"{text} by its position, which its current denies: its sensor is at fault"
     if fault.confirmed_by is None:
         return text
     drawn_a = fault.confirmed_by.parameters["current_a"].value

@@ -172,9 +172,17 @@ def in_order(logs: Sequence[FlownLog]) -> Order:
     return Order(tuple(sorted(logs, key=_natural)), "name", f"by name of the logs, as {why} when it was flown")
 
 
-def _natural(log: FlownLog) -> tuple[list[tuple[int, str]], str]:
-    parts = re.split(r"(\d+)", log.path)
-    return [(int(part) if part.isdecimal() else -1, part) for part in parts], log.run
+def _natural(log: FlownLog) -> list[list[tuple[int, str]]]:
+    """Name and run, numbers in them by their size.
+
+    Examples
+    --------
+    >>> cycles = [FlownLog("a.csv", run, None, "", (), ()) for run in ("10", "2", "1")]
+    >>> [log.run for log in sorted(cycles, key=_natural)]
+    ['1', '2', '10']
+    """
+    names = (re.split(r"(\d+)", name) for name in (log.path, log.run))
+    return [[(int(part) if part.isdecimal() else -1, part) for part in parts] for parts in names]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 from logparsers.dataflash import encode as dataflash
 from logparsers.protocol import Autopilot, Kind, ParameterType, State
 from logparsers.telemetry import encode as telemetry
+from logparsers.ulog import encode as ulog
 from servofd.simulation.dataflash_writer import pulses, rows, words
 from servofd.simulation.surroundings import EPOCH_US, microseconds
 
@@ -37,6 +38,18 @@ def dataflash_of(flight: Flown, message: str = "CSRV") -> bytes:
         drawn = dataflash.Message(message, "QBff", columns, "s#vA", "F-00")
     sent = pulses(asked_us, {1: 1500.0 + US_PER_DEG * flight.command_deg})
     return dataflash.encode([*words(asked_us[:1], KNOWN, "ArduPlane V4.7.0-dev (simulated)"), sent, drawn])
+
+
+def ulog_of(flight: Flown) -> bytes:
+    """What a fork of PX4 logs that takes the telemetry of servos: pulses, and `servo_status`, eight currents [A]."""
+    asked_us, read_us = (microseconds(each).astype(np.uint64) for each in (flight.command_s, flight.current_s))
+    pulses_us, currents_a = np.full((asked_us.size, 16), np.nan, np.float32), np.zeros((read_us.size, 8), np.float32)
+    pulses_us[:, 0], currents_a[:, 0] = 1500.0 + US_PER_DEG * flight.command_deg, flight.current_a
+    columns = {
+        "actuator_outputs": (asked_us, "output", pulses_us),
+        "servo_status": (read_us, "servo_current", currents_a),
+    }
+    return ulog.encode([ulog.Topic(name, {"timestamp": at, of: each}) for name, (at, of, each) in columns.items()])
 
 
 def telemetry_of(flight: Flown, *, battery: bool = False) -> bytes:

@@ -17,7 +17,7 @@ from servofd.servo.faults import Stuck
 from servofd.simulation.commands import gusty
 from servofd.simulation.flight import simulate_flight
 from servofd.simulation.surroundings import current_a, stalled_a
-from tests.current.hub import dataflash_of
+from tests.current.hub import dataflash_of, ulog_of
 from tests.current.motor import Flown, Sensor, fly
 
 START_S = 100.0
@@ -139,6 +139,7 @@ def test_a_position_that_follows_takes_back_what_an_unknown_current_looks_like(t
         (lambda text: _current(text, lambda value: 1e3 * value), "which no servo draws"),
         (lambda text: _current(text, lambda value: 1e2 * value), "which no servo draws"),
         (lambda text: _current(text, lambda value: 512.0 + round(value / 8e-4)), "counts have to be converted"),
+        (lambda text: _current(text, lambda value: round(10.0 * value)), "reads whole amperes alone"),
         (lambda text: _later(text, 1.7e9), "has a clock of its own"),
         (lambda text: _current(text, lambda value: value * float("nan")), "holds no value"),
     ],
@@ -404,6 +405,18 @@ def test_currents_of_circuits_are_told_though_no_file_names_them(
     assert f"{rail}" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_a_topic_of_a_fork_is_a_current_once_the_aircraft_file_names_it(tmp_path: Path) -> None:
+    log, plane = tmp_path / "flight.ulg", tmp_path / "plane.toml"
+    log.write_bytes(ulog_of(flown(5, 10.0, "blocked", seconds=120.0)))
+    plane.write_text(
+        '[surfaces.aileron]\ncommand = { channel = "actuator_outputs[0].output[0]", unit = "us", trim_us = 1500.0, '
+        'slope_deg_per_us = 0.09 }\ncurrent = { channel = "servo_status[0].servo_current[0]", unit = "A" }\n'
+    )
+    (fault,) = servofd.audit(log, plane)["aileron"].faults
+    assert (fault.kind, fault.witness) == ("blocked", "current")
+
+
 def test_runs_that_hold_the_same_are_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = flown(5, 10.0, seconds=20.0).csv("aileron").splitlines()
     path, commands = tmp_path / "bench.csv", [row for row in rows[1:] if not row.endswith(",")]
@@ -491,3 +504,15 @@ def test_limits_of_an_older_file_are_those_of_other_tests_and_hide_nothing(tmp_p
     (tmp_path / "older.toml").write_text("\n".join(older))
     (found,) = servofd.audit(written(tmp_path / "flight.csv", flown(5, 10.0, "blocked")), tmp_path / "older.toml")
     assert [fault.kind for fault in found["aileron"].faults] == ["blocked"]
+
+
+def test_what_to_do_about_a_unit_is_said_once_below_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flight.csv"
+    flights = {name: flown(5 + k, 10.0, seconds=20.0) for k, name in enumerate(("aileron", "elevator"))}
+    path.write_text(together(flights, lambda _: 6.0).replace("_current_a", "_current"))
+    assert main(["audit", str(path)]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("[surfaces.<surface>.current] of the aircraft file" in line for line in lines) == 1
+    assert sum("column elevator_current has no unit" in line for line in lines) == 1

@@ -97,6 +97,20 @@ def test_what_it_records_is_judged_as_an_audit_of_the_log_would(
     assert (alarm_s, level) == (said[0][2][0][1], "ERROR")
 
 
+def test_a_newcomer_with_a_hub_is_led_to_the_monitor(
+    tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, script = tmp_path / "flight.bin", str(tmp_path / "servofd.lua")
+    log.write_bytes(dataflash_of(flown(5, seconds=20.0)))
+    capsys.readouterr()
+    assert main(["info", str(log)]) == 0
+    assert "--stream-only -o servofd.lua` writes the script that sends it" in " ".join(capsys.readouterr().out.split())
+    assert main(["onboard", plane, "-o", script]) == 2
+    assert "--stream-only sends that, and 'servofd monitor' watches it" in capsys.readouterr().err
+    assert main(["onboard", plane, "--stream-only", "-o", script]) == 0
+    assert "from their currents" in Path(plane).read_text()
+
+
 @pytest.mark.slow
 def test_good_currents_raise_nothing(tmp_path: Path, plane: str) -> None:
     log = tmp_path / "flight.tlog"

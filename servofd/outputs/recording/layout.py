@@ -130,12 +130,18 @@ def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untype
     return blueprint(tabs, None, around_s, 1 + names.index(name), marked_s)
 
 
-def live_layout(surfaces: Sequence[str], currents: Set[str] = frozenset(), *, following: bool = False) -> Any:  # noqa: ANN401
+def live_layout(
+    surfaces: Sequence[str],
+    currents: Set[str] = frozenset(),
+    beside: Set[str] = frozenset(),
+    *,
+    following: bool = False,
+) -> Any:  # noqa: ANN401
     """Layout of what a monitor records: the whole flight, or the last minute, following.
 
-    `currents` are the surfaces that it watches by their current.
+    `currents` are the surfaces that it watches by their current, `beside` those by that and their position.
     """
-    tabs = [_by_current(name) if name in currents else _surface(name) for name in surfaces]
+    tabs = [_by_current(n) if n in currents else _surface(n, has_current=n in beside) for n in surfaces]
     return blueprint([_overview(surfaces, surfaces), *tabs], _LAST_S if following else None)
 
 

@@ -243,9 +243,10 @@ def rejudged(recording: Recording) -> Recording:
             streamed = is_streamed(audit.log.format, known.command.channel)
             segment = trace.segment(surface.surface, known.command_period_s, is_streamed=streamed)
             expected, duration_s = surface.expected, audit.log.duration_s
-            surfaces.append(audit_segment(segment, audit.aircraft, duration_s=duration_s, expected=expected))
-        else:
-            surfaces.append(again_by_current(surface, audit.aircraft, recording.context, audit.log.duration_s))
+            drawn = surface.current if surface.current is not None and surface.current.time_s is not None else None
+            surface = audit_segment(segment, audit.aircraft, duration_s=duration_s, expected=expected)  # noqa: PLW2901
+            surface = replace(surface, current=drawn)  # noqa: PLW2901 - the same, judged again
+        surfaces.append(again_by_current(surface, audit.aircraft, recording.context, audit.log.duration_s))
     again = Recording.of(replace(audit, surfaces=tuple(surfaces)))
     notes = (*(n for n in recording.notes if n != LIVE), "judged again, by the recorded threshold")
     return Recording(replace(again.audit, log=audit.log), {**recording.traces, **again.traces}, notes)

@@ -87,7 +87,7 @@ def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dic
     for key in surfaces:
         one = aircraft.surfaces[key]
         threshold, expected = (one.threshold, one.threshold_deg), one.measured is not None
-        current = CurrentAudit("unknown", reason) if one.is_told_by_current else None
+        current = CurrentAudit("unknown", reason) if one.is_told_by_current or one.beside_channel else None
         watched.append(
             SurfaceAudit(key, "no_data", reason, one.servo, *threshold, expected, model=one.model, current=current)
         )
@@ -171,5 +171,6 @@ def _fault(entry: Mapping[str, Any]) -> Fault:
         parameters={k: Estimate(v, *entry["intervals"][k]) for k, v in entry["parameters"].items()},
         alternatives=tuple(entry["alternatives"]),
         witness=entry.get("witness", "position"),
+        is_of_sensor=entry.get("is_of_sensor", False),
         confirmed_by=_fault(entry["confirmed_by"]) if entry.get("confirmed_by") else None,
     )
