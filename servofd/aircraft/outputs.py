@@ -528,9 +528,7 @@ def _streamed(surface: Surface, *, has_card: bool) -> Surface:
     if surface.healthy_current is not None and is_of_log and not has_card:
         drawn = CurrentSource(channel=f"NAMED_VALUE_FLOAT[SRVA{number}].value", unit="A")
         surface = surface.model_copy(update={"current": drawn})
-    if surface.is_told_by_current:
-        pass
-    elif measured is None and surface.output is not None:
+    if measured is None and surface.output is not None and not surface.is_told_by_current:
         change["measured"] = DegreeCalibration(channel=channel, unit="deg")
     elif not has_card and isinstance(measured, DegreeCalibration) and _OF_A_LOG.match(measured.channel):
         change["measured"] = measured.model_copy(update={"channel": channel})
