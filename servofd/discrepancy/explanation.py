@@ -367,9 +367,9 @@ def explain_gap(
         for k, each in enumerate(records)
     ]
     check(joined([at_rest(each) for each in records]))
-    record, stood = driven_part(records)
+    record, stood, begun = driven_part(records)
     whole, undriven = record, [*off, *stood]
-    selection = select(record, progress)
+    selection = select(record, progress, begun)
     notes = [each.sentence(several=len(records) > 1) for each in undriven]
     notes += [
         f"run {k + 1} is too short: nothing of it counts" for k, each in enumerate(records) if each.counts.sum() == 0
@@ -404,21 +404,22 @@ def explain_gap(
     return replace(found, separating=() if record.side is not None else separations(selection))
 
 
-def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven]]:
-    """Runs as one record in which only what was driven counts, and where that was not so."""
+def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven], Fitter | None]:
+    """Runs as one record in which only what was driven counts, where that was not so, and what has begun to fit it."""
     record = joined([at_rest(each) for each in records])
     if record.side is not None:
-        return record, []
-    kept, stood = driven(records, Fitter(record).linear()[0].physics)
+        return record, [], None
+    fitter = Fitter(record.searched)
+    kept, stood = driven(records, fitter.linear()[0].physics)
     if not stood:
-        return record, []
+        return record, [], fitter
     # The servo had been fitted to what no servo does.
     clear = joined([at_rest(each) for each in clear_of(records, stood)])
     if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
         again = driven(records, Fitter(clear).linear()[0].physics)
         kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
     part = joined([at_rest(each) for each in kept])
-    return (part, stood) if int(part.counts.sum()) >= _FEWEST_SAMPLES else (record, [])
+    return (part, stood, None) if int(part.counts.sum()) >= _FEWEST_SAMPLES else (record, [], fitter)
 
 
 def _unconfirmed(found: Explanation) -> list[str]:

@@ -348,37 +348,73 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
 
     `finer` divides the steps that are taken where something switches.
     """
-    if not record.runs:
-        physics = at_run(physics, record.conditions)
+    if any(each.side is not None for each in record.runs):
+        return np.concatenate([simulate(each, at_run(physics, each.conditions), finer) for each in record.runs])
     loose_deg = physics.loose_deg
-    if record.runs and loose_deg > 0.0 and record.side is None and record.is_zeroed:
-        return np.concatenate(
-            [_from_where_it_lay(each, at_run(physics, each.conditions), finer) for each in record.runs]
-        )
-    if record.runs:
-        return np.concatenate([simulate(each, physics, finer) for each in record.runs])
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
         tight = physics._replace(**dict.fromkeys(loose_shares(), 0.0))
         lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
         return lying_deg
-    return _moved_from(record, physics, finer, _first_deg(record))
+    moved = _from_where_it_lay if loose_deg > 0.0 and record.is_zeroed else _from_first
+    if not record.runs or physics.run_slope == 0.0:
+        return moved(record, at_run(physics, record.conditions), finer)
+    moved_deg = np.empty(record.time_s.size)
+    for where, alike in _by_condition(record):
+        moved_deg[where] = moved(alike, at_run(physics, alike.runs[0].conditions), finer)
+    return moved_deg
+
+
+@lru_cache(maxsize=64)
+def _by_condition(record: Record) -> list[tuple[IntArray, Record]]:
+    """Which samples are of runs under one condition, and those runs."""
+    conditions = [each.conditions for each in record.runs]
+    of_sample = np.array([conditions.index(each) for each in conditions])[record.run]
+    return [(where, only(record, where)) for k in np.unique(of_sample) for where in [np.flatnonzero(of_sample == k)]]
 
 
 @lru_cache(maxsize=256)
-def _first_deg(record: Record) -> float:
-    """First position that was measured [deg]; 0 if none was."""
-    known = np.flatnonzero(np.isfinite(record.measured_deg))
-    return float(record.measured_deg[known[0]]) if known.size else 0.0
+def _starts(record: Record) -> tuple[IntArray, BoolArray, FloatArray]:
+    """Of each run: its first sample, shape (r,), the same as a mask (n,), and its first measured position [deg]."""
+    runs = record.runs or (record,)
+    first = np.cumsum([0, *(each.time_s.size for each in runs[:-1])])
+    anew = np.zeros(record.time_s.size, dtype=bool)
+    anew[first] = True
+    start_deg = np.zeros(first.size)
+    for k, each in enumerate(runs):
+        known = np.flatnonzero(np.isfinite(each.measured_deg))
+        start_deg[k] = each.measured_deg[known[0]] if known.size else 0.0
+    return first, anew, start_deg
 
 
-def _moved_from(record: Record, physics: Physics, finer: float, start_deg: float) -> FloatArray:
-    """Positions of one run from rest at a place [deg], shape (n,)."""
-    commands = record.commands.effective_s, record.commands.command_deg, record.commands.slope_deg_s
+def _from_first(record: Record, physics: Physics, finer: float) -> FloatArray:
+    """Positions of each run from rest where it was first measured [deg]."""
+    return _moved_from(record, physics, finer, _starts(record)[2])
+
+
+def _moved_from(record: Record, physics: Physics, finer: float, start_deg: FloatArray) -> FloatArray:
+    """Positions of each run from rest at a place (r,) [deg]; all runs are one journey of the stepper, shape (n,)."""
+    first, anew, _ = _starts(record)
     machine = machine_of(record.plant.transfer, (physics,), finer)
+    measured_deg = np.empty(record.time_s.size)
+    measured_deg[first] = start_deg
+    # What holds a servo until its first command comes can only have been an earlier one; the run before sent none.
+    held_deg = (start_deg - physics.bias_deg) / physics.gain / machine.loops[0].gain
+    pieces: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    begin_s = record.time_s[first].tolist()
+    for each, held, from_s, until_s in zip(
+        record.runs or (record,), held_deg.tolist(), begin_s, [*begin_s[1:], np.inf], strict=True
+    ):
+        sent = each.commands
+        effective_s, command_deg, slope_deg_s = received(
+            physics, (sent.effective_s, sent.command_deg, sent.slope_deg_s)
+        )
+        pieces.append((np.array([from_s]), np.array([held]), np.zeros(1)))
+        pieces.append((np.minimum(effective_s, until_s), command_deg, slope_deg_s))
+    effective_s, command_deg, slope_deg_s = map(np.concatenate, zip(*pieces, strict=True))
     moved_deg = machine.run(
-        machine.new_state(), received(physics, commands), record.time_s,
-        anew=_FIRST_ALONE, measured_deg=np.array([start_deg]),
+        machine.new_state(), (effective_s, command_deg, slope_deg_s), record.time_s,
+        anew=anew, measured_deg=measured_deg,
         around=_around(record, physics.load_late_s) if physics.needs else _NOTHING_LOGGED,
     )[0][:, 0]  # fmt: skip
     # A load that pushes harder the further it has pushed runs away from a motor at its limit.
@@ -386,13 +422,15 @@ def _moved_from(record: Record, physics: Physics, finer: float, start_deg: float
     return bounded
 
 
-_FIRST_ALONE, _NOTHING_LOGGED = np.ones(1, dtype=bool), np.zeros((0, 5))
-"""Inputs of the simulation of one instant: the first sample begins anew, and nothing else was logged."""
+_NOTHING_LOGGED = np.zeros((0, 5))
+"""Surroundings of a servo, in a simulation that does not depend on them."""
 
 
 @lru_cache(maxsize=256)
 def _around(record: Record, late_s: float) -> FloatArray:
     """What was logged beside the servo, as the stepper takes it."""
+    if record.runs:
+        return np.concatenate([_around(each, late_s) for each in record.runs])
     count = record.time_s.size
     columns = (
         record.logged.get("airspeed_m_s", np.zeros(count)),
@@ -404,19 +442,26 @@ def _around(record: Record, late_s: float) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _from_where_it_lay(run: Record, physics: Physics, finer: float) -> FloatArray:
-    """Reading of a run that is counted from where the servo lay within its dead band when the run began [deg].
+def _from_where_it_lay(record: Record, physics: Physics, finer: float) -> FloatArray:
+    """Reading of runs that are counted from where the servo lay within its dead band when each began [deg].
 
-    Where that was is not logged. Once the servo has moved, it only shifts the readings: by what agrees best.
+    Where that was is not logged. Once the servo has moved, it only shifts the readings: by what agrees best, in
+    the runs that are held out as well.
     """
-    first_deg = _first_deg(run)
-    moved_deg = _moved_from(run, physics, finer, first_deg)
-    there = run.counts & np.logical_or.accumulate(np.abs(moved_deg - first_deg) > _MOVED_DEG)
-    if not there.any():
+    first, _, start_deg = _starts(record)
+    counts = np.concatenate([each.counts for each in record.runs])
+    moved_deg = _moved_from(record, physics, finer, start_deg)
+    run, shift_deg = record.run, np.zeros(first.size)
+    left = (np.abs(moved_deg - start_deg[run]) > _MOVED_DEG).astype(np.int64)
+    ever = np.cumsum(left)
+    there = counts & (ever > (ever[first] - left[first])[run])
+    count = np.bincount(run[there], minlength=first.size)
+    off_deg = np.bincount(run[there], weights=(moved_deg - record.measured_deg)[there], minlength=first.size)
+    np.divide(off_deg, count, out=shift_deg, where=count > 0)
+    lay_deg = np.clip(shift_deg, -physics.loose_deg, physics.loose_deg)
+    if not lay_deg.any():
         return moved_deg
-    shift_deg = float(np.mean((moved_deg - run.measured_deg)[there]))
-    lay_deg = min(max(shift_deg, -physics.loose_deg), physics.loose_deg)
-    return _moved_from(run, physics, finer, first_deg + lay_deg) - lay_deg
+    return _moved_from(record, physics, finer, start_deg + lay_deg) - lay_deg[run]
 
 
 _MOVED_DEG = 1e-3

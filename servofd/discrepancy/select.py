@@ -104,14 +104,18 @@ class Selection:
         return self.fitter.simulations
 
 
-def select(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Selection:
-    """Find the effects that are missing."""
-    return concluded(searched(record, progress))
+def select(
+    record: Record, progress: Callable[[str], None] = lambda _step: None, begun: Fitter | None = None
+) -> Selection:
+    """Find the effects that are missing; `begun` may have fitted linear servos to what of it is searched."""
+    return concluded(searched(record, progress, begun))
 
 
-def searched(record: Record, progress: Callable[[str], None] = lambda _step: None) -> Search:
+def searched(
+    record: Record, progress: Callable[[str], None] = lambda _step: None, begun: Fitter | None = None
+) -> Search:
     """All structures that come into question, fitted."""
-    fitter = Fitter(record.searched)
+    fitter = begun or Fitter(record.searched)
     root = fitter.root()
     search = Search(fitter, judgeable(record)[0], progress)
     search.begin(root)
@@ -333,8 +337,7 @@ def _better_linear(search: Search, best: Fit) -> Fit | None:
     is_usual = abs(root.physics.gain - 1.0) <= _USUAL_GAINS * record.known.gain_share
     if is_usual and not adequacy(record, fitter.halved(root)).reasons:
         return root
-    start = fitter.linear()[0].physics
-    fits = [fitter.descended(effects, start, LONG) for effects in ((Bias,), (Gain,), (Bias, Gain))]
+    fits = [fitter.descended(effects, root.physics, LONG) for effects in ((Bias,), (Gain,), (Bias, Gain))]
     found = [root, *(fit for fit in fits if search.is_physical(fit))]
     halves = [fitter.halved(fit) for fit in found]
     least = min(half.held_out for half in halves)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,10 @@ import pytest
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.record import Record, joined, record_of, simulate
+from servofd.servo.catalogue import by_condition
 from servofd.servo.context import Context
+from servofd.servo.effects.commands import SetPointRate
+from servofd.servo.motion import Machine
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
@@ -97,6 +102,37 @@ def test_joined_runs_move_as_each_run_does_alone() -> None:
     alone = [simulate(each, physics) for each in (one, two)]
     np.testing.assert_allclose(simulate(both, physics), np.concatenate(alone), atol=1e-9)
     assert joined([one]) is one
+
+
+@pytest.mark.parametrize(
+    ("physics", "journeys"),
+    [
+        (Physics(rate_up_deg_s=40.0), 1),
+        (Physics(friction_deg=0.6), 2),
+        (Physics(set_point_deg_s=60.0)._replace(**by_condition(SetPointRate, 0, "load").fixed, run_slope=-20.0), 2),
+    ],
+    ids=["one for all", "once more from where each lay", "one for each condition"],
+)
+def test_runs_are_one_journey_of_the_stepper(physics: Physics, journeys: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither late commands of one run nor the place where it ended reach the next, whatever is fitted."""
+    runs = []
+    for k in range(5):
+        at_s, read_deg = TIME_S[k : 200 + 10 * k], 0.9 * COMMAND_DEG[k : 200 + 10 * k]
+        segment = Series("servo", TIME_S - 0.403 * k, COMMAND_DEG + k, at_s, read_deg - read_deg[0])
+        runs.append(replace(record_of(segment, MODEL), conditions=((-1.0) ** k,), condition_names=("load",)))
+    physics = physics._replace(delay_s=0.3, bias_deg=0.5, gain=0.9)
+    alone = [simulate(joined([each] * 3), physics)[: each.time_s.size] for each in runs]
+    moved, made = Machine.run, []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        made.append(1)
+        return moved(*arguments, **options)
+
+    monkeypatch.setattr(Machine, "run", counted)
+    together = joined(runs)
+    together = replace(together, counts=np.zeros_like(together.counts))
+    np.testing.assert_allclose(simulate(together, physics), np.concatenate(alone), atol=1e-9)
+    assert len(made) == journeys
 
 
 def test_of_many_runs_whole_ones_are_the_folds_and_of_few_blocks_of_each() -> None:

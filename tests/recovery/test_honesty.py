@@ -11,6 +11,7 @@ from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
 from servofd.discrepancy.adequacy import adequacy
 from servofd.discrepancy.fit import Fitter
+from servofd.discrepancy.known import NOTHING
 from servofd.discrepancy.noise import noise_floor_deg
 from servofd.discrepancy.record import Record, comb_step_deg, record_of, simulate
 from servofd.discrepancy.search import best_frame
@@ -161,3 +162,13 @@ def test_the_place_of_the_slow_pole_decides_which_effect_it_is(place: float) -> 
     assert found.final.values[0] == pytest.approx(1.5, abs=0.1)
     assert found.final.place == place
     assert found.adequacy.reasons == ()
+
+
+def test_what_is_held_out_was_not_fitted() -> None:
+    """Though few samples count, as errors are correlated: what one half tells of the servo is not what both tell."""
+    record = flown((), [], 3)
+    wave = np.repeat(np.random.default_rng(8).normal(0.0, 0.4, record.time_s.size // 25), 25)
+    fitter = Fitter(replace(record, measured_deg=record.measured_deg + wave, known=NOTHING))
+    half = fitter.halved(fitter.root())
+    assert fitter.effective < 0.1 * record.counts.sum()
+    assert half.held_out > 1.005 * half.train
