@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.series import rms
 from servofd.core.types import FloatArray
-from servofd.discrepancy.record import simulate
-from servofd.servo.catalogue import ALIKE, is_law
+from servofd.discrepancy.fit import LONG
+from servofd.servo.catalogue import ALIKE, is_law, plain
 from servofd.servo.effect import Effect
 
 if TYPE_CHECKING:
@@ -37,9 +36,9 @@ class Varying:
     slope: float
     """Of the line through the values over the condition."""
     common_rms_deg: float
-    """Error of the held-out runs with one value for all."""
+    """Error on data not fitted, of the servo with one value for all runs, fitted as well."""
     line_rms_deg: float
-    """The same with the values of the line."""
+    """The same with the values of the line: that of the last step."""
 
     @property
     def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -54,7 +53,7 @@ class Varying:
         others = f" (or {', '.join(self.conditions[1:])}, which varies with it)" if len(self.conditions) > 1 else ""
         return (
             f"{self.parameter} {'falls' if last < first else 'rises'} with {self.conditions[0]}{others}: {first:.4g} "
-            f"at {low:.4g}, {last:.4g} at {high:.4g}; with that, the error of the runs held out is "
+            f"at {low:.4g}, {last:.4g} at {high:.4g}; with that, the error on data not fitted is "
             f"{self.line_rms_deg:.3g} instead of {self.common_rms_deg:.3g} deg rms"
         )
 
@@ -94,12 +93,10 @@ def _law(selection: Selection, index: int, effect: type[Effect], known: Mapping[
     of, value = known[name], float(selection.final.values[index])
     slope = 2.0 * physics.run_slope / float(np.ptp(of))
     at_zero = value - physics.run_slope - slope * float(of.min())
-    last = np.cumsum([each.time_s.size for each in record.runs]) - 1
-    held_out = record.counts & (record.fold[last] != 0)[record.run]
-    common_deg, line_deg = (
-        rms((record.measured_deg - simulate(record, each))[held_out])
-        for each in (physics._replace(run_slope=0.0), physics)
-    )
+    fitter, alike_in_all = selection.fitter, tuple(plain(each) for each in selection.final.effects)
+    common = fitter.halved(fitter.descended(alike_in_all, physics._replace(run_slope=0.0), LONG))
+    count = float(record.counts.sum())
+    common_deg, line_deg = (float(np.sqrt(fit.held_out / count)) for fit in (common, selection.final))
     alike = [
         other for other, its in known.items()
         if other != name and np.ptp(its) > 0.0 and abs(np.corrcoef(its, of)[0, 1]) > ALIKE
