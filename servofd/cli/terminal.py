@@ -204,10 +204,10 @@ def _print_parts(parts: Sequence[Part], shown: Console) -> None:
             print_table(list(map(str, part.head)), [list(map(str, row)) for row in part.rows], part.caption)
         elif isinstance(part, Items) and part.items:
             print_table(part.head, part.rows, "", shown)
-            told: dict[str, list[str]] = {}
+            named: dict[str, list[str]] = {}
             for one in part.items:
-                told.setdefault(one.advice, []).append(one.name)
-            lines = [f"{', '.join(names)}: {advice}" for advice, names in told.items() if advice]
+                named.setdefault(one.advice, []).append(one.name)
+            lines = [f"{', '.join(names)}: {advice}" for advice, names in named.items() if advice]
         elif isinstance(part, Section) and not part.folded:
             shown.print(Text(": ".join(filter(None, (part.title, part.badge or part.status))), style="bold"))
             _print_parts(part.parts, shown)

@@ -245,16 +245,16 @@ def _two(surface: SurfaceAudit, seen: Seen, found: CurrentAudit) -> tuple[Surfac
     if surface.segment is None:
         return surface, found
     where = surface.segment.measured_s, surface.segment.measured_deg
-    told = beside(seen, found.faults, surface.faults, where, follows=surface.status == "healthy")
+    both = beside(seen, found.faults, surface.faults, where, follows=surface.status == "healthy")
     reason = surface.reason
-    for before, now in zip(surface.faults, told.position, strict=True):
+    for before, now in zip(surface.faults, both.position, strict=True):
         reason = reason.replace(describe(before), describe(now))
-    if told.is_denied:
+    if both.is_denied:
         found = replace(found, status="unknown", reason=f"{found.reason}; {_MOVES}", faults=(), suspicions=())
-    elif told.current != found.faults:
-        said = f"by its current: {'; then '.join(map(describe, told.current))}"
-        found = replace(found, faults=told.current, status="fault", reason=said)
-    return replace(surface, faults=told.position, reason=reason), found
+    elif both.current != found.faults:
+        said = f"by its current: {'; then '.join(map(describe, both.current))}"
+        found = replace(found, faults=both.current, status="fault", reason=said)
+    return replace(surface, faults=both.position, reason=reason), found
 
 
 _FOLLOWED: Final = "but its position followed: calibrate what it draws on a good flight"

@@ -32,7 +32,7 @@ AGREE_S: Final = 15.0
 _AT_REST: Final = ("blocked", "unpowered")
 """What a current tells of a servo that stands still."""
 _AGAIN_S: Final = 5.0
-"""What a current raises and a look makes nothing of is looked at again so much later, twice the shortest window [s]."""
+"""After a look that makes nothing of what a current raises, the next one comes so much later: two shortest windows [s]."""
 
 
 class Beside(NamedTuple):
@@ -137,7 +137,7 @@ class BothStream(Following):
         self.history, self.logged, self.doubts_wiring = position.history, position.logged, position.doubts_wiring
         self.latched = 0
         self._rests_s = -np.inf
-        """Until when what the current raises is not looked at [s]."""
+        """Until when there is no look at what the current raises [s]."""
 
     def commands(self, time_s: FloatArray, command_deg: FloatArray) -> None:
         """Add commands [deg], of shape (n,)."""
@@ -198,9 +198,9 @@ class BothStream(Following):
         since_s = min((one.start_s for one in current), default=np.inf)
         is_judged = bool(np.any(seen.residuals.settled[where[0] >= since_s]))
         follows = is_judged and not found.faults and not found.suspicions
-        told = beside(readings, [one for one in current if one.level == "fault"], found.faults, where, follows=follows)
-        known, left = confirmed(told.position, told.current)
-        suspicions = (*found.suspicions, *(one for one in current if one.level == "suspect" and not told.is_denied))
+        both = beside(readings, [one for one in current if one.level == "fault"], found.faults, where, follows=follows)
+        known, left = confirmed(both.position, both.current)
+        suspicions = (*found.suspicions, *(one for one in current if one.level == "suspect" and not both.is_denied))
         return found._replace(faults=tuple(one_at_a_time([*known, *left])), suspicions=suspicions)
 
 

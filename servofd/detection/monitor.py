@@ -696,7 +696,7 @@ class SurfaceMonitor:
         return events
 
     def _crossings(self, piece: Piece) -> bool:
-        """Keep what a piece raises until it is looked at; whether the alarm that stands is told by another witness."""
+        """Keep what a piece raises until it is looked at; whether the alarm that stands comes from another witness."""
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
         known = self._alarm.fault if self._alarm is not None else None
         is_by_other = known is not None and known.witness != self.quantity

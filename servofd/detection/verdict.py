@@ -295,7 +295,7 @@ def describe(fault: Fault) -> str:
     )
     doubt = ""
     if fault.kind == "unknown" and fault.alternatives:
-        text, doubt = "at fault, and it cannot be told which fault it is", _perhaps(fault)
+        text, doubt = "at fault, and which fault it is cannot be said", _perhaps(fault)
     elif fault.probability < SURE and fault.alternatives and fault.kind != "healthy":
         doubt = _perhaps(fault)
     if fault.kind == "healthy" and fault.level == "fault":

@@ -44,7 +44,7 @@ _STYLES = {
     "settling": "cyan",
     "not judged": "dim",
 }
-_BLIND = "land soon: nobody sees whether it moves"
+_BLIND = "land soon: its motion is not seen"
 """About a servo whose position sensor is at fault."""
 _LATER = "fly on, check it on the ground"
 """About one that is but a notice."""

@@ -19,7 +19,7 @@ from servofd.axes.model import FORMS
 from servofd.axes.verdict import AxisAudit, named, shown
 from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
-from servofd.detection.verdict import LogAudit, SurfaceAudit, meaning, next_step
+from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, meaning, next_step
 from servofd.jobs.workflow import FailedLog
 from servofd.outputs.chart import (
     MOST_FAULTS,
@@ -219,23 +219,8 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
         parts.append(Figures(lambda: [*fault_charts(surface), flight_chart(surface, of)]))
     elif surface.current is not None:
         parts.append(Figures(lambda: current_charts(surface)))
-    rows = []
-    for fault in found:
-        values = (f"{quantity(name)} {with_interval(*one)}" for name, one in fault.parameters.items())
-        rows.append(
-            (
-                *(kind_of(fault), f"{fault.start_s:.2f}", f"{fault.alarm_s:.2f}"),
-                "lasts" if fault.end_s is None else f"{fault.end_s:.2f}",
-                "; ".join(values) or _MISSING,
-                f"{100.0 * fault.probability:.3g}%",
-                spoken(", ".join(fault.alternatives)) or _MISSING,
-                " and ".join(one.witness for one in (fault, fault.confirmed_by) if one is not None),
-            )
-        )
-    times = ("onset [s]", "alarm [s]", "end [s]")
-    head = ("kind", *times, "parameters (95% intervals)", "probability", "alternatives", "by its")
     numbers: list[Part] = [
-        Table("Faults and suspicions", head, rows),
+        _faults(found),
         Table("Residual and threshold", ("quantity", "value"), _statistics(surface)),
         Table("Quality of the data", ("quantity", "value"), quality_rows(surface)),
         Table("Current", ("quantity", "value"), _current(surface)),
@@ -257,12 +242,38 @@ def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
     elif surface.segment is not None or surface.current is not None:
         parts += numbers
     sizes = seen(surface.detectable) if surface.status == "healthy" else ""
-    reason, step = surface.reason, next_step(surface)
-    if surface.status in ("no_data", "unknown") and surface.current is not None and surface.current.time_s is None:
-        what, colon, unit = surface.current.reason.partition(": ")
-        reason, step = reason.replace(surface.current.reason, what), unit if colon else step
+    reason, step = _and_step(surface)
     said = "; ".join(filter(None, (reason, other_way_round(surface), sizes)))
     return Item(surface.surface, surface.status, said, step, surface.model.origin, parts)
+
+
+def _faults(found: Sequence[Fault]) -> Table:
+    """What is known of each fault."""
+    rows = []
+    for fault in found:
+        values = (f"{quantity(name)} {with_interval(*one)}" for name, one in fault.parameters.items())
+        rows.append(
+            (
+                *(kind_of(fault), f"{fault.start_s:.2f}", f"{fault.alarm_s:.2f}"),
+                "lasts" if fault.end_s is None else f"{fault.end_s:.2f}",
+                "; ".join(values) or _MISSING,
+                f"{100.0 * fault.probability:.3g}%",
+                spoken(", ".join(fault.alternatives)) or _MISSING,
+                " and ".join(one.witness for one in (fault, fault.confirmed_by) if one is not None),
+            )
+        )
+    times = ("onset [s]", "alarm [s]", "end [s]")
+    head = ("kind", *times, "parameters (95% intervals)", "probability", "alternatives", "by its")
+    return Table("Faults and suspicions", head, rows)
+
+
+def _and_step(surface: SurfaceAudit) -> tuple[str, str]:
+    """Why it has its verdict, and what to do; how to name the unit of a current is something to do."""
+    reason, step, current = surface.reason, next_step(surface), surface.current
+    if surface.status in ("no_data", "unknown") and current is not None and current.time_s is None:
+        what, colon, unit = current.reason.partition(": ")
+        return reason.replace(current.reason, what), unit if colon else step
+    return reason, step
 
 
 def _current(surface: SurfaceAudit) -> list[tuple[str, str]]:
