@@ -32,7 +32,7 @@ AGREE_S: Final = 15.0
 _AT_REST: Final = ("blocked", "unpowered")
 """What a current tells of a servo that stands still."""
 _AGAIN_S: Final = 5.0
-"""After a look that makes nothing of what a current raises, the next one comes so much later: two shortest windows [s]."""
+"""Time between a look that makes nothing of what a current raises and the next: two of the shortest windows [s]."""
 
 
 class Beside(NamedTuple):
