@@ -285,6 +285,19 @@ def test_what_hangs_on_a_shaft_is_as_exact_as_its_way_in_a_step(
     assert np.abs(whole_deg - tenth_deg).max() < 1e-4 + 2.0 * np.abs(alone_deg[0] - alone_deg[1]).max()
 
 
+@pytest.mark.parametrize("hangs", [{"resonance_hz": 3.0, "resonance_damping": 0.05}, {"lag_s": 0.25}], ids=named)
+@pytest.mark.parametrize("apart_s", [2e-12, 1e-10, 1e-8, 1e-6, 9e-6, 2e-5])
+def test_a_command_beside_an_instant_by_rounding_bends_nothing(hangs: dict[str, float], apart_s: float) -> None:
+    """An autopilot that has run for hours stamps a position, and a command that takes effect, by one rounding apart."""
+    physics, commands = Physics(**hangs), FLIGHT.copy()
+    beside = FLIGHT.copy()
+    beside[0] += apart_s
+    near_deg, at_deg = (
+        moved(machine_of(EQ31, [physics]), physics, each, FLIGHT_S, CALM)[:, 0] for each in (beside, commands)
+    )
+    assert np.abs(near_deg - at_deg).max() < 1e-3 + 300.0 * apart_s
+
+
 # What holds of every effect.
 
 

@@ -116,7 +116,8 @@ def turns(short: float, faster: float, square: float) -> float:
 def speed_over(x: float, at: float, now: Now) -> tuple[float, float, float, float]:
     """Speed of what moves from `at` to x in a step: b + f t + s t^2; b, f, s, and the speed at its end.
 
-    It moves with the shaft, on a cubic, or else (in play, at its limit) on a straight line.
+    It moves with the shaft, on a cubic, or else (in play, at its limit, or for too short a time to tell) on a straight
+    line.
 
     Examples
     --------
@@ -125,7 +126,8 @@ def speed_over(x: float, at: float, now: Now) -> tuple[float, float, float, floa
     ([1.0, 20.0, 0.0, 3.0], (5.0, 0.0, 0.0, 5.0))
     """
     mean = (x - at) / now.step_s
-    if abs(x - at - now.travel_deg) > 1e-12 * (abs(x) + abs(at)):  # beyond rounding
+    # Beyond rounding; that of two stamps that differ by rounding alone would bend the cubic by hundreds of degrees.
+    if now.step_s < 1e-5 or abs(x - at - now.travel_deg) > 1e-12 * (abs(x) + abs(at)):
         return mean, 0.0, 0.0, mean
     begins, ends = now.speed_deg_s, now.arrives_deg_s
     faster, square = 3.0 * mean - 2.0 * begins - ends, begins + ends - 2.0 * mean
