@@ -289,8 +289,6 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
         reason = reason.replace(describe(before), describe(now))
     if known and all(fault.confirmed_by for fault in known):
         reason = reason.replace(SERVO_OR_SENSOR, "servo: ")
-    if known and all(fault.is_of_sensor for fault in known):
-        reason = reason.replace(SERVO_OR_SENSOR, "feedback: ")
     if left or current.status == "suspect" or _MOVES in current.reason:
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
     if agree(known, left):

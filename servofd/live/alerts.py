@@ -149,5 +149,5 @@ def _words(event: Published) -> str:
         return "at fault"
     sizes = event.fault.parameters if event.fault is not None else {}
     values = {name: estimate.value for name, estimate in sizes.items()}
-    sensor = " (sensor)" if event.fault is not None and event.fault.is_of_sensor else ""
+    sensor = " (sensor?)" if event.fault is not None and event.fault.is_of_sensor else ""
     return filled(KINDS[event.kind].clause, values).replace("±", "+-") + sensor

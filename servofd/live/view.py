@@ -44,8 +44,6 @@ _STYLES = {
     "settling": "cyan",
     "not judged": "dim",
 }
-_BLIND = "land soon: its motion is not seen"
-"""About a servo whose position sensor is at fault."""
 _LATER = "fly on, check it on the ground"
 """About one that is but a notice."""
 
@@ -87,7 +85,7 @@ def said_of(alarm: Alarm) -> str:
     'off by -2.1 deg'
     """
     if alarm.fault is not None:
-        other = {"": "", "sensor": ": its sensor, by its current"}.get(alarm.fault.other, " by position and current")
+        other = {"": "", "sensor": " or, by its current, its sensor"}.get(alarm.fault.other, " by position and current")
         return re.split(r",? (?:since|from) -?\d|, perhaps", describe(alarm.fault), maxsplit=1)[0] + other
     if alarm.kind == "unknown" and math.isfinite(alarm.residual_deg):
         return f"off by {alarm.residual_deg:+.1f} deg"
@@ -344,8 +342,7 @@ def _to_do(alarm: Alarm | None) -> str:
     if alarm is None:
         return ""
     kind = KINDS.get(alarm.kind, KINDS["unknown"])
-    to_do = _LATER if alarm.severity == Severity.NOTICE else kind.in_flight
-    return f"{said_of(alarm)}: {_BLIND if alarm.fault is not None and alarm.fault.is_of_sensor else to_do}"
+    return f"{said_of(alarm)}: {_LATER if alarm.severity == Severity.NOTICE else kind.in_flight}"
 
 
 def _bar(share: float) -> Text:

@@ -199,7 +199,7 @@ def _what(fault: Fault) -> str:
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
     text = filled(KINDS[fault.kind].headline, {"since": clock(fault.start_s), **values})
     if fault.is_of_sensor:
-        return f"{text} by its position, which its current denies: its sensor is at fault"
+        return f"{text} by its position, while its current says that it moves"
     if fault.confirmed_by is None:
         return text
     drawn_a = fault.confirmed_by.parameters["current_a"].value
