@@ -432,6 +432,8 @@ class SurfaceMonitor:
     def _seen(self, look: Look, fault: Fault) -> list[Event]:
         """What a fault changes: an alarm is raised, has a name, or is over."""
         events, alarm = [], self._alarm
+        if fault.alarm_s > look.at_s:  # by its current, after the last of its positions
+            look = look._replace(at_s=fault.alarm_s + _LOOKS_S[1])
         if alarm is None:
             alarm = self._alarm = self._doubtful or Alarm(fault.alarm_s)
             self._doubtful = None
@@ -777,7 +779,7 @@ class SurfaceMonitor:
 
     def _event(self, look: Look, event: EventKind, fault: Fault) -> Event:
         numbers = float(look.residuals.residual_deg[-1]), float(look.threshold.level_deg[-1])
-        if self.quantity == "current":  # amperes are no degrees
+        if "current" in (self.quantity, fault.witness):  # amperes are no degrees
             numbers = float("nan"), float("nan")
         return Event(look.at_s, self.name, event, fault.kind, *numbers, fault=fault)
 

@@ -83,6 +83,18 @@ def test_a_monitor_says_what_an_audit_says(
 
 
 @pytest.mark.slow
+def test_a_servo_that_is_blocked_after_its_last_position_is_told_when_it_was(tmp_path: Path, plane: str) -> None:
+    flight, log = flown(0, "blocked"), tmp_path / "flight.csv"
+    ends = np.where(flight.current_s > START_S - 20.0, np.nan, flight.position_deg)
+    log.write_text(replace(flight, position_deg=ends).csv("aileron", position=True).replace("nan", ""))
+    code, events = watched(log, plane)
+    alarms = [event for event in events if event["event"] == "alarm"]
+    assert (code, [event["kind"] for event in alarms]) == (1, ["blocked"])
+    assert START_S < alarms[0]["time_s"] < START_S + 10.0
+    assert alarms[0]["residual_deg"] is None
+
+
+@pytest.mark.slow
 def test_a_current_that_dies_while_the_position_follows_alarms_nobody(tmp_path: Path, plane: str) -> None:
     log = tmp_path / "flight.csv"
     log.write_text(held(flown(8), position=False).csv("aileron", position=True))
