@@ -7,7 +7,7 @@ another thread; the names that it finds are those of an audit, and the last look
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -24,12 +24,10 @@ from servofd.aircraft.pace import (
 from servofd.aircraft.watch import STANDS_STILL_S, New, Watch
 from servofd.core.errors import DesignError
 from servofd.core.series import latest
-from servofd.detection.event import QUIET_S, Alarm, Event, Inputs, Look, Reading
-from servofd.detection.faults import AGAIN_S, LOOKS_BACK_S, LOOKS_S
-from servofd.detection.kinds import STANDS_STILL
+from servofd.detection.event import Event, Inputs, Reading
+from servofd.detection.looks import Looks
 from servofd.detection.seen import Pace, healthy_of, least_rate_hz, too_few
-from servofd.detection.stream import BY_OTHER, BY_WINDOWS, Remembered
-from servofd.detection.verdict import EXPLAINED, SURE, too_slow
+from servofd.detection.verdict import too_slow
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.event import EventKind
+    from servofd.detection.event import Look
     from servofd.detection.seen import HealthyStream
     from servofd.detection.stream import Following, Piece
     from servofd.detection.verdict import Fault
@@ -45,22 +43,6 @@ if TYPE_CHECKING:
     from servofd.servo.servo_model import ServoModel
 
 
-_NAMED_S = 2.0
-"""A name follows its alarm within this time, or is reported where it is sure [s]."""
-_LOOKS_S = (*LOOKS_S[1:], 6.0)
-"""How long after an alarm the bank looks at it; the last one that may name it leaves the bank time to think,"""
-_LOOKS_AGAIN_S = 30.0
-"""and how often after that: sooner while no name is likely, after as long as the alarm has stood."""
-_AGAIN_S = 1.0
-"""When a look has found nothing of a fault that one before has named, the next one follows so much later [s]."""
-_OTHER_S, _OTHER_UNTIL_S = 5.0, 60.0
-"""How often a current is asked about a position that stands still, and until how long after its alarm [s]."""
-_MOVED_DEG = 1.0
-"""A surface that is further from where it was taken to be stuck, and from what is known of that, is looked at anew."""
-_LIKELY = 0.5
-"""A name of this probability keeps until then."""
-_TOLD = 0.8
-"""A name of this probability is reported with the first look, others from the second one on."""
 _MOST = 0.5
 """Share of the time that must be judged for a verdict."""
 _REVIEW_S = 20.0
@@ -109,8 +91,6 @@ class SurfaceMonitor:
     reading: Reading | None = None
     drawn: Reading | None = None
     """What was read last of the current beside its position [A]."""
-    problem: str = ""
-    """Why this surface is not watched; empty if it is."""
     suspended: str = ""
     """Why its calibration is not believed any more; empty if it is."""
     outage: str = ""
@@ -119,22 +99,10 @@ class SurfaceMonitor:
     """Whether commands are sent at a steady rate, as on a link: where they come unevenly, the rest was lost."""
     patience_s: float = 2.0
     """Without commands or positions for so long, while the vehicle sends, nothing is known of it [s]."""
-    _stream: Following | None = None
+    _looks: Looks = field(init=False)
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _drawn: list[tuple[float, float]] = field(default_factory=list)
     """Currents beside positions that are not handed over yet."""
-    _alarm: Alarm | None = None
-    """The one that stands."""
-    _doubtful: Alarm | None = None
-    """One that windows alone have raised and no look has confirmed: it is not reported yet."""
-    _crossed: tuple[float, float, float] | None = None
-    """When the residual crossed its threshold [s], both then [deg], of an alarm that is not raised yet."""
-    _finished: list[Fault] = field(default_factory=list)
-    _passing: list[Fault] = field(default_factory=list)
-    """Over before a look could name them."""
-    _from_s: float = -np.inf
-    """Since when the last fault is over [s]: what was before is not judged again."""
-    _looks_s: list[float] = field(default_factory=list)
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=WARM_UP_STEPS + 1))
     _period_s: float = float("nan")
     _paces_s: tuple[float, float] = (float("nan"), float("nan"))
@@ -162,8 +130,6 @@ class SurfaceMonitor:
     _told_slow: bool = False
     _reviewed: tuple[float, float] | None = None
     """When it was last asked what share of the time is judged [s], and how much was judged by then [s]."""
-    suspicions: tuple[Fault, ...] = ()
-    """What the last look found that is no fault."""
     _slow: str = ""
     _excused: tuple[float, float] = (-np.inf, 0.0)
     """Until when nothing at all was received of the vehicle, and for how long [s]."""
@@ -172,9 +138,12 @@ class SurfaceMonitor:
     """Time [s] and value of the latest command, as the marks take it [deg]."""
     _context: Context = NO_CONTEXT
 
+    def __post_init__(self) -> None:
+        self._looks = Looks(self.name, self.quantity, self.surface.threshold)
+
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now; samples not yet evaluated are evaluated with them."""
-        self._context = context
+        self._context = self._looks.context = context
         if self._stream is not None:
             self._stream.surroundings(context)
 
@@ -223,7 +192,7 @@ class SurfaceMonitor:
             self._hand_over(asked, counting)
             events += self._evaluated(self._stream.evaluate())
         for from_s, until_s in stood_s if self.quantity == "position" else ():
-            events += [*self._taken_back(from_s, until_s), *self._stands_still(from_s, until_s)]
+            events += [*self._looks.taken_back(from_s, until_s), *self._stands_still(from_s, until_s)]
         return events
 
     def _asked_at(self, new: New) -> FloatArray:
@@ -245,20 +214,6 @@ class SurfaceMonitor:
         self.outage = f"positions of all servos stand still since {since_s:.1f} s: servo bus?"
         return [] if was_known else [Event(now_s, self.name, "no_data", text=self.outage)]
 
-    def _taken_back(self, from_s: float, until_s: float) -> list[Event]:
-        """Take back an alarm between two times at which the telemetry of all surfaces turns out to have stood [s]."""
-        if self._crossed is not None and from_s < self._crossed[0] <= until_s:
-            self._crossed = None
-        alarm = self._alarm or self._doubtful
-        if alarm is None or self._stream is None or not from_s < alarm.raised_s <= until_s:
-            return []
-        is_reported = self._alarm is not None
-        self._stream.history.forget(from_s, until_s)
-        self._from_s = until_s  # a look that is under way may not raise it again
-        self._over(until_s)
-        text = f"positions of all servos stood still from {from_s:.1f} to {until_s:.1f} s"
-        return [Event(until_s, self.name, "clear", "unknown", text=text)] if is_reported else []
-
     @property
     def quantity(self) -> Literal["position", "current"]:
         """What is read of it."""
@@ -275,23 +230,47 @@ class SurfaceMonitor:
         return self.suspended or self.outage or self.problem
 
     @property
-    def standing(self) -> str:
-        """Kind of the fault that stands; empty if there is none."""
-        return self._alarm.kind if self._alarm is not None else ""
+    def problem(self) -> str:
+        """Why this surface is not watched; empty if it is."""
+        return self._looks.problem
 
     @property
-    def is_calm(self) -> bool:
-        """Whether no alarm stands, and none is looked into."""
-        return self._alarm is None and self._doubtful is None
+    def _stream(self) -> Following | None:
+        return self._looks.stream
+
+    @property
+    def suspicions(self) -> tuple[Fault, ...]:
+        """What the last look found that is no fault."""
+        return self._looks.suspicions
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What was found so far, in order of time; each as the last look at it found."""
+        return self._looks.faults
+
+    @property
+    def has_fault(self) -> bool:
+        """Whether any alarm was raised that the tolerances of a working servo do not explain."""
+        return self._looks.has_fault
+
+    @property
+    def standing(self) -> str:
+        """Kind of the fault that stands; empty if there is none."""
+        return self._looks.alarm.kind if self._looks.alarm is not None else ""
 
     def rests(self, for_s: float) -> bool:
         """Whether nothing is looked into for so long [s] after what was evaluated last, as far as is known now."""
-        if self.is_calm or self.reading is None:
-            return self.is_calm
-        due_s = min(self._looks_s, default=np.inf)
-        if self._alarm is not None:
-            due_s = min(due_s, self._alarm.quiet.asked_again_s)
-        return due_s - self.reading.time_s > for_s
+        if self._looks.is_calm or self.reading is None:
+            return self._looks.is_calm
+        return self._looks.next_s - self.reading.time_s > for_s
+
+    def due(self) -> Look | None:
+        """What the bank should look at now, if anything."""
+        return self._looks.due()
+
+    def events_of(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
+        """Take what the bank made of a look."""
+        return self._looks.events_of(look, verdict)
 
     @property
     def was_judged(self) -> bool:
@@ -330,17 +309,6 @@ class SurfaceMonitor:
     def too_slow(self) -> str:
         """What comes too slowly for the bandwidth of the servo, in words; empty if nothing does."""
         return self._slow if self._stream is not None else ""
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """What was found so far, in order of time; each as the last look at it found."""
-        stands = self._alarm.fault if self._alarm is not None else None
-        return (*self._finished, *(() if stands is None else (stands,)))
-
-    @property
-    def has_fault(self) -> bool:
-        """Whether any alarm was raised that the tolerances of a working servo do not explain."""
-        return self._alarm is not None or bool(self._finished)
 
     def excuse(self, gap_s: float, until_s: float) -> None:
         """Nothing of the vehicle was received for so long, until then [s]: that is no silence of this surface alone."""
@@ -391,129 +359,6 @@ class SurfaceMonitor:
                 self.outage = ""
         return []
 
-    def due(self) -> Look | None:
-        """What the bank should look at now, if anything."""
-        history = self._stream.history if self._stream is not None else None
-        if history is None or not self._looks_s or not history.last_s >= self._looks_s[0]:
-            return None
-        at_s = history.first_from(self._looks_s[0])  # what has come since is for the next look
-        while self._looks_s and self._looks_s[0] <= at_s:
-            last_s = self._looks_s.pop(0)
-        if not self._looks_s and self._alarm is not None:
-            fault, age_s = self._alarm.fault, last_s - self._alarm.raised_s
-            is_likely = fault is not None and fault.probability >= _LIKELY
-            self._looks_s.append(last_s + (_LOOKS_AGAIN_S if is_likely else min(age_s, _LOOKS_AGAIN_S)))
-        return self._look(at_s)
-
-    def events_of(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
-        """Take what the bank made of a look.
-
-        A fault that only the bank finds is one event, an alarm with its name. Later than `_NAMED_S` after the alarm a
-        name that is sure takes the place of another one; all else is kept for the report.
-        """
-        faults, suspicions, self.problem = verdict
-        self.suspicions = (*self._passing, *suspicions)
-        alarm, events, is_seen = self._alarm, [], False
-        for fault in faults:
-            before_s = np.inf if alarm is None else alarm.raised_s
-            # An earlier look has seen it end, or it was over before anything was raised: what a fault leaves behind.
-            is_new = fault.alarm_s >= self._from_s and (fault.end_s is None or not fault.end_s < before_s < np.inf)
-            if is_new and (alarm is not None or fault.end_s is None or fault.kind != "unknown"):
-                events += self._seen(look, fault)
-                is_seen = True
-        if alarm is not None and alarm is self._alarm:
-            events += self._doubted(alarm, look) if not is_seen else []
-        if self._alarm is None:
-            events += self._raised()
-        if self._stream is not None and self._stream.latched and self._alarm is None and not self._looks_s:
-            self._over(look.at_s)
-        return events
-
-    def _seen(self, look: Look, fault: Fault) -> list[Event]:
-        """What a fault changes: an alarm is raised, has a name, or is over."""
-        events, alarm = [], self._alarm
-        if fault.alarm_s > look.at_s:  # by its current, after the last of its positions
-            look = look._replace(at_s=fault.alarm_s + _LOOKS_S[1])
-        if alarm is None:
-            alarm = self._alarm = self._doubtful or Alarm(fault.alarm_s)
-            self._doubtful = None
-            if not self._may_be_named(look, alarm, fault):
-                return [replace(self._event(look, "alarm", fault), kind="unknown", fault=None)]
-            events.append(self._event(look, "alarm", fault))
-            alarm.reported = fault.kind
-        elif fault.kind != alarm.reported and (look.at_s - alarm.raised_s <= _NAMED_S or fault.probability >= SURE):
-            if not self._may_be_named(look, alarm, fault):
-                return events
-            events.append(self._event(look, "named", fault))
-            alarm.reported = fault.kind
-        elif alarm.fault is not None and fault.other not in ("", alarm.fault.other):
-            events.append(self._event(look, "named", fault))
-            alarm.reported = fault.kind
-        alarm.kind, alarm.fault, alarm.in_vain = fault.kind, fault, 0
-        self._look_later(look, fault)
-        is_asked = self._stream is not None and self._stream.is_of_two and fault.kind in STANDS_STILL
-        soon_s = look.at_s + _OTHER_S
-        if (
-            is_asked
-            and not fault.other
-            and alarm.raised_s + _OTHER_UNTIL_S > soon_s < min(self._looks_s, default=np.inf)
-        ):
-            self._looks_s = sorted([*self._looks_s, soon_s])
-        if fault.end_s is not None:
-            is_nameless = fault.kind == alarm.reported == "unknown"
-            is_passing = is_nameless and fault.end_s - fault.start_s < _NAMED_S
-            (self._passing if is_passing else self._finished).append(fault)
-            self.suspicions = (*self._passing, *(one for one in self.suspicions if one not in self._passing))
-            self._from_s = max(fault.end_s, fault.alarm_s) + AGAIN_S
-            self._over(look.at_s)
-            events.append(self._event(look, "clear", fault))
-        return events
-
-    @staticmethod
-    def _may_be_named(look: Look, alarm: Alarm, fault: Fault) -> bool:
-        """Whether its name may be reported: a quarter of a second admits several, a moment later it is known which."""
-        age_s = look.at_s - alarm.raised_s
-        return age_s >= _LOOKS_S[1] or fault.end_s is not None or (age_s > 0.0 and fault.probability >= _TOLD)
-
-    def _doubted(self, alarm: Alarm, look: Look) -> list[Event]:
-        """What a look changes that finds no fault: the alarm is over, or its name is checked once more."""
-        alarm.in_vain += 1
-        if self._is_explained(alarm, look.at_s):
-            self._over(look.at_s)
-            kind, text = ("unknown", self.problem) if self.problem else ("healthy", EXPLAINED)
-            return [Event(look.at_s, self.name, "clear", kind, text=text)]
-        if alarm.fault is not None and alarm.in_vain == 1:
-            self._looks_s = sorted([*self._looks_s, look.at_s + _AGAIN_S])
-        return []
-
-    def _over(self, now_s: float) -> None:
-        """No alarm stands any more, and the tests begin anew; where they mean nothing, a look tells when they do."""
-        self._alarm = self._doubtful = self._crossed = None
-        self._looks_s = [now_s + _LOOKS_AGAIN_S] if self.problem else []
-        if self._stream is not None and not self.problem:
-            self._stream.again()
-
-    def _is_explained(self, alarm: Alarm, now_s: float) -> bool:
-        """Whether a working servo explains an alarm of which a look says nothing, or is quiet since.
-
-        One look that finds nothing does not take back what another one has named.
-        """
-        before = [fault for fault in self.suspicions if fault.alarm_s <= alarm.raised_s]
-        healthy = bool(before) and (before[-1].end_s is None or before[-1].end_s >= alarm.raised_s)
-        is_quiet = now_s - alarm.quiet.since_s >= QUIET_S
-        healthy = is_quiet or (healthy and now_s - alarm.raised_s >= _NAMED_S)
-        return bool(self.problem) or (healthy and (alarm.fault is None or alarm.in_vain > 1))
-
-    def _look_later(self, look: Look, fault: Fault) -> None:
-        """Put off the next look at a fault with a name: past its first seconds if that is sure, then for a while."""
-        if fault.kind == "unknown" or not fault.probability >= _LIKELY:
-            return
-        named_s = fault.alarm_s + _NAMED_S
-        if fault.probability >= SURE and look.at_s - fault.alarm_s >= _LOOKS_S[1]:
-            self._looks_s = [at_s for at_s in self._looks_s if not at_s < named_s] or [fault.alarm_s + _LOOKS_AGAIN_S]
-        if look.at_s >= fault.alarm_s + _LOOKS_S[-2] and self._looks_s == [fault.alarm_s + _LOOKS_S[-1]]:
-            self._looks_s = [fault.alarm_s + _LOOKS_AGAIN_S]
-
     def finish(self) -> list[Event]:
         """End of the stream: evaluate what waits for more, and look once more at all of it."""
         events: list[Event] = []
@@ -526,17 +371,14 @@ class SurfaceMonitor:
         if self._stream is None:
             return events
         events += self._evaluated(self._stream.evaluate(final=True))
-        look = self._look()
+        look = self._looks.look()
         return events + (self.events_of(look, look.judge()) if look is not None else [])
 
     def restart(self) -> list[Event]:
         """Begin anew, because the vehicle did; what was found is kept."""
         events = self.finish()
-        if self._alarm is not None and self._alarm.fault is not None:
-            self._finished.append(self._alarm.fault)
-        self.problem = ""
-        self._over(np.nan)
-        self._stream, self._waiting = None, ([], [])
+        self._looks.begin_anew()
+        self._waiting = ([], [])
         self._drawn.clear()
         self._watch, self._asked_last = Watch(), (float("nan"), float("nan"))
         self._latest_seen, self._moved = float("nan"), False
@@ -560,7 +402,7 @@ class SurfaceMonitor:
         thin, latest_s = self._thin, self._recent[-1]
         if thin:
             events, was_known = self.restart(), self._told_slow
-            self.problem, self._told_slow = thin, True
+            self._looks.problem, self._told_slow = thin, True
             return events if was_known else [*events, Event(latest_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._paces_s[0]
@@ -631,18 +473,18 @@ class SurfaceMonitor:
             except DesignError as error:
                 problem = str(error)
         if stream is None:
-            was_known, self.problem, self._told_slow = self._told_slow, problem, True
+            was_known, self._looks.problem, self._told_slow = self._told_slow, problem, True
             self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
             return [] if was_known else [Event(positions[-1][0], self.name, "no_data", text=problem)]
-        self.problem, self._stream = "", stream
+        self._looks.problem, self._looks.stream = "", stream
         self._command_period_s = float(np.median(pace_steps(logged_s)))
         if self.quantity == "position":
             self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, self._command_period_s)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
-        self._stream.surroundings(self._context)
+        stream.surroundings(self._context)
         self._waiting = ([], [])
         self._hand_over(commands, positions)
-        return self._evaluated(self._stream.evaluate())
+        return self._evaluated(stream.evaluate())
 
     def _hand_over(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> None:
         if self._stream is not None:
@@ -660,16 +502,7 @@ class SurfaceMonitor:
         if piece is None or self._stream is None:
             return []
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        is_by_other = self._crossings(piece)
-        events = self._raised()
-        if self._alarm is not None:
-            self._alarm.quiet.follow(piece)
-            last_s = float(residuals.time_s[-1])
-            due_s = [] if is_by_other else self._alarm.quiet.due_s(last_s)
-            soon_s = last_s + _AGAIN_S
-            if min(self._looks_s, default=np.inf) > soon_s and _has_moved(self._alarm.fault, residuals.measured_deg):
-                due_s = [*due_s, soon_s]
-            self._looks_s = sorted([*self._looks_s, *due_s])
+        events = self._looks.take(piece)
         valued = np.isfinite(residuals.measured_deg)
         if valued.any():
             valued_s = residuals.time_s[valued]
@@ -696,27 +529,6 @@ class SurfaceMonitor:
             bool(residuals.settled[last]),
         )
         return events
-
-    def _crossings(self, piece: Piece) -> bool:
-        """Keep what a piece raises until it is looked at; whether the alarm that stands comes from another witness."""
-        residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        known = self._alarm.fault if self._alarm is not None else None
-        is_by_other = known is not None and known.witness != self.quantity
-        is_told = is_by_other or (known is not None and known.other != "")
-        for k in np.flatnonzero(piece.alarm).tolist():
-            time_s = float(residuals.time_s[k])
-            if piece.alarm[k] == BY_OTHER:
-                if not is_told:
-                    self._doubtful = self._doubtful or (Alarm(time_s) if self._alarm is None else None)
-                    self._looks_s = sorted([*self._looks_s, time_s])
-            elif piece.alarm[k] != BY_WINDOWS:
-                self._crossed = self._crossed or (time_s, float(residuals.residual_deg[k]), float(level_deg[k]))
-            elif self._alarm is None and self._crossed is None:
-                self._doubtful = Alarm(time_s)
-                self._looks_s = [time_s + after_s for after_s in LOOKS_S]
-            if is_by_other and piece.alarm[k] != BY_OTHER:
-                self._looks_s = sorted([*self._looks_s, *(time_s + after_s for after_s in _LOOKS_S)])
-        return is_by_other
 
     def _shown_beside(self, piece: Piece) -> None:
         """Keep what was drawn beside the position, and pass it on."""
@@ -753,41 +565,3 @@ class SurfaceMonitor:
             return "", ""
         borne = 1.0 - float(np.exp(np.log(1.0 - lost) * np.log(_MOST) / np.log(share)))
         return f"{lost:.0%} of the commands are lost, and ", f"; up to {borne:.0%} lost it would for most"
-
-    def _raised(self) -> list[Event]:
-        """The alarm of a residual over its threshold, once all looks are made that were due before it."""
-        if self._crossed is None or (self._alarm is None and min(self._looks_s, default=np.inf) < self._crossed[0]):
-            return []
-        (time_s, residual_deg, level_deg), self._crossed = self._crossed, None
-        if self._alarm is not None:
-            return []
-        self._alarm, self._doubtful = Alarm(time_s), None
-        self._looks_s = [time_s + after_s for after_s in _LOOKS_S]
-        return [Event(time_s, self.name, "alarm", "unknown", residual_deg, level_deg)]
-
-    def _look(self, until_s: float = np.inf) -> Look | None:
-        stream, alarm, from_s = self._stream, self._alarm or self._doubtful, self._from_s
-        if stream is None or stream.history.size == 0:
-            return None
-        if alarm is not None:
-            from_s = max(from_s, alarm.raised_s - LOOKS_BACK_S)
-        residuals, threshold = stream.history.snapshot(self.surface.threshold, from_s, until_s)
-        residuals, commands = replace(residuals, context=self._context), stream.logged.copied(from_s)
-        names = alarm.names if alarm is not None else {}
-        find = stream.finder(Remembered(residuals, threshold, commands), names, until_s)
-        return Look(float(residuals.time_s[-1]), residuals, threshold, find, stream.doubts_wiring)
-
-    def _event(self, look: Look, event: EventKind, fault: Fault) -> Event:
-        numbers = float(look.residuals.residual_deg[-1]), float(look.threshold.level_deg[-1])
-        if "current" in (self.quantity, fault.witness):  # amperes are no degrees
-            numbers = float("nan"), float("nan")
-        return Event(look.at_s, self.name, event, fault.kind, *numbers, fault=fault)
-
-
-def _has_moved(fault: Fault | None, measured_deg: FloatArray) -> bool:
-    """Whether a surface that was taken for one that stands still has moved to some positions (n,) [deg]."""
-    stands = None if fault is None else fault.parameters.get("position_deg")
-    if stands is None:
-        return False
-    away_deg = np.abs(measured_deg - stands.value) - (stands.high - stands.low)
-    return bool(np.nanmax(away_deg, initial=0.0) > _MOVED_DEG)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from servofd.onboard.script import stream_script
 from servofd.simulation.commands import gusty
 from tests.current.hub import dataflash_of, telemetry_of
 from tests.current.motor import Flown, Sensor, fly
+from tests.current.replayed import watched
 
 START_S = 60.0
 
@@ -33,13 +33,6 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> str:
     output = str(folder / "plane.toml")
     assert main(["calibrate", *sorted(map(str, folder.glob("*.tlog"))), "-o", output]) == 0
     return output
-
-
-def watched(log: Path, plane: str) -> tuple[int, list[dict[str, Any]]]:
-    """Exit code and events of a replay; what it prints is left to whoever wants to read it."""
-    lines = log.with_suffix(".jsonl")
-    code = main(["monitor", str(log), "-c", plane, "--speed", "0", "--plain", "--json-lines", str(lines)])
-    return code, [json.loads(line) for line in lines.read_text().splitlines()]
 
 
 @pytest.mark.slow
