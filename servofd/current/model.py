@@ -37,6 +37,8 @@ _DIRECTION_DEG_S: Final = 3.0
 """Speed at which friction has three quarters of its direction: hobby servos creep below."""
 _LAGS_S: Final = (0.0, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24, 0.35, 0.5)
 """Lags of the motion behind the command that are tried [s]."""
+_BEFORE_S: Final = 2.0
+"""Motion before and after a part of a series that its readings may see [s]: four of the longest lags."""
 _LONGEST_GAP_S: Final = 1.0
 """A command that comes after more than this says nothing of the motion before it."""
 HUBER: Final = 2.5
@@ -88,9 +90,8 @@ class CurrentSeries:
     def within(self, from_s: float, to_s: float) -> CurrentSeries:
         """The same in a part of its time."""
         rows = slice(*np.searchsorted(self.time_s, (from_s, to_s)))
-        return CurrentSeries(
-            self.surface, self.time_s[rows], self.current_a[rows], self.motion, self.context, self.notes
-        )
+        motion = self.motion.within(from_s - _BEFORE_S, to_s + _BEFORE_S)
+        return CurrentSeries(self.surface, self.time_s[rows], self.current_a[rows], motion, self.context, self.notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +122,15 @@ class Motion:
             np.gradient(speed_deg_s, _GRID_S),
             time_s - command_s[after - 1] <= _LONGEST_GAP_S,
         )
+
+    def within(self, from_s: float, to_s: float) -> Motion:
+        """The same in a part of its time; the last instant of it before a part without commands."""
+        first, last = np.searchsorted(self.time_s, (from_s, to_s)).tolist()
+        rows = slice(min(first, self.time_s.size - 1), max(last, 1))
+        return Motion(
+            self.time_s[rows], self.asked_deg[rows], self.deflection_deg[rows],
+            self.speed_deg_s[rows], self.push_deg_s2[rows], self.known[rows],
+        )  # fmt: skip
 
     def rows(self, at_s: FloatArray, lag_s: float, width_s: float, values: FloatArray) -> FloatArray:
         """Values (n, k) as readings at some times see them, (m, k): late, and averaged over a width."""
@@ -236,7 +246,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
             cost = float(np.mean(np.minimum(np.abs(left), HUBER * _spread(left, least_a)) ** 2))
             if cost < best:
                 best, chosen = cost, _Seeing(ends, draft.lag_s, width_s, draft.supply_v, draft.airspeed_m_s)
-    tables = [terms(part, chosen)[0] for part in parts]
+    tables = [terms(part, chosen, each)[0] for part, each in zip(parts, columns, strict=True)]
     table = np.concatenate([each[use] for each, use in zip(tables, rows, strict=True)])
     weight = np.ones(drawn.size)
     still, share = _spread(drawn, least_a), 0.0
