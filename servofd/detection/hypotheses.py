@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -20,14 +20,14 @@ from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.statistics import Estimate
 from servofd.detection.outages import Outage, held, outages_in
 from servofd.detection.verdict import WORTH_TELLING
-from servofd.estimate.family import new_state, sensitivities, simulated, variants
+from servofd.estimate.family import bent, new_state, sensitivities, simulated, variants
 from servofd.estimate.fit import residual
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.moving import Watched
+    from servofd.detection.moving import OtherMotion, Watched
 
 WINDOW_S, SHORTEST_WINDOW_S = 20.0, 5.0
 """Longest window that is explained, and the one below which it is not halved any more [s]."""
@@ -71,6 +71,7 @@ _FLYING: Final = 0.1
 """Median dynamic pressure, over its unit in the model, above which the aircraft flies."""
 _WIDEST_PLAY_DEG: Final = 8.0
 """Widest play that a linkage may have [deg]."""
+_LN_RATE: Final = NAMES.index("ln_rate")
 _USUAL_WIDTH_DEG: Final = 2.0
 """Wider play is rarer, by e for each of these: a surface that never moved is stuck, not loose by all that was asked."""
 _USUAL_BIAS_DEG: Final = 3.0
@@ -160,16 +161,33 @@ class Window:
         """Reading and sensitivities of a servo, shapes (m,) and (m, parameters)."""
         table = variants(theta, patterns=False, middle_deg=self.known.middle_deg)
         table[:, FITTED] = power
-        record = self.record
-        position_deg, speed_deg_s = simulated(
-            table, new_state(table.shape[0]), held(self.commands, outages), self.time_s, record.load[self.rows],
-            record.power[self.rows], self.start_deg,
-        )  # fmt: skip
+        position_deg, speed_deg_s = self._simulated(table, outages)
         reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, self.known.reach_deg)
         if self.own is not None and self.time_s.size:
-            start_deg = float(np.nan_to_num(self.start_deg[0]))
-            reading_deg = self.own(record, theta, self.rows, start_deg, behind=behind, outages=outages)
+            reading_deg = self._by_own(self.own, theta, behind=behind, outages=outages)
         return reading_deg, slopes
+
+    def reading_alone(self, theta: FloatArray, power: float = 0.0, *, behind: bool = False) -> FloatArray:
+        """Reading of a servo, shape (m,), in a tenth of the time."""
+        if self.own is not None and self.time_s.size:
+            return self._by_own(self.own, theta, behind=behind)
+        table = variants(theta, patterns=False, middle_deg=self.known.middle_deg)[:1]
+        table[:, FITTED] = power
+        position_deg, _ = self._simulated(table)
+        return position_deg[:, 0] + bent(position_deg[:, 0], theta, self.known.reach_deg)[0]
+
+    def _simulated(self, table: FloatArray, outages: tuple[Outage, ...] = ()) -> tuple[FloatArray, FloatArray]:
+        """Positions of the servos of a table, and speeds of the first."""
+        load, power = self.record.load[self.rows], self.record.power[self.rows]
+        commands = held(self.commands, outages)
+        return simulated(table, new_state(table.shape[0]), commands, self.time_s, load, power, self.start_deg)
+
+    def _by_own(
+        self, own: OtherMotion, theta: FloatArray, *, behind: bool, outages: tuple[Outage, ...] = ()
+    ) -> FloatArray:
+        """Reading of a named servo with other parameters."""
+        start_deg = float(np.nan_to_num(self.start_deg[0]))
+        return own(self.record, theta, self.rows, start_deg, behind=behind, outages=outages)
 
     def slope(
         self, theta: FloatArray, place: int, reading_deg: FloatArray, slopes: FloatArray, *, behind: bool
@@ -179,8 +197,7 @@ class Window:
             return slopes[:, [place]]
         other, step = theta.copy(), PRIORS[place].step
         other[place] += step
-        start_deg = float(np.nan_to_num(self.start_deg[0]))
-        return ((self.own(self.record, other, self.rows, start_deg, behind=behind) - reading_deg) / step)[:, None]
+        return ((self._by_own(self.own, other, behind=behind) - reading_deg) / step)[:, None]
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
@@ -225,7 +242,7 @@ def ranked(window: Window) -> list[Guess]:
     first = guesses[0]
     if first.place is not None and first.theta is not None:  # its size was estimated from another one: once more
         size = dict.fromkeys(first.parameters, (1.0 if first.kind == "deadband" else window.theta[first.place], 0.0))
-        again = _sized(window, first.kind, first.theta, first.place, size, behind=first.behind)
+        again = _sized(window, _Tried(first.kind, first.theta, size, first.place, behind=first.behind))
         guesses = [again if _score(window, again) < _score(window, first) else first, *guesses[1:]]
     for guess in guesses:
         best.setdefault(guess.kind, guess)
@@ -256,12 +273,13 @@ def _guesses(window: Window) -> Iterator[Guess]:
     bias = Estimate.of(best[FITTED], float(np.sqrt(covariance[FITTED, FITTED])))
     yield Guess("bias", cost, 1, {"bias_deg": bias}, _with(theta, bias_deg=theta[1] + best[FITTED]))
     for behind in (False, True) if window.own is not None else (False,):
-        yield from _along(window, _SCALES, partial(_weakened, window, behind=behind))
-    for slower in (_of_less_torque, _slower, _rate_limited):
-        yield from _along(window, _SPEEDS, partial(slower, window))
+        yield _sized(window, _likeliest(window, slopes, _SCALES, partial(_weakened, theta, behind=behind)))
+    for slower in (_of_less_torque, _slower):
+        yield _sized(window, _likeliest(window, slopes, _SPEEDS, partial(slower, theta)))
+    yield _sized(window, _finer(window, _likeliest(window, slopes, _SPEEDS, partial(_rate_limited, theta))))
     for name in ("deadband_deg", "play_deg"):
-        yield from _along(window, _WIDTHS_DEG, partial(_loosened, window, name))
-    yield from _along(window, _STICKING_DEG, partial(_stuck_on, window))
+        yield _sized(window, _likeliest(window, slopes, _WIDTHS_DEG, partial(_loosened, theta, name)))
+    yield _sized(window, _likeliest(window, slopes, _STICKING_DEG, partial(_stuck_on, theta)))
     yield from _oscillating(window, error_deg, slopes)
     yield from _intermittent(window, error_deg)
     yield from _immobile(window)
@@ -274,11 +292,22 @@ def _with(theta: FloatArray, **changes: float) -> FloatArray:
     return changed
 
 
-def _sized(
-    window: Window, kind: str, theta: FloatArray, place: int | None, size: dict[str, tuple[float, float]],
-    power: float = 0.0, *, behind: bool = False,
-) -> Guess:  # fmt: skip
-    """A servo with one parameter changed; that one is free around its new value."""
+class _Tried(NamedTuple):
+    """A servo with one parameter changed."""
+
+    kind: str
+    theta: FloatArray
+    size: dict[str, tuple[float, float]]
+    """Name of the size, and the size and its deviation; what the parameter is over, where that is free."""
+    place: int | None = None
+    """Of the parameter that is free around its new value."""
+    power: float = 0.0
+    behind: bool = False
+
+
+def _sized(window: Window, tried: _Tried) -> Guess:
+    """What a servo with one parameter changed makes of the window."""
+    kind, theta, size, place, power, behind = tried
     reading_deg, slopes = window.reading(theta, power, behind=behind)
     error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
     name, (reference, spread) = next(iter(size.items()))
@@ -305,60 +334,73 @@ def _sized(
     return Guess(kind, cost, 1, {name: estimate}, moved, place=place, behind=behind)
 
 
-def _along(window: Window, sizes: Sequence[float], guess: Callable[[float], Guess]) -> Iterator[Guess]:
-    """One kind of fault at every second size, and at the neighbours of the likeliest."""
-    found = {place: guess(sizes[place]) for place in range(0, len(sizes), 2)}
-    best = min(found, key=lambda place: _score(window, found[place]))
-    yield from found.values()
-    for place in (best - 1, best + 1):
-        if 0 <= place < len(sizes):
-            yield guess(sizes[place])
+def _likeliest(
+    window: Window, slopes: FloatArray, sizes: Sequence[float], changed: Callable[[float], _Tried]
+) -> _Tried:
+    """One kind of fault of the likeliest size: of every second one, and of the neighbours of the best of them.
+
+    They are compared by the sensitivities of the healthy servo (m, parameters): those of each take ten times as long.
+    """
+
+    def score(size: float) -> float:
+        tried = changed(size)
+        reading_deg = window.reading_alone(tried.theta, tried.power, behind=tried.behind)
+        error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
+        parameters = dict.fromkeys(tried.size, Estimate.of(size, 0.0))
+        return _score(window, Guess(tried.kind, window.reduced(error_deg, slopes)[0], 1, parameters))
+
+    scores = {place: score(sizes[place]) for place in range(0, len(sizes), 2)}
+    best = min(scores, key=lambda place: scores[place])
+    near = (place for place in (best - 1, best + 1) if 0 <= place < len(sizes))
+    scores |= {place: score(sizes[place]) for place in near}
+    return changed(sizes[min(scores, key=lambda place: scores[place])])
 
 
-def _weakened(window: Window, scale: float, *, behind: bool) -> Guess:
+def _weakened(theta: FloatArray, scale: float, *, behind: bool) -> _Tried:
     """A servo that moves by a share of what it is asked for."""
-    lost = _with(window.theta, gain=window.theta[0] * scale)
-    return _sized(window, "loss_of_effectiveness", lost, 0, {"gain": (window.theta[0], 0.0)}, behind=behind)
+    lost = _with(theta, gain=theta[0] * scale)
+    return _Tried("loss_of_effectiveness", lost, {"gain": (theta[0], 0.0)}, 0, behind=behind)
 
 
-def _slow(window: Window, theta: FloatArray, speed: float, power: float = 0.0) -> Guess:
-    return _sized(window, "slow", theta, None, {"bandwidth_scale": (speed, 0.1 * speed)}, power)
+def _slow(theta: FloatArray, speed: float, power: float = 0.0) -> _Tried:
+    return _Tried("slow", theta, {"bandwidth_scale": (speed, 0.1 * speed)}, power=power)
 
 
-def _of_less_torque(window: Window, speed: float) -> Guess:
+def _of_less_torque(theta: FloatArray, speed: float) -> _Tried:
     """A servo with a share of its torque."""
-    return _slow(window, window.theta, speed, float(np.log(speed)))
+    return _slow(theta, speed, float(np.log(speed)))
 
 
-def _slower(window: Window, speed: float) -> Guess:
+def _slower(theta: FloatArray, speed: float) -> _Tried:
     """A servo with its bandwidth and its largest speed at a share."""
-    theta, less = window.theta, float(np.log(speed))
-    return _slow(window, _with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less), speed)
+    less = float(np.log(speed))
+    return _slow(_with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less), speed)
 
 
-def _rate_limited(window: Window, speed: float) -> Guess:
+def _rate_limited(theta: FloatArray, speed: float) -> _Tried:
     """A servo that is as quick as ever in small motion, and turns no faster than a share of its speed."""
-    place = NAMES.index("ln_rate")
-    nominal = window.theta[place]
-    limited = _with(window.theta, ln_rate=nominal + float(np.log(speed)))
-    reading_deg, slopes = window.reading(limited)
+    return _slow(_with(theta, ln_rate=theta[_LN_RATE] + float(np.log(speed))), speed)
+
+
+def _finer(window: Window, limited: _Tried) -> _Tried:
+    """The same with the speed that explains most, near the one that was tried."""
+    reading_deg, slopes = window.reading(limited.theta)
     error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
-    _, best, _ = window.reduced(error_deg, slopes, slopes[:, [place]])
-    less = float(np.log(speed) + np.clip(best[FITTED], -_FINER, _FINER))
-    return _slow(window, _with(window.theta, ln_rate=nominal + less), float(np.exp(less)))
+    _, best, _ = window.reduced(error_deg, slopes, slopes[:, [_LN_RATE]])
+    less = limited.theta[_LN_RATE] - window.theta[_LN_RATE] + float(np.clip(best[FITTED], -_FINER, _FINER))
+    return _rate_limited(window.theta, float(np.exp(less)))
 
 
-def _loosened(window: Window, name: str, width_deg: float) -> Guess:
+def _loosened(theta: FloatArray, name: str, width_deg: float) -> _Tried:
     """A servo with more of one play."""
     place = NAMES.index(name)
-    loose = _with(window.theta, **{name: window.theta[place] + width_deg})
-    return _sized(window, "deadband", loose, place, {"width_deg": (1.0, 0.0)})
+    return _Tried("deadband", _with(theta, **{name: theta[place] + width_deg}), {"width_deg": (1.0, 0.0)}, place)
 
 
-def _stuck_on(window: Window, width_deg: float) -> Guess:
+def _stuck_on(theta: FloatArray, width_deg: float) -> _Tried:
     """A servo with more friction."""
-    sticking = _with(window.theta, friction_deg=window.theta[NAMES.index("friction_deg")] + 0.5 * width_deg)
-    return _sized(window, "deadband", sticking, None, {"width_deg": (width_deg, 0.25 * width_deg)})
+    sticking = _with(theta, friction_deg=theta[NAMES.index("friction_deg")] + 0.5 * width_deg)
+    return _Tried("deadband", sticking, {"width_deg": (width_deg, 0.25 * width_deg)})
 
 
 def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[Guess]:
