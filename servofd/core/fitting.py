@@ -249,8 +249,10 @@ def fit(
     x = np.clip(begin, problem.low, problem.high)
     error = problem.residual(x)
     slopes = problem.slopes(x, error) if slopes is None else slopes
-    best, damping, is_fresh = problem.misfit(x, error), _DAMPING, True
+    best, damping, is_fresh, is_behind = problem.misfit(x, error), _DAMPING, True, False
     for taken in range(steps):
+        if is_behind:
+            slopes, is_behind = problem.slopes(x, error), False
         weighted = slopes * problem.noise.weights(error)[:, None]
         whole = weighted.T @ slopes + np.diag(problem.prior**2)
         curvature = whole + np.diag(damping * np.diag(whole) + _NO_CURVATURE)
@@ -267,8 +269,7 @@ def fit(
         if gained > 0.0:
             if problem.derivatives is None:
                 slopes = slopes + np.outer((left - error - slopes @ moved) / size, moved)
-            else:
-                slopes = problem.derivatives(there)
+            is_behind = problem.derivatives is not None
             x, error, best, damping = there, left, misfit, max(damping / _BOLDER, _DAMPING)
             if taken >= _TWO and best - _SOON * gained > enough:
                 break

@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sizes, Sums, distance, fitted
@@ -129,7 +128,12 @@ class Evidence:
         steep = np.hypot(still_a, good_a)
         weight = steep / np.sqrt(still_a**2 + np.sum(np.square(spread_a), axis=0))
         slopes = np.concatenate([one.slopes.T for one in seen.values()]) * (weight / steep)
-        precision = block_diag(*(np.linalg.inv(one.known.covariance) for one in seen.values()))
+        blocks = [np.linalg.inv(one.known.covariance) for one in seen.values()]
+        precision = blocks[0]
+        if others:
+            from scipy.linalg import block_diag  # takes longer to load than a flight to judge
+
+            precision = block_diag(*blocks)
         drawn_a = first.series.current_a - first.known.theta[0] + others_a
         return cls(seen, slopes, precision, motion_a, good_a, drawn_a, still_a, weight)
 

@@ -14,7 +14,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.core.statistics import Estimate
@@ -37,7 +36,7 @@ _IN_FORCE_S: Final = 1.0
 _COUNTED: Final = 0.5
 _ALARMED: Final = 3.0
 """Logarithm of how much less likely a good servo is judged here than a faulty one: an alarm was raised."""
-_SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.93)
+_SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Shares of the travel that are tried for a loss."""
 _SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 """Shares of the speed that are tried for a slow servo."""
@@ -435,6 +434,8 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
 
 def _strongest_hz(time_s: FloatArray, values: FloatArray, slot_s: float, apart_hz: float, quickest_hz: float) -> float:
     """The frequency of which there is most in some values, to `apart_hz`; times are held to slots."""
+    from scipy.fft import next_fast_len  # takes longer to load than a good flight to judge
+
     slot = np.rint(time_s / slot_s).astype(int)
     count = next_fast_len(max(int(np.ceil(1.0 / (apart_hz * slot_s))), int(slot.max(initial=0)) + 1), real=True)
     much = np.abs(np.fft.rfft(np.bincount(slot, weights=values, minlength=count)))

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
 
 from servofd.aircraft.calibrated import CalibratedServo, lower_triangle
 from servofd.aircraft.priors import NAMES
@@ -177,8 +176,8 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             fitted = fit(records, start=start, reach_deg=reach_deg)
             if count == 1:
                 share = fitted.explained_share
-                start = fitted.theta if share >= _least_share(count, fitted) else None
             if fitted.explained_share >= _least_share(count, fitted):
+                start = fitted.theta if start is None else start
                 one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []
         if count > 1 and found and _is_settled(_best(found), whole):
@@ -314,6 +313,8 @@ def _judged(
 
 def _times_as_wide(seconds: float) -> float:
     """How many times as far a fit to so little may err: Student's law in Gauss' place."""
+    from scipy.special import ndtr, stdtrit  # takes longer to load than a named servo to judge
+
     freedom = max(seconds / _ALIKE_S, _LEAST_FREEDOM)
     return float(stdtrit(freedom, float(ndtr(_RARE_SIGMAS)))) / _RARE_SIGMAS
 
