@@ -128,7 +128,7 @@ class Evidence:
         steep = np.hypot(still_a, good_a)
         weight = steep / np.sqrt(still_a**2 + np.sum(np.square(spread_a), axis=0))
         slopes = np.concatenate([one.slopes.T for one in seen.values()]) * (weight / steep)
-        blocks = [np.linalg.inv(one.known.covariance) for one in seen.values()]
+        blocks: list[FloatArray] = [np.asarray(np.linalg.inv(one.known.covariance)) for one in seen.values()]
         precision = blocks[0]
         if others:
             from scipy.linalg import block_diag  # takes longer to load than a flight to judge
