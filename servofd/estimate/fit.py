@@ -28,7 +28,7 @@ _HUBER: Final = 2.5
 """Standard deviations beyond which an error counts by its size, and not its square (Huber)."""
 _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 """Delays at which descents begin [s]: between them the misfit may have another valley."""
-_FIRST_STEPS, _STEPS, _SOME = 1, 30, 2
+_FIRST_STEPS, _STEPS, _SOME = 2, 30, 2
 """Steps of the descents that are compared and of the one that is continued; pieces of a flight for the first."""
 _KEPT, _KEPT_ROWS = 16, 2_000_000
 """Servos whose errors and slopes are kept, of those that descents begin with or end at; and rows of them at most, which
