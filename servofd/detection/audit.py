@@ -21,7 +21,7 @@ from servofd.detection.evidence import reported, status_of
 from servofd.detection.flights import Flight
 from servofd.detection.known import crude_line, hardly_moved
 from servofd.detection.own import departed
-from servofd.detection.seen import TooShortError, healthy_of, too_few
+from servofd.detection.seen import TooShortError, healthy_of, rarely_asked, too_few
 from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, two_digits
 from servofd.estimate.record import Record
 
@@ -254,7 +254,7 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
         counting = segment.at(np.isfinite(segment.measured_deg))
         lacking = hardly_moved([Flight("", counting)]) or f"{counting.duration_s:.0f} s of it were not enough"
         return f"no servo can be fitted to this log: {lacking}; {record}"
-    return (
+    return rarely_asked(segment) or (
         f"no servo predicts this surface from its command, which stays within {asked} (a fitted one "
         f"explains {max(share, 0.0):.0%} of the motion): check that command and position belong together, or {record}"
     )

@@ -173,7 +173,7 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             records = _records(part, usual)
             if not records:
                 continue
-            fitted = fit(records, start=start, reach_deg=reach_deg)
+            fitted = fit(records, start=start, reach_deg=reach_deg, is_alone=True)
             if count == 1:
                 share = fitted.explained_share
             if fitted.explained_share >= _least_share(count, fitted):
@@ -189,7 +189,7 @@ def fitted_to(segment: Series) -> Fit | None:
     """The servo that explains the busiest minute of a log; None where no sample of it counts."""
     usual = usual_supply_v(segment.context), usual_airspeed_m_s([segment.context])
     records = _records(segment.coarser(), usual)
-    return fit(records) if records else None
+    return fit(records, is_alone=True) if records else None
 
 
 def _records(part: Series, usual: tuple[float, float]) -> list[Record]:

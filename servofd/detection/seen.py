@@ -257,10 +257,15 @@ of simulated servos that were asked once a second, up to 0.994 of healthy ones t
 
 def _unasked(model: ModelOrigin, segment: Series) -> str:
     """Why nothing is concluded from a log that may lack most of what its servo was asked, by the servo fitted to it."""
+    share = model.explained_share
+    return "" if model.fitted_between_s is None or share is None or share >= _SURELY_ASKED else rarely_asked(segment)
+
+
+def rarely_asked(segment: Series) -> str:
+    """What a log lacks whose commands are so few that others may lie between them, in words; nothing if they are not."""
     steps_s = pace_steps(segment.command_s)
     every_s = float(np.median(steps_s)) if steps_s.size else 0.0
-    share = model.explained_share
-    if model.fitted_between_s is None or share is None or share >= _SURELY_ASKED or every_s <= _RARELY_S:
+    if every_s <= _RARELY_S:
         return ""
     return (
         f"commands come at {two_digits(1.0 / every_s)} Hz, and what the servo was asked between them is not known: log "

@@ -35,8 +35,11 @@ _KEPT, _KEPT_ROWS = 16, 2_000_000
 take 256 MB: of two hours at 100 Hz sixteen would take 1.5 GB."""
 _CLOSE: Final = 0.5
 """Misfit, of which one standard deviation of a number makes 1 or more, by which a step must improve."""
-_SHARE: Final = 5e-4
-"""Share of a misfit that counts like a sample that is not alike, for no servo of two poles is right to it."""
+_LOOSER_DEG: Final = 0.6
+"""Play from which another descent begins, beyond what was found [deg]."""
+_NEAR, _SHARE = 4.0, 5e-4
+"""A descent whose misfit is larger by no more, in terms of samples that are not alike, may be the right one as well;
+and the share of a misfit that counts like one of these, for no servo of two poles is right to it."""
 _MOST_PRIOR: Final = 0.9
 """Largest ratio of a fitted variance to that of the prior that is taken out of a value."""
 _FOLD_S: Final = 20.0
@@ -159,12 +162,17 @@ class Fit:
 
 
 def fit(
-    records: Sequence[Record], *, start: FloatArray | None = None, reach_deg: tuple[float, float] | None = None
+    records: Sequence[Record],
+    *,
+    start: FloatArray | None = None,
+    reach_deg: tuple[float, float] | None = None,
+    is_alone: bool = False,
 ) -> Fit:
     """Fit one servo to records of it.
 
     It begins at `start` (13,); else some delays are tried. `reach_deg` are the deflections that it can take, those of
-    the records if left out.
+    the records if left out. Servos that move alike are tried as well, if it is not alone: what play, friction and dead
+    band are apart matters to whoever reads them, and to no verdict on the log they are fitted to.
     """
     flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
     begin = _delayed(records, flights.reach_deg) if start is None else np.clip(start, _LOWS, _HIGHS)
@@ -172,7 +180,11 @@ def fit(
     error, speed = flights.left(theta)
     noise = _noise(error, speed, records)
     problem = flights.problem(noise.sigma_deg(speed))
-    return _finished(flights, minimum(problem, theta, steps=_STEPS, close=_CLOSE))
+    best = minimum(problem, theta, steps=_STEPS, close=_CLOSE)
+    enough = best.misfit + _NEAR * _alike_samples(noise, best.misfit)
+    others = [] if is_alone else _alike(theta) if start is None else [begin]
+    tried = [minimum(problem, each, steps=_STEPS, close=_CLOSE, enough=enough) for each in others]
+    return _finished(flights, [best, *tried])
 
 
 def _delayed(records: Sequence[Record], reach_deg: tuple[float, float]) -> FloatArray:
@@ -181,7 +193,7 @@ def _delayed(records: Sequence[Record], reach_deg: tuple[float, float]) -> Float
     begins = [np.where(np.arange(_VALUES.size) == _DELAY, delay_s, _VALUES) for delay_s in _DELAYS_S]
     problem = some.problem(_rough_sigma(some, begins[0]))
     tried = [minimum(problem, each, steps=_FIRST_STEPS, close=_CLOSE) for each in begins]
-    return min(tried, key=lambda each: each.misfit).x
+    return _best_of(tried).x
 
 
 def reach_of(records: Sequence[Record]) -> tuple[float, float]:
@@ -206,6 +218,24 @@ def residual(
     error = np.minimum(measured_deg - lower, 0.0) + np.maximum(measured_deg - upper, 0.0)
     inside: BoolArray = (lower == upper) | (error == measured_deg - reading_deg)
     return error, inside
+
+
+def _alike(theta: FloatArray) -> list[FloatArray]:
+    """Servos that move much like this one: dead band, friction and play in place of each other, air that turned."""
+    places = [NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "hinge_deg")]
+    dead, friction, play, pushed = theta[places]
+    found = {
+        (0.0, friction + 0.5 * dead, play, pushed),
+        (dead + 2.0 * friction, 0.0, play, pushed),
+        (dead, friction, play + _LOOSER_DEG, pushed),
+        (dead, max(friction - 0.5 * _LOOSER_DEG, 0.0), play + _LOOSER_DEG, -pushed),
+        (0.0, 0.0, play + dead + 2.0 * friction, pushed),
+    } - {(dead, friction, play, pushed)}
+    others = []
+    for sizes in sorted(found):
+        others.append(theta.copy())
+        others[-1][places] = sizes
+    return others
 
 
 class _Flights:
@@ -264,22 +294,27 @@ def _rough_sigma(flights: _Flights, theta: FloatArray) -> FloatArray:
     return sigma
 
 
-def _finished(flights: _Flights, best: Solution) -> Fit:
-    """Noise and covariance of the servo that a descent leads to, and what the folds left out say."""
+def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
+    """Noise and covariance of the servo that some descents lead to, and what the folds left out say."""
     records = flights.records
+    least = min(each.misfit for each in tried)
+    alike = _alike_samples(_noise(*flights.left(_best_of(tried).x), records), least)
+    near = [each for each in tried if each.misfit - least < _NEAR * alike]
+    best = _best_of(near)
     theta = best.x
+    others = np.array([each.x for each in near]) - theta
     error, speed = flights.left(theta)
     noise = _noise(error, speed, records)
     kappa, sigma = _colour_length(noise), noise.sigma_deg(speed)
-    wider = 1.0 + _SHARE * best.misfit / kappa
     best = _reweighed(best, sigma, kappa)
     left = _left_out(records, best)
     covariance = best.covariance()
     unseen = _unseen_speed(best)
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
-    apart = 0.5 * (left.changes[0] - left.changes[1])
+    halves = left.changes[0] - left.changes[1]
+    apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
     scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
-    estimates = _unshrunk(theta, np.diag(covariance), wider, apart)
+    estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
     cuts = np.cumsum([np.count_nonzero(record.usable) for record in records])[:-1]
@@ -292,6 +327,10 @@ def _finished(flights: _Flights, best: Solution) -> Fit:
         theta, covariance, noise, flights.reach_deg, tuple(whole),
         tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, scatter,
     )  # fmt: skip
+
+
+def _best_of(tried: Sequence[Solution]) -> Solution:
+    return min(tried, key=lambda each: each.misfit)
 
 
 def _reweighed(solution: Solution, sigma: FloatArray, kappa: float) -> Solution:
@@ -323,7 +362,7 @@ def _left_out(records: Sequence[Record], fitted: Solution) -> _LeftOut:
 def _unshrunk(theta: FloatArray, variance: FloatArray, wider: float, apart: FloatArray) -> FloatArray:
     """Values and standard deviations without what was known before.
 
-    Variances of noise alone are so many times as wide for the model's own error; `apart` is what halves
+    Variances of noise alone are so many times as wide for the model's own error; `apart` is what like fits and halves
     differ by.
     """
     share = np.minimum(variance / _SIGMAS**2, _MOST_PRIOR)
@@ -341,6 +380,11 @@ def _unseen_speed(fitted: Solution) -> float:
     noise = fitted.problem.noise
     worse = noise.misfit(fitted.problem.residual(faster)) - noise.misfit(fitted.error)
     return _FASTER**2 / max(worse, 1e-9)
+
+
+def _alike_samples(noise: Noise, misfit: float) -> float:
+    """Misfit of one sample that is not like the one before."""
+    return _colour_length(noise) + _SHARE * misfit
 
 
 def _colour_length(noise: Noise) -> float:
