@@ -160,6 +160,10 @@ class Outputs:
             if inputs.is_current:
                 time_s, within_a = r.time_s + self._began_s(surface), piece.threshold.level_deg
                 recording.add(Currents(surface, time_s, r.measured_deg, r.simulated_deg, within_a))
+                if inputs.command_s.size:
+                    none, came_s = np.zeros(0), inputs.command_s + self._began_s(surface)
+                    nothing = (none, none, none, none, none, none)
+                    recording.add(Samples(surface, *nothing, came_s, inputs.command_deg, inputs.context))
                 return
             residual_deg = np.where(r.settled, r.residual_deg, np.nan)
             began_s = self._began_s(surface)  # a recording has one time line

@@ -91,6 +91,10 @@ class SurfaceMonitor:
     reading: Reading | None = None
     drawn: Reading | None = None
     """What was read last of the current beside its position [A]."""
+    stands_in: str = ""
+    """Why it watches the current of a surface whose position tells nothing, in words; empty if it does not."""
+    unseen: str = ""
+    """Why a position beside it, of which some has come, was not judged; an audit does not clear such a surface."""
     suspended: str = ""
     """Why its calibration is not believed any more; empty if it is."""
     outage: str = ""
@@ -258,6 +262,11 @@ class SurfaceMonitor:
         """Kind of the fault that stands; empty if there is none."""
         return self._looks.alarm.kind if self._looks.alarm is not None else ""
 
+    @property
+    def is_calm(self) -> bool:
+        """Whether no alarm stands, and none is looked into."""
+        return self._looks.is_calm
+
     def rests(self, for_s: float) -> bool:
         """Whether nothing is looked into for so long [s] after what was evaluated last, as far as is known now."""
         if self._looks.is_calm or self.reading is None:
@@ -278,6 +287,11 @@ class SurfaceMonitor:
         return self.reading is not None and self._stream is not None
 
     @property
+    def is_heard(self) -> bool:
+        """Whether any position has come, or current where that is watched."""
+        return bool(np.isfinite(self._received["position"][0]))
+
+    @property
     def unjudged(self) -> str:
         """Why this surface was not judged to the end, and for most of its time, in words; empty if it was."""
         if self.silenced:
@@ -287,7 +301,7 @@ class SurfaceMonitor:
             missing = [channel for what, channel in channels.items() if np.isnan(self._received[what][0])]
             return f"no {' and no '.join(missing)} came" if missing else "never judged"
         share = self._judged_s / max(self.reading.time_s - self._begun_s, 1e-9)
-        return f"judged for {share:.0%} of the time" if share < _MOST else ""
+        return f"judged for {share:.0%} of the time" if share < _MOST else self.unseen
 
     @property
     def needs(self) -> frozenset[str]:
@@ -518,7 +532,8 @@ class SurfaceMonitor:
             held = np.searchsorted(came_s, residuals.time_s, side="right") - 1
             asked_deg = commands[np.maximum(held, 0)] if commands.size else np.full(held.size, np.nan)
             new = slice(int(np.searchsorted(came_s, self._passed_on_s, side="right")), None)
-            self.listener(self.name, piece, Inputs(asked_deg, came_s[new].copy(), commands[new].copy(), self._context))
+            came = came_s[new].copy(), commands[new].copy()
+            self.listener(self.name, piece, Inputs(asked_deg, *came, self._context, is_current=bool(self.stands_in)))
             self._passed_on_s = float(came_s[-1]) if came_s.size else self._passed_on_s
         self.reading = Reading(
             float(residuals.time_s[last]),

@@ -29,6 +29,8 @@ _AGAIN_S: Final = 1.0
 """An urgent text is said twice: of a link that loses 30 %, one in eleven is lost and not three in ten."""
 _GATHER_S, _PAUSE_S = 1.0, 10.0
 """So long what is not urgent is gathered, and so long it waits for its turn; one line in ten seconds buries nothing."""
+_MOST_NOTES: Final = 6
+"""News of the link that wait their turn: the latest of a minute."""
 
 Message = tuple[str, dict[str, Any]]
 
@@ -87,7 +89,7 @@ class Alerts:
             if quiet:
                 self._spoke_s = now_s
                 found += [(Severity.WARNING, text) for text in quiet]
-            self._gathered_s = math.inf
+            self._gathered_s = now_s if self._notes else math.inf
         return [("STATUSTEXT", {"severity": severity, "text": text}) for severity, text in found]
 
     def periodic(
@@ -115,15 +117,16 @@ class Alerts:
         return [("HEARTBEAT", beat), *numbers]
 
     def _quiet(self) -> list[str]:
-        """One line for each reason not to watch surfaces, and one for all that is new of the link."""
+        """One line for each reason not to watch surfaces, and one of those on the link: the others wait their turn."""
         reasons: dict[str, list[str]] = defaultdict(list)
         for surface, text in self._unwatched.items():
             # The shortest that says why; times and remedies are in the monitor's own view.
             reasons[re.split(" since|[:;,]", text, maxsplit=1)[0]].append(surface)
         self._unwatched.clear()
-        notes, self._notes = self._notes, []
+        notes = list(dict.fromkeys(self._notes))[-_MOST_NOTES:]
+        self._notes = notes[1:]
         texts = [self._text(surfaces, f"not watched: {reason}") for reason, surfaces in reasons.items()]
-        return texts + ([notes[-1][:LONGEST_TEXT]] if notes else [])
+        return texts + [note[:LONGEST_TEXT] for note in notes[:1]]
 
     def _text(self, surfaces: list[str], what: str) -> str:
         """Names, then what there is to say of them; what does not fit is cut off the latter."""

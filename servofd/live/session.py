@@ -173,7 +173,7 @@ class Session:
         events: list[Published] = []
         self._match(arrival_now_s)
         for vehicle in tuple(self.vehicles.values()):
-            for monitor in vehicle.monitors.values():
+            for monitor in vehicle.every:
                 monitor.listener = self.listener
             seen = [*vehicle.evaluate(final=final), *vehicle.silence(arrival_now_s), *self._look(vehicle)]
             mine = vehicle.alarms.publish(seen)
@@ -213,7 +213,7 @@ class Session:
     @property
     def judges(self) -> list[SurfaceMonitor]:
         """Those of every surface and every boot."""
-        return [one for vehicle in self.vehicles.values() for one in (*vehicle.past, *vehicle.monitors.values())]
+        return [one for vehicle in self.vehicles.values() for one in (*vehicle.past, *vehicle.judges)]
 
     def _found(self, message: Received, arrival_s: float) -> Vehicle | None:
         """The first vehicle that speaks, if the aircraft file says of none which it is.

@@ -17,7 +17,6 @@ from servofd.aircraft.outputs import output_of
 from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.watch import Bus, New
 from servofd.core.errors import ConfigError
-from servofd.core.types import FloatArray
 from servofd.current.both import OfBoth
 from servofd.current.judge import is_witness
 from servofd.current.stream import OfCurrent, motion_model
@@ -32,14 +31,13 @@ from servofd.live.channels import ChannelTable, Surroundings
 from servofd.live.clock import VehicleClock
 from servofd.live.requests import LOG_SILENCE_S, RemoteLog, Requests
 from servofd.live.settings import Settings, rescaled
+from servofd.live.witnesses import Rows, Witnesses
 
 if TYPE_CHECKING:
     from servofd.live.axes import AxisWatch
 
 Samples = tuple[list[float], list[float]]
 """Times and values of one channel."""
-Rows = tuple[FloatArray, FloatArray]
-"""The same in order of time, shape (n,) each."""
 
 _SILENCE_S = 2.0
 """A vehicle without any message for longer is lost [s]."""
@@ -145,6 +143,8 @@ class Vehicle:
     monitors: dict[str, SurfaceMonitor] = field(default_factory=dict)
     past: list[SurfaceMonitor] = field(default_factory=list)
     """Those of the boots before."""
+    witnesses: dict[str, Witnesses] = field(default_factory=dict)
+    """Of surfaces with a position and a current: of `monitors` theirs is the one that knows more."""
     began_s: list[float] = field(default_factory=lambda: [0.0])
     """When each of its boots began, on a time line that they have in common [s]."""
     received_s: float = float("-inf")
@@ -210,6 +210,7 @@ class Vehicle:
             self._routes.setdefault(surface.watched_channel, []).append((name, 1))
             if name in self.monitors and isinstance(self.monitors[name].beside, OfBoth):
                 self._routes.setdefault(surface.beside_channel, []).append((name, 2))
+                self.witnesses[name] = self._witnesses(self.monitors[name])
         self._bus = self._new_bus()
         streamed: set[str] = set()
         if self.aircraft.motion is not None:
@@ -253,6 +254,25 @@ class Vehicle:
         if not self.is_stream:
             monitor.patience_s = LOG_SILENCE_S
         return monitor
+
+    def _witnesses(self, of_both: SurfaceMonitor) -> Witnesses:
+        """Its monitor, and whoever watches its current where that tells nothing."""
+
+        def made() -> SurfaceMonitor:
+            return self._monitor(of_both.name, of_both.surface.model_copy(update={"measured": None}))
+
+        return Witnesses(of_both, made)
+
+    @property
+    def every(self) -> list[SurfaceMonitor]:
+        """All monitors of its latest boot: of two witnesses those that do not watch now as well."""
+        single = [monitor for name, monitor in self.monitors.items() if name not in self.witnesses]
+        return [*single, *(one for each in self.witnesses.values() for one in each.both)]
+
+    @property
+    def judges(self) -> list[SurfaceMonitor]:
+        """Those that have found something, or may."""
+        return [*(one for each in self.witnesses.values() for one in each.past), *self.every]
 
     def _new_bus(self) -> Bus:
         """That of the positions, watched or not: currents may well stand still together."""
@@ -306,9 +326,12 @@ class Vehicle:
     def _begin_anew(self, events: list[Event], time_s: float) -> list[Published]:
         """Events of the boot that has ended, and that another begins, whose time it is."""
         events = [*events, *self.finish()]
-        self.past += self.monitors.values()
+        self.past += self.judges
         self.began_s.append(self.began_s[-1] + max(self.now_s, 0.0))
-        self.monitors = {name: self._monitor(name, monitor.surface) for name, monitor in self.monitors.items()}
+        surfaces = {name: monitor.surface for name, monitor in self.monitors.items()}
+        surfaces |= {name: each.of_both.surface for name, each in self.witnesses.items()}
+        self.monitors = {name: self._monitor(name, surface) for name, surface in surfaces.items()}
+        self.witnesses = {name: self._witnesses(self.monitors[name]) for name in self.witnesses}
         self.now_s, self._checked_s, self._disorder = time_s, -math.inf, Disorder()
         self._samples.clear()
         self._held_s.clear()
@@ -330,12 +353,13 @@ class Vehicle:
             return []
         self.news.append(change.text)
         events = self.evaluate()
-        for surface in change.surfaces:
-            monitor = self.monitors[surface]
+        for monitor in self.every:
+            if monitor.name not in change.surfaces:
+                continue
             known = rescaled(monitor.surface.command, change.scale)
             if known is not None:
                 monitor.surface = monitor.surface.model_copy(update={"command": known})
-            self._held_s[surface] = self.now_s + _JUMP_S
+            self._held_s[monitor.name] = self.now_s + _JUMP_S
             events += monitor.suspend(change.text if change.suspends or known is None else "", self.now_s)
         return events
 
@@ -350,7 +374,7 @@ class Vehicle:
         """Its time goes on; while nothing at all came, no surface has fallen silent."""
         missed_s = time_s - self.now_s
         if missed_s > _GAP_S:
-            for monitor in self.monitors.values():
+            for monitor in self.every:
                 monitor.excuse(missed_s, time_s)
         if not missed_s <= 0.0:
             self.now_s = time_s
@@ -375,9 +399,9 @@ class Vehicle:
 
     def rests(self, for_s: float) -> bool:
         """Whether nothing is looked into for so long [s], and something of every surface waits to be evaluated."""
-        waiting = [self._samples.get(name) for name in self.monitors]
+        waiting = [(self._samples.get(name), 2 if m.stands_in else 1) for name, m in self.monitors.items()]
         return all(m.rests(for_s) for m in self.monitors.values()) and all(
-            each and each[0][0] and each[1][0] for each in waiting
+            each and each[0][0] and each[read][0] for each, read in waiting
         )
 
     def evaluate(self, *, final: bool = True) -> list[Event]:
@@ -398,12 +422,16 @@ class Vehicle:
         if ready and not math.isfinite(self._watched_s):
             self._watched_s = self.now_s
         for name, (asked, read, drawn) in ready.items():
-            if name in self.monitors:
-                events += self.monitors[name].feed(asked, read, stands.get(name), self._bus.stood_s, drawn)
+            if name in self.witnesses:
+                both = self.witnesses[name]
+                events += both.feed(asked, read, drawn, stands.get(name), self._bus.stood_s)
+                self.monitors[name] = both.watching
+            elif name in self.monitors:
+                events += self.monitors[name].feed(asked, read, stands.get(name), self._bus.stood_s)
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
-            for monitor in self.monitors.values():
-                events += monitor.silence(self.now_s)
+            for name, monitor in self.monitors.items():
+                events += self.witnesses.get(name, monitor).silence(self.now_s)
         if self.axes is not None and math.isfinite(self.now_s):
             events += self.axes.due(self.now_s)
         return events
@@ -414,7 +442,8 @@ class Vehicle:
         known_s, ready = self._disorder.known_s(), {}
         for name, (commands, positions, drawn) in samples.items():
             monitor = None if final else self.monitors.get(name)
-            if monitor is not None and monitor.may_wait(len(commands[0]), len(positions[0])):
+            read = drawn if monitor is not None and monitor.stands_in else positions
+            if monitor is not None and monitor.may_wait(len(commands[0]), len(read[0])):
                 self._samples[name] = commands, positions, drawn
                 continue
             (asked, read, beside), later = zip(
@@ -447,14 +476,14 @@ class Vehicle:
 
     def due(self) -> list[tuple[SurfaceMonitor, Look]]:
         """What the bank should look at now."""
-        looks = ((monitor, monitor.due()) for monitor in self.monitors.values())
+        looks = ((monitor, monitor.due()) for monitor in self.every)
         return [(monitor, look) for monitor, look in looks if look is not None]
 
     def finish(self) -> list[Event]:
         """End of the stream."""
         self._disorder = Disorder()  # nothing more will come
         events = self.evaluate()
-        for monitor in self.monitors.values():
+        for monitor in self.every:
             events += monitor.finish()
         return events
 

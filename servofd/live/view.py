@@ -53,7 +53,7 @@ def event_line(event: Published) -> str:
     who = f"{event.surface}: " if event.surface else ""
     off = f"off by {event.residual_deg:+.2f} deg from where a good servo would be"
     size = f", {off}, threshold {event.threshold_deg:.2f} deg"
-    size *= math.isfinite(event.residual_deg)
+    size = size if math.isfinite(event.residual_deg) else ", does not follow its command" * (not event.text)
     what = {
         "alarm": f"{_STATUS.get(event.severity, 'ALARM')}{size}",
         "named": event.kind.replace("_", " "),
@@ -182,6 +182,7 @@ class View:
             alarm, reading = vehicle.alarms.standing(monitor.name), monitor.reading
             name, word = self._of(vehicle, monitor.name), status_of(monitor, alarm, is_lost=vehicle.is_lost)
             since, words = _since(alarm), monitor.silenced if word in ("no data", "waiting") else _to_do(alarm)
+            words = words or monitor.stands_in
             numbers = _numbers(reading, " A" * (monitor.quantity == "current"))
             yield Row(vehicle.now_s, name, word, numbers, _share(reading), since, words)
             if monitor.drawn is not None:

@@ -206,10 +206,11 @@ class _Sink:
         time_s, *deflections, residual_deg, threshold_deg, command_s, came_deg = (
             np.concatenate(column) for column in list(zip(*pieces, strict=True))[1:-1]
         )
-        if not time_s.size:
+        place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
+        if not time_s.size:  # beside a current that is watched alone
+            self.recorder.scalars(f"{place}/command", command_s, came_deg)
             return
         self._around(pieces[-1].context)
-        place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
         if lane.shown in ("", "NO DATA"):
             self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
         known_s = np.concatenate([lane.tail_s, time_s])

@@ -81,10 +81,15 @@ def test_a_servo_that_is_blocked_after_its_last_position_is_told_when_it_was(tmp
     ends = np.where(flight.current_s > START_S - 20.0, np.nan, flight.position_deg)
     log.write_text(replace(flight, position_deg=ends).csv("aileron", position=True).replace("nan", ""))
     code, events = watched(log, plane)
-    alarms = [event for event in events if event["event"] == "alarm"]
-    assert (code, [event["kind"] for event in alarms]) == (1, ["blocked"])
-    assert START_S < alarms[0]["time_s"] < START_S + 10.0
-    assert alarms[0]["residual_deg"] is None
+    (alarm,) = (event for event in events if event["event"] == "alarm")
+    named = [event for event in events if event.get("fault")]
+    assert (code, {event["kind"] for event in named}, {event["id"] for event in named}) == (
+        1,
+        {"blocked"},
+        {alarm["id"]},
+    )
+    assert START_S < alarm["time_s"] <= named[0]["time_s"] < START_S + 5.0
+    assert alarm["residual_deg"] is None
 
 
 @pytest.mark.slow
@@ -109,3 +114,69 @@ def test_what_it_records_of_both_is_judged_as_an_audit_would(
         aileron = document["surfaces"]["aileron"]
         said.append((document["sentence"], aileron["feedback"], aileron["faults"][0]["confirmed_by"]["kind"]))
     assert said[0] == said[1]
+
+
+def without(flight: Flown, hz: float, position_hz: float) -> Flown:
+    """The same with fewer currents and positions; none of the latter at 0 Hz."""
+    every = np.arange(flight.current_s.size)
+    kept = every % round(25.0 / hz) == 0
+    has = every % round(25.0 / position_hz) == 0 if position_hz else np.zeros(every.size, dtype=bool)
+    current_a, position_deg = np.where(kept, flight.current_a, np.nan), np.where(has, flight.position_deg, np.nan)
+    return replace(flight, current_a=current_a, position_deg=position_deg)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "fault", "hz", "position_hz"),
+    [
+        (6, "blocked", 5.0, 0.0),
+        (2, "unpowered", 25.0, 0.0),
+        (4, "blocked", 1.0, 1.0),
+        (8, "", 5.0, 0.0),
+        (8, "", 5.0, 1.0),
+        pytest.param(6, "unpowered", 5.0, 1.0, marks=pytest.mark.nightly),
+        pytest.param(6, "blocked", 1.0, 0.0, marks=pytest.mark.nightly),
+        pytest.param(2, "unpowered", 1.0, 0.0, marks=pytest.mark.nightly),
+    ],
+)
+def test_where_its_position_tells_nothing_its_current_is_watched_alone(
+    tmp_path: Path, plane: str, seed: int, fault: str, hz: float, position_hz: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "flight.csv"
+    log.write_text(without(flown(seed, fault), hz, position_hz).csv("aileron", position=True).replace("nan", ""))
+    code, events = watched(log, plane)
+    shown = capsys.readouterr().out
+    assert main(["audit", str(log), "-c", plane, "-o", str(tmp_path / "page.html")]) == code
+    assert code == (1 if fault else 2 if position_hz else 0)
+    told = [event for event in events if event["event"] != "no_data"]
+    if not fault:
+        assert told == []
+        assert ": watched by its current" in shown
+        return
+    assert told[0]["event"] == "alarm"
+    assert START_S < told[0]["time_s"] < START_S + (20.0 if hz == 1.0 else 6.0)
+    assert {event["id"] for event in told} == {"0/aileron/1"}
+    assert {event["kind"] for event in told if event.get("fault")} == {fault}
+    assert "aileron: ALARM, command" in shown
+    assert f"{'blocked' if fault == 'blocked' else 'without power'}: draws" in shown
+
+
+@pytest.mark.slow
+def test_positions_that_come_again_are_judged_again(
+    tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight, log = flown(5, "blocked"), tmp_path / "flight.csv"
+    gone = (flight.current_s > 8.0) & (flight.current_s < START_S - 14.0)  # a log may be silent for ten seconds
+    log.write_text(
+        replace(flight, position_deg=np.where(gone, np.nan, flight.position_deg))
+        .csv("aileron", position=True)
+        .replace("nan", "")
+    )
+    code, events = watched(log, plane)
+    assert (code, {event["kind"] for event in events if event.get("fault")}) == (1, {"stuck"})
+    assert [event["event"] for event in events if event["event"] != "named"] == ["no_data", "alarm"]
+    lines = capsys.readouterr().out.splitlines()
+    modes = ["A" if " draws " in line else "deg" for line in lines if "aileron: " in line and ", command " in line]
+    assert modes[0] == "deg"
+    assert modes[-1] == "deg"
+    assert "A" in modes

@@ -111,3 +111,15 @@ def test_severity_is_what_the_aircraft_feels() -> None:
     alerts.take(jam("servo_3", 2.0), 100.0)
     found = [(fields["severity"], fields["text"]) for _, fields in alerts.due(100.0)]
     assert found == [(5, "SERVO_1 off by 0.1 deg"), (2, "SERVO_3 stuck at 2.0 deg")]
+
+
+def test_news_of_two_surfaces_are_both_told_one_after_the_other() -> None:
+    alerts = Alerts(NAMES)
+    for news in ("aileron_1: the link is too poor", "servo_1: the link is too poor", "aileron_1: the link is too poor"):
+        alerts.note(news, 100.0)
+    said = {now_s: texts(alerts, now_s) for now_s in (100.5, 101.0, 105.0, 111.0, 125.0)}
+    assert [text for each in said.values() for text in each] == [
+        "aileron_1: the link is too poor",
+        "servo_1: the link is too poor",
+    ]
+    assert said[111.0] == ["servo_1: the link is too poor"]

@@ -1,0 +1,88 @@
+"""A surface with two witnesses, where its position may tell nothing: then its current is watched alone.
+
+The monitor of both goes on meanwhile, with whatever comes, and takes over again as soon as it can judge a position.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from servofd.aircraft.pace import WARM_UP_S
+from servofd.core.types import BoolArray, FloatArray
+from servofd.detection.event import Event
+from servofd.detection.monitor import SurfaceMonitor
+
+Rows = tuple[FloatArray, FloatArray]
+"""Times and values of one channel in order of time, shape (n,) each."""
+
+_BLIND_S: Final = WARM_UP_S + 2.0
+"""Positions that come at all have told their pace by then, and currents as well: so much of these is kept [s]."""
+
+
+@dataclass(slots=True)
+class Witnesses:
+    """Who watches a surface: the monitor `of_both`, or one of its current alone, which is `made` anew each time."""
+
+    of_both: SurfaceMonitor
+    made: Callable[[], SurfaceMonitor]
+    alone: SurfaceMonitor | None = None
+    """The one of its current, while no position is judged."""
+    past: list[SurfaceMonitor] = field(default_factory=list)
+    """Those of its current that found something, and whose time is over."""
+    _kept: deque[tuple[float, Rows, Rows]] = field(default_factory=deque)
+    """Commands and currents of the last seconds, each after their latest time [s]."""
+
+    @property
+    def watching(self) -> SurfaceMonitor:
+        """The one that knows more."""
+        is_of_current = self.alone is not None and (self.alone.is_watched or bool(self.alone.standing))
+        return self.alone if self.alone is not None and is_of_current else self.of_both
+
+    @property
+    def both(self) -> list[SurfaceMonitor]:
+        """The monitors that are fed."""
+        return [self.of_both] if self.alone is None else [self.of_both, self.alone]
+
+    def feed(
+        self, asked: Rows, read: Rows, drawn: Rows, stands: BoolArray | None, stood_s: Sequence[tuple[float, float]]
+    ) -> list[Event]:
+        """Take what has come since; arguments as of `SurfaceMonitor.feed`."""
+        events = self.of_both.feed(asked, read, stands, stood_s, drawn)
+        if asked[0].size or drawn[0].size:
+            self._kept.append((max(float(times[-1]) for times, _ in (asked, drawn) if times.size), asked, drawn))
+        while len(self._kept) > 1 and self._kept[-1][0] - self._kept[1][0] >= _BLIND_S:
+            self._kept.popleft()
+        if self.of_both.is_watched or self.of_both.suspended or self.of_both.standing:
+            if self.alone is not None and self.alone.is_calm:
+                self.past += [self.alone] if self.alone.faults or self.alone.suspicions else []
+                self.alone = None
+        elif self.alone is None and self._is_known:
+            self.alone = self.made()
+            asked = _joined([commands for _, commands, _ in self._kept])
+            drawn = _joined([currents for _, _, currents in self._kept])
+        if self.alone is not None:
+            why = self.of_both.unjudged
+            self.alone.stands_in = f"{why}: watched by its current"
+            self.alone.unseen = why if self.of_both.is_heard else ""
+            events += self.alone.feed(asked, drawn)
+        return events
+
+    @property
+    def _is_known(self) -> bool:
+        """Whether so much of its current is known that it can be watched at once."""
+        is_long = bool(self._kept) and self._kept[-1][0] - self._kept[0][0] >= _BLIND_S
+        return is_long and any(drawn[0].size for *_, drawn in self._kept)
+
+    def silence(self, now_s: float) -> list[Event]:
+        """Tell, once in each outage, what has stopped, by the vehicle's newest message [s]."""
+        events = [monitor.silence(now_s) for monitor in self.both]
+        return next(filter(None, events), [])
+
+
+def _joined(rows: Sequence[Rows]) -> Rows:
+    return np.concatenate([times for times, _ in rows]), np.concatenate([values for _, values in rows])
