@@ -41,6 +41,10 @@ class Drafted(NamedTuple):
     level_deg: float
     """Median of the threshold that follows from it [deg]; the constant threshold where no tolerance is wide enough."""
     flight: Watched
+    largest_deg: float
+    """Largest residual of the run [deg]."""
+    blocks: int
+    """Stretches of the run that tell different things."""
     threshold: ThresholdKind = "interval"
 
 
@@ -66,10 +70,15 @@ def levels_of(model: ServoModel, segments: Iterable[Series]) -> dict[str, Any]:
     error_deg = np.concatenate([drafted.flight.error_deg[drafted.flight.judged] for drafted in known])
     moved_deg = np.concatenate([drafted.flight.record.measured_deg[drafted.flight.judged] for drafted in known])
     power = float(np.mean(error_deg**2))
+    threshold: ThresholdKind = "constant" if any(drafted.threshold == "constant" for drafted in known) else "interval"
+    level_deg = max(drafted.level_deg for drafted in known)
+    if threshold == "constant":  # the level of an interval says nothing of it, and all runs together tell more than one
+        largest_deg = max(drafted.largest_deg for drafted in known)
+        level_deg = round(_unsure(sum(drafted.blocks for drafted in known)) * largest_deg, 3)
     explained = 1.0 - power / max(float(np.var(moved_deg)), LEAST_DIVISOR)
     return {
-        "threshold": "constant" if any(drafted.threshold == "constant" for drafted in known) else "interval",
-        "threshold_deg": max(drafted.level_deg for drafted in known),
+        "threshold": threshold,
+        "threshold_deg": level_deg,
         "tolerance": {key: max(one[key] for one in each) for key in each[0]},
         "persistence": PERSISTENCE,
         "suspicions": False,
@@ -96,14 +105,19 @@ def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     if not usual.any():
         return None
     base = Tolerance(noise_deg=max(round(noise_deg(residuals.error_deg[usual]), 4), _LEAST_NOISE_DEG))
-    blocks = np.count_nonzero(np.diff(np.floor(residuals.time_s[usual] / _ALIKE_S), prepend=-np.inf))
-    unsure = _MARGIN + _UNSURE / float(np.sqrt(blocks))
+    blocks = int(np.count_nonzero(np.diff(np.floor(residuals.time_s[usual] / _ALIKE_S), prepend=-np.inf)))
+    unsure, largest_deg = _unsure(blocks), float(np.max(np.abs(residuals.residual_deg[usual])))
     flights = (_under(model, _scaled(base, _STEP**step), segment) for step in range(_MOST_STEPS))
     for step, flight in enumerate(flights):
         if unsure * _nearest(flight) < 1.0:
-            return Drafted(_scaled(base, _STEP**step), round(flight.shown.threshold.typical_deg, 3), flight)
-    largest_deg = float(np.max(np.abs(residuals.residual_deg[usual])))
-    return Drafted(base, round(unsure * largest_deg, 3), flight, "constant")
+            level_deg = round(flight.shown.threshold.typical_deg, 3)
+            return Drafted(_scaled(base, _STEP**step), level_deg, flight, largest_deg, blocks)
+    return Drafted(base, round(unsure * largest_deg, 3), flight, largest_deg, blocks, "constant")
+
+
+def _unsure(blocks: int) -> float:
+    """Times the largest statistic of so many blocks that a threshold is."""
+    return _MARGIN + _UNSURE / float(np.sqrt(blocks))
 
 
 def _under(model: ServoModel, tolerance: Tolerance, segment: Series) -> Watched:
