@@ -199,20 +199,23 @@ class _Kind(NamedTuple):
     names: tuple[str, ...]
     """Of its fields, as they lie in the payload,"""
     lengths: tuple[int, ...]
-    """and how many values each has; none at all where every field is one number."""
+    """and how many values each has; none at all where every field is one,"""
+    texts: tuple[str, ...]
+    """and which of them are text."""
 
     def fields(self, payload: bytes) -> dict[str, Any]:
         """Fields by name; the sender cuts trailing zeros off, and a newer one may send more."""
         size = self.values.size
-        values = self.values.unpack(payload[:size].ljust(size, b"\0"))
+        values = self.values.unpack(payload if len(payload) == size else payload[:size].ljust(size, b"\0"))
+        fields: dict[str, Any] = {}
         if not self.lengths:
-            return dict(zip(self.names, values, strict=True))
-        fields, at = {}, 0
-        for name, length in zip(self.names, self.lengths, strict=True):
-            value: Any = values[at] if length == 1 else list(values[at : at + length])
-            is_text = isinstance(value, bytes)
-            fields[name] = value.partition(b"\0")[0].decode("ascii", "replace") if is_text else value
+            fields = dict(zip(self.names, values, strict=True))
+        at = 0
+        for name, length in zip(self.names, self.lengths, strict=False):
+            fields[name] = values[at] if length == 1 else list(values[at : at + length])
             at += length
+        for name in self.texts:
+            fields[name] = fields[name].partition(b"\0")[0].decode("ascii", "replace")
         return fields
 
 
@@ -222,6 +225,7 @@ def _kind_of(number: int) -> _Kind | None:
     kind: Any = version_2.mavlink_map.get(number)
     if kind is None:
         return None
-    is_plain = all(length == 0 for length in kind.array_lengths) and "char" not in kind.fieldtypes
-    lengths = () if is_plain else tuple(kind.lengths)
-    return _Kind(kind.msgname, bytes([kind.crc_extra]), kind.unpacker, tuple(kind.ordered_fieldnames), lengths)
+    names, lengths = tuple(kind.ordered_fieldnames), tuple(kind.lengths)
+    texts = tuple(name for name, of in zip(kind.fieldnames, kind.fieldtypes, strict=True) if of == "char")
+    lengths = () if set(lengths) == {1} else lengths
+    return _Kind(kind.msgname, bytes([kind.crc_extra]), kind.unpacker, names, lengths, texts)

@@ -8,7 +8,7 @@ import numpy as np
 
 from logparsers.errors import UnreadableLog
 from logparsers.mavlink import dialect
-from logparsers.protocol import frame_bytes
+from logparsers.protocol import CHECK_BYTES, HEADER_1, HEADER_2, MARKER_1, SIGNATURE_BYTES, SIGNED
 from logparsers.source import LogBytes, mapped
 from logparsers.telemetry import frames
 from logparsers.units import S_PER_US
@@ -32,5 +32,8 @@ def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
         raise UnreadableLog(f"{name}: no MAVLink message with a correct check-sum in {data.size} bytes")
     is_stamped = np.isin(markers, unstamped, invert=True)
     arrivals_s = np.append(0.0, frames.arrivals_us(data, markers[is_stamped]) * S_PER_US)
-    for marker, arrival_s in zip(markers.tolist(), arrivals_s[np.cumsum(is_stamped)].tolist(), strict=True):
-        yield arrival_s, data[marker : marker + frame_bytes(data, marker)].tobytes()
+    of_2 = HEADER_2 + SIGNATURE_BYTES * (data[markers + 2] & SIGNED).astype(np.intp)
+    ends = markers + np.where(data[markers] == MARKER_1, HEADER_1, of_2) + data[markers + 1] + CHECK_BYTES
+    columns = markers.tolist(), ends.tolist(), arrivals_s[np.cumsum(is_stamped)].tolist()
+    for marker, end, arrival_s in zip(*columns, strict=True):
+        yield arrival_s, data[marker:end].tobytes()

@@ -182,3 +182,11 @@ def test_import_and_help_load_no_heavy_package() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+def test_a_monitor_loads_nothing_of_scipy() -> None:
+    """It takes a while to load, for little. The bare package is there for numba."""
+    heavy = ("scipy.fft", "scipy.linalg", "scipy.special", "scipy.signal", "scipy.optimize", "scipy.stats")
+    code = f"import sys, servofd.cli.monitor; print([name for name in {heavy!r} if name in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"

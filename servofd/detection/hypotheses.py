@@ -434,10 +434,9 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
 
 def _strongest_hz(time_s: FloatArray, values: FloatArray, slot_s: float, apart_hz: float, quickest_hz: float) -> float:
     """The frequency of which there is most in some values, to `apart_hz`; times are held to slots."""
-    from scipy.fft import next_fast_len  # takes longer to load than a good flight to judge
-
     slot = np.rint(time_s / slot_s).astype(int)
-    count = next_fast_len(max(int(np.ceil(1.0 / (apart_hz * slot_s))), int(slot.max(initial=0)) + 1), real=True)
+    least = max(int(np.ceil(1.0 / (apart_hz * slot_s))), int(slot.max(initial=0)) + 1)
+    count = 1 << (least - 1).bit_length()  # of a power of two the transform is quick
     much = np.abs(np.fft.rfft(np.bincount(slot, weights=values, minlength=count)))
     first, last = np.searchsorted(np.fft.rfftfreq(count, slot_s), (_SLOWEST_HZ, quickest_hz)).tolist()
     return float((first + np.argmax(much[first : max(last, first + 1)])) / (count * slot_s))

@@ -262,7 +262,7 @@ def _unasked(model: ModelOrigin, segment: Series) -> str:
 
 
 def rarely_asked(segment: Series) -> str:
-    """What a log lacks whose commands are so few that others may lie between them, in words; nothing if they are not."""
+    """What a log lacks whose commands are so few that others may lie between them, in words; else nothing."""
     steps_s = pace_steps(segment.command_s)
     every_s = float(np.median(steps_s)) if steps_s.size else 0.0
     if every_s <= _RARELY_S:
