@@ -178,12 +178,10 @@ def fit(
     begin = _delayed(records, flights.reach_deg) if start is None else np.clip(start, _LOWS, _HIGHS)
     theta = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
     error, speed = flights.left(theta)
-    noise = _noise(error, speed, records)
-    problem = flights.problem(noise.sigma_deg(speed))
+    problem = flights.problem(_noise(error, speed, records).sigma_deg(speed))
     best = minimum(problem, theta, steps=_STEPS, close=_CLOSE)
-    enough = best.misfit + _NEAR * _alike_samples(noise, best.misfit)
     others = [] if is_alone else _alike(theta) if start is None else [begin]
-    tried = [minimum(problem, each, steps=_STEPS, close=_CLOSE, enough=enough) for each in others]
+    tried = [minimum(problem, each, steps=_STEPS, close=_CLOSE) for each in others]
     return _finished(flights, [best, *tried])
 
 
@@ -298,7 +296,7 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     """Noise and covariance of the servo that some descents lead to, and what the folds left out say."""
     records = flights.records
     least = min(each.misfit for each in tried)
-    alike = _alike_samples(_noise(*flights.left(_best_of(tried).x), records), least)
+    alike = _colour_length(_noise(*flights.left(_best_of(tried).x), records)) + _SHARE * least
     near = [each for each in tried if each.misfit - least < _NEAR * alike]
     best = _best_of(near)
     theta = best.x
@@ -380,11 +378,6 @@ def _unseen_speed(fitted: Solution) -> float:
     noise = fitted.problem.noise
     worse = noise.misfit(fitted.problem.residual(faster)) - noise.misfit(fitted.error)
     return _FASTER**2 / max(worse, 1e-9)
-
-
-def _alike_samples(noise: Noise, misfit: float) -> float:
-    """Misfit of one sample that is not like the one before."""
-    return _colour_length(noise) + _SHARE * misfit
 
 
 def _colour_length(noise: Noise) -> float:
