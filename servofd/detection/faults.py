@@ -128,9 +128,7 @@ def named(
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
     before, count = names.get(alarm_s), int(np.sum(window.time_s[window.used] >= alarm_s))
-    if before is not None and (
-        count < _GROWN * before.known or _end_s(watched, before.guesses[0], alarm_s) is not None
-    ):
+    if before is not None and (count < _GROWN * before.known or _may_end(watched, before.guesses[0], alarm_s)):
         _, window, guesses = before
     else:
         window, guesses = _explained(watched, window, alarm_s)
@@ -185,19 +183,30 @@ def _misfits(watched: Watched, guess: Guess, from_s: float, to_s: float) -> tupl
     return stretch.time_s[used], healthy, other
 
 
-def _end_s(watched: Watched, guess: Guess, alarm_s: float) -> float | None:
-    """When the healthy servo became the better explanation again; None if it never did."""
+def _may_end(watched: Watched, guess: Guess, alarm_s: float) -> bool:
+    """Whether the healthy servo explains the latest moments better: no other fault is looked for in them."""
+    _, fell, _ = _fallen(watched, guess, alarm_s)
+    return bool(fell.size and fell[-1] > _ENDED) or _end_s(watched, guess, alarm_s) is not None
+
+
+def _fallen(watched: Watched, guess: Guess, alarm_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """When a fault was the better explanation so far [s]; how far it has fallen behind since [s], and for how long."""
     last_s = float(watched.record.time_s[-1])
-    if guess.outages:
-        ended_s = guess.outages[-1].to_s
-        return ended_s if last_s - ended_s > WINDOW_S else None
     time_s, healthy, other = _misfits(watched, guess, alarm_s, last_s + 1.0)
     if time_s.size < _FEWEST:
-        return None
+        return np.zeros(0), np.zeros(0), np.zeros(0)
     so_far = np.cumsum(healthy - np.minimum(other, _ELSEWHERE)) * watched.record.period_s
     best = np.maximum.accumulate(so_far)
-    top_s = time_s[np.searchsorted(best, best)]  # when it was best so far
-    fell, after_s = best - so_far, time_s - top_s
+    top_s = time_s[np.searchsorted(best, best)]
+    return top_s, best - so_far, time_s - top_s
+
+
+def _end_s(watched: Watched, guess: Guess, alarm_s: float) -> float | None:
+    """When the healthy servo became the better explanation again; None if it never did."""
+    if guess.outages:
+        ended_s = guess.outages[-1].to_s
+        return ended_s if float(watched.record.time_s[-1]) - ended_s > WINDOW_S else None
+    top_s, fell, after_s = _fallen(watched, guess, alarm_s)
     ended = ((fell > _ENDED) & (after_s > _AFTER_END_S)) | ((fell > _SURELY_ENDED) & (after_s > _SOON_S))
     return float(top_s[np.argmax(ended)]) if ended.any() else None
 

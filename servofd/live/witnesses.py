@@ -5,6 +5,7 @@ The monitor of both goes on meanwhile, with whatever comes, and takes over again
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -35,7 +36,9 @@ class Witnesses:
     past: list[SurfaceMonitor] = field(default_factory=list)
     """Those of its current that found something, and whose time is over."""
     _kept: deque[tuple[float, Rows, Rows]] = field(default_factory=deque)
-    """Commands and currents of the last seconds, each after their latest time [s]."""
+    """Commands and currents of the last seconds, each after their latest time [s]; none before the current changed."""
+    _first_a: float = math.nan
+    """The first current that was read [A]: until another is, nobody moves anything, as before a vehicle is armed."""
 
     @property
     def watching(self) -> SurfaceMonitor:
@@ -53,7 +56,10 @@ class Witnesses:
     ) -> list[Event]:
         """Take what has come since; arguments as of `SurfaceMonitor.feed`."""
         events = self.of_both.feed(asked, read, stands, stood_s, drawn)
-        if asked[0].size or drawn[0].size:
+        if drawn[1].size and math.isnan(self._first_a):
+            self._first_a = float(drawn[1][0])
+        has_changed = bool(self._kept) or bool(np.any(drawn[1] != self._first_a))
+        if has_changed and (asked[0].size or drawn[0].size):
             self._kept.append((max(float(times[-1]) for times, _ in (asked, drawn) if times.size), asked, drawn))
         while len(self._kept) > 1 and self._kept[-1][0] - self._kept[1][0] >= _BLIND_S:
             self._kept.popleft()

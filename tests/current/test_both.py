@@ -180,3 +180,25 @@ def test_positions_that_come_again_are_judged_again(
     assert modes[0] == "deg"
     assert modes[-1] == "deg"
     assert "A" in modes
+
+
+@pytest.mark.slow
+def test_nobody_is_at_fault_before_a_vehicle_is_armed(
+    tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Asked for an end of its travel, no servo answers, nor does its current change: ArduPlane's Volz servos."""
+    flight, log, begun_s = flown(8), tmp_path / "flight.csv", 25.0
+    rests, unarmed = flight.current_s < begun_s, flight.command_s < begun_s
+    log.write_text(
+        replace(
+            flight,
+            command_deg=np.where(unarmed, -30.0, flight.command_deg),
+            position_deg=np.where(rests, np.nan, flight.position_deg),
+            current_a=np.where(rests, 0.1, flight.current_a),
+        )
+        .csv("aileron", position=True)
+        .replace("nan", "")
+    )
+    _, events = watched(log, plane)
+    assert [event for event in events if event["event"] != "no_data"] == []
+    assert "does not follow" not in capsys.readouterr().out
