@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
 import servofd
 from servofd.cli import main
+from servofd.detection.event import Event
+from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.verdict import gravest
+from servofd.live.witnesses import Witnesses
 from servofd.simulation.commands import gusty
 from tests.current.motor import Flown, Sensor, fly
 from tests.current.replayed import watched
@@ -182,23 +186,26 @@ def test_positions_that_come_again_are_judged_again(
     assert "A" in modes
 
 
-@pytest.mark.slow
-def test_nobody_is_at_fault_before_a_vehicle_is_armed(
-    tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Asked for an end of its travel, no servo answers, nor does its current change: ArduPlane's Volz servos."""
-    flight, log, begun_s = flown(8), tmp_path / "flight.csv", 25.0
-    rests, unarmed = flight.current_s < begun_s, flight.command_s < begun_s
-    log.write_text(
-        replace(
-            flight,
-            command_deg=np.where(unarmed, -30.0, flight.command_deg),
-            position_deg=np.where(rests, np.nan, flight.position_deg),
-            current_a=np.where(rests, 0.1, flight.current_a),
-        )
-        .csv("aileron", position=True)
-        .replace("nan", "")
-    )
-    _, events = watched(log, plane)
-    assert [event for event in events if event["event"] != "no_data"] == []
-    assert "does not follow" not in capsys.readouterr().out
+class _Silent:
+    """A monitor that nothing tells anything."""
+
+    is_watched, suspended, standing, unjudged, is_heard, is_calm = False, "", "", "no position came", False, True
+    faults: tuple[str, ...] = ()
+    suspicions: tuple[str, ...] = ()
+    stands_in = unseen = ""
+
+    def feed(self, *_: object) -> list[Event]:
+        return []
+
+
+def test_before_a_current_has_changed_nobody_is_watched_by_it() -> None:
+    """Before ArduPlane is armed its servos are asked for an end of their travel, and none moves: two were alarms."""
+    made = [cast("SurfaceMonitor", _Silent()) for _ in range(2)]
+    both = Witnesses(made[0], lambda: made[1])
+    none = np.zeros(0), np.zeros(0)
+    for second in range(120):
+        time_s = second + np.arange(0.0, 1.0, 0.2)
+        drawn_a = np.full(time_s.size, 0.14 if second < 60 else 0.3)
+        both.feed((time_s, np.full(time_s.size, -40.0)), none, (time_s, drawn_a), None, ())
+        assert second > 60 or both.alone is None
+    assert both.alone is made[1]
