@@ -59,6 +59,8 @@ _ELSEWHERE: Final = 9.0
 """Misfit of a sample that neither the fault nor the healthy servo explains: the fault does what no hypothesis says."""
 _SURELY_ENDED, _SOON_S = 5.0, 0.5
 """So much better it need do for no longer than this."""
+_MUCH_LESS: Final = 2.0
+"""Times the misfit that the moments before have: a tenth of a second that is not explained at all makes so much."""
 _LOG_CLIP = 25.0
 """Largest squared error of a sample, in variances."""
 _NO_NEWS = 0.01
@@ -128,7 +130,11 @@ def named(
     if window.count < _FEWEST:
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
     before, count = names.get(alarm_s), int(np.sum(window.time_s[window.used] >= alarm_s))
-    if before is not None and (count < _GROWN * before.known or _may_end(watched, before.guesses[0], alarm_s)):
+    if before is not None and (
+        count < _GROWN * before.known
+        or _changes(watched, before.guesses[0], alarm_s)
+        or _end_s(watched, before.guesses[0], alarm_s) is not None
+    ):
         _, window, guesses = before
     else:
         window, guesses = _explained(watched, window, alarm_s)
@@ -183,30 +189,30 @@ def _misfits(watched: Watched, guess: Guess, from_s: float, to_s: float) -> tupl
     return stretch.time_s[used], healthy, other
 
 
-def _may_end(watched: Watched, guess: Guess, alarm_s: float) -> bool:
-    """Whether the healthy servo explains the latest moments better: no other fault is looked for in them."""
-    _, fell, _ = _fallen(watched, guess, alarm_s)
-    return bool(fell.size and fell[-1] > _ENDED) or _end_s(watched, guess, alarm_s) is not None
+def _changes(watched: Watched, guess: Guess, alarm_s: float) -> bool:
+    """Whether a hypothesis explains the latest moments much less well than those before: it may end.
 
-
-def _fallen(watched: Watched, guess: Guess, alarm_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """When a fault was the better explanation so far [s]; how far it has fallen behind since [s], and for how long."""
+    No other one is fitted to both: a jam, and the way back from it, would be a surface that moves by itself.
+    """
     last_s = float(watched.record.time_s[-1])
-    time_s, healthy, other = _misfits(watched, guess, alarm_s, last_s + 1.0)
-    if time_s.size < _FEWEST:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    so_far = np.cumsum(healthy - np.minimum(other, _ELSEWHERE)) * watched.record.period_s
-    best = np.maximum.accumulate(so_far)
-    top_s = time_s[np.searchsorted(best, best)]
-    return top_s, best - so_far, time_s - top_s
+    time_s, _, other = _misfits(watched, guess, max(alarm_s, last_s - 2.0 * _AFTER_END_S), last_s + 1.0)
+    late = time_s > last_s - _AFTER_END_S
+    return bool(late.any() and not late.all() and other[late].mean() > _MUCH_LESS * max(other[~late].mean(), 1.0))
 
 
 def _end_s(watched: Watched, guess: Guess, alarm_s: float) -> float | None:
     """When the healthy servo became the better explanation again; None if it never did."""
+    last_s = float(watched.record.time_s[-1])
     if guess.outages:
         ended_s = guess.outages[-1].to_s
-        return ended_s if float(watched.record.time_s[-1]) - ended_s > WINDOW_S else None
-    top_s, fell, after_s = _fallen(watched, guess, alarm_s)
+        return ended_s if last_s - ended_s > WINDOW_S else None
+    time_s, healthy, other = _misfits(watched, guess, alarm_s, last_s + 1.0)
+    if time_s.size < _FEWEST:
+        return None
+    so_far = np.cumsum(healthy - np.minimum(other, _ELSEWHERE)) * watched.record.period_s
+    best = np.maximum.accumulate(so_far)
+    top_s = time_s[np.searchsorted(best, best)]  # when it was best so far
+    fell, after_s = best - so_far, time_s - top_s
     ended = ((fell > _ENDED) & (after_s > _AFTER_END_S)) | ((fell > _SURELY_ENDED) & (after_s > _SOON_S))
     return float(top_s[np.argmax(ended)]) if ended.any() else None
 

@@ -12,6 +12,7 @@ from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.core.types import FloatArray
 from servofd.detection.event import Event, Quiet
+from servofd.detection.faults import Named, judged, watched_segment
 from servofd.detection.flights import Flight
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.seen import healthy_of
@@ -95,6 +96,24 @@ def by_good_flights() -> Aircraft:
         time_s, command_deg, measured_deg = (column[: round(BEGINS_S / 0.02)] for column in faulty("bias", seed))
         flights.append(Flight(f"{seed}.csv", Series("x", time_s, command_deg, time_s, measured_deg)))
     return calibrate_aircraft(plain_aircraft(["x"], "hs225bb-eq31"), {"x": flights}).aircraft
+
+
+@pytest.mark.parametrize("kind", ["stuck", "hardover"])
+def test_a_surface_on_its_way_back_is_not_renamed(by_good_flights: Aircraft, kind: str) -> None:
+    """It was jammed, then it moved again: together these were a surface that moves by itself, for a second."""
+    known = by_good_flights.surfaces["x"].calibrated
+    assert known is not None
+    columns = faulty(kind, 1)
+    names: dict[float, Named] = {}
+
+    def seen(until_s: float, before: dict[float, Named]) -> list[str]:
+        time_s, command_deg, measured_deg = (column[: round(until_s / 0.02)] for column in columns)
+        watched = watched_segment(known, Series("x", time_s, command_deg, time_s, measured_deg))
+        return [fault.kind for fault in judged(watched, before).faults]
+
+    assert seen(BEGINS_S + 2.5, names) == [kind]
+    for late_s in np.arange(0.3, 2.0, 0.2):
+        assert seen(ENDS_S + float(late_s), dict(names)) == [kind]
 
 
 @pytest.mark.slow
