@@ -56,13 +56,7 @@ class Witnesses:
     ) -> list[Event]:
         """Take what has come since; arguments as of `SurfaceMonitor.feed`."""
         events = self.of_both.feed(asked, read, stands, stood_s, drawn)
-        if drawn[1].size and math.isnan(self._first_a):
-            self._first_a = float(drawn[1][0])
-        has_changed = bool(self._kept) or bool(np.any(drawn[1] != self._first_a))
-        if has_changed and (asked[0].size or drawn[0].size):
-            self._kept.append((max(float(times[-1]) for times, _ in (asked, drawn) if times.size), asked, drawn))
-        while len(self._kept) > 1 and self._kept[-1][0] - self._kept[1][0] >= _BLIND_S:
-            self._kept.popleft()
+        self._keep(asked, drawn)
         if self.of_both.is_watched or self.of_both.suspended or self.of_both.standing:
             if self.alone is not None and self.alone.is_calm:
                 self.past += [self.alone] if self.alone.faults or self.alone.suspicions else []
@@ -77,6 +71,16 @@ class Witnesses:
             self.alone.unseen = why if self.of_both.is_heard else ""
             events += self.alone.feed(asked, drawn)
         return events
+
+    def _keep(self, asked: Rows, drawn: Rows) -> None:
+        """Add to the commands and currents of the last seconds."""
+        if drawn[1].size and math.isnan(self._first_a):
+            self._first_a = float(drawn[1][0])
+        has_changed = bool(self._kept) or bool(np.any(drawn[1] != self._first_a))
+        if has_changed and (asked[0].size or drawn[0].size):
+            self._kept.append((max(float(times[-1]) for times, _ in (asked, drawn) if times.size), asked, drawn))
+        while len(self._kept) > 1 and self._kept[-1][0] - self._kept[1][0] >= _BLIND_S:
+            self._kept.popleft()
 
     @property
     def _is_known(self) -> bool:
