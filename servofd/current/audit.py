@@ -71,7 +71,7 @@ def with_currents(audit: LogAudit, cycles: dict[str, list[FloatArray]]) -> LogAu
 
 
 def _of_the_log(current: CurrentAudit, duration_s: float) -> CurrentAudit:
-    """What a current tells, and of how much of the log: of less than half of it clears nobody."""
+    """What a current tells, and of how much of the log: of less than half of it clears no servo."""
     if current.time_s is None or current.time_s.size < 2 or not duration_s > 0.0:
         return current
     steps_s = np.diff(current.time_s)

@@ -22,7 +22,7 @@ Rows = tuple[FloatArray, FloatArray]
 """Times and values of one channel in order of time, shape (n,) each."""
 
 _BLIND_S: Final = WARM_UP_S + 2.0
-"""Positions that come at all have told their pace by then, and currents as well: so much of these is kept [s]."""
+"""Positions that come at all have shown their pace by then, and currents as well: so much of these is kept [s]."""
 
 
 @dataclass(slots=True)
@@ -38,7 +38,7 @@ class Witnesses:
     _kept: deque[tuple[float, Rows, Rows]] = field(default_factory=deque)
     """Commands and currents of the last seconds, each after their latest time [s]; none before the current changed."""
     _first_a: float = math.nan
-    """The first current that was read [A]: until another is, nobody moves anything, as before a vehicle is armed."""
+    """The first current that was read [A]: until another is, no servo moves, as before a vehicle is armed."""
 
     @property
     def watching(self) -> SurfaceMonitor:
