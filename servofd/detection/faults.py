@@ -131,14 +131,15 @@ def named(
         return Fault("unknown", alarm_s, alarm_s, None, {}, 0.5, ()), None
     before, count = names.get(alarm_s), int(np.sum(window.time_s[window.used] >= alarm_s))
     if before is not None and (
-        count < _GROWN * before.known
-        or _changes(watched, before.guesses[0], alarm_s)
-        or _end_s(watched, before.guesses[0], alarm_s) is not None
+        count < _GROWN * before.known or _end_s(watched, before.guesses[0], alarm_s) is not None
     ):
         _, window, guesses = before
     else:
         window, guesses = _explained(watched, window, alarm_s)
-        names[alarm_s] = Named(count, window, guesses)
+        if before is not None and guesses[0].kind == "floating" and _changes(watched, before.guesses[0], alarm_s):
+            _, window, guesses = before  # a jam, and the way back from it, look like a surface that moves by itself
+        else:
+            names[alarm_s] = Named(count, window, guesses)
     end_s = _end_s(watched, guesses[0], alarm_s)
     if end_s is not None and not guesses[0].outages and alarm_s + 1.5 < end_s < alarm_s + WINDOW_S - 2.0:
         settling_s = min(_SETTLING_S, 0.2 * (end_s - alarm_s))
@@ -190,10 +191,7 @@ def _misfits(watched: Watched, guess: Guess, from_s: float, to_s: float) -> tupl
 
 
 def _changes(watched: Watched, guess: Guess, alarm_s: float) -> bool:
-    """Whether a hypothesis explains the latest moments much less well than those before: it may end.
-
-    No other one is fitted to both: a jam, and the way back from it, would be a surface that moves by itself.
-    """
+    """Whether a hypothesis explains the latest moments much less well than those before: it may end."""
     last_s = float(watched.record.time_s[-1])
     time_s, _, other = _misfits(watched, guess, max(alarm_s, last_s - 2.0 * _AFTER_END_S), last_s + 1.0)
     late = time_s > last_s - _AFTER_END_S
