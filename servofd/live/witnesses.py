@@ -89,9 +89,8 @@ class Witnesses:
         return is_long and any(drawn[0].size for *_, drawn in self._kept)
 
     def silence(self, now_s: float) -> list[Event]:
-        """Tell, once in each outage, what has stopped, by the vehicle's newest message [s]."""
-        events = [monitor.silence(now_s) for monitor in self.both]
-        return next(filter(None, events), [])
+        """Tell, once in each outage, what has stopped, by the vehicle's newest message [s]; one witness at a time."""
+        return next(filter(None, (monitor.silence(now_s) for monitor in self.both)), [])
 
 
 def _joined(rows: Sequence[Rows]) -> Rows:
