@@ -46,9 +46,23 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["SIZES", "STYLES", "SURFACES", "Failure", "Flight", "Servo", "Stranger", "draw_failure", "fly", "stranger"]
+__all__ = [
+    "ALL",
+    "SIZES",
+    "STYLES",
+    "SURFACES",
+    "Failure",
+    "Flight",
+    "Servo",
+    "Stranger",
+    "draw_failure",
+    "fly",
+    "stranger",
+]
 
 SURFACES: Final = ("aileron_left", "aileron_right", "elevator", "rudder")
+ALL: Final = "all"
+"""Of a failure: every surface at once, as a supply that gives way breaks them."""
 _OUTPUTS: Final = (1, 5, 2, 4)
 STYLES: Final = ("mixed", "taxi", "cruise", "loiter", "turbulence", "aerobatics")
 
@@ -415,7 +429,7 @@ def fly(
     frame_phase = rng.uniform(0.0, 1.0, len(servos))
     gusts = rng.normal(size=(plan.shape[0], 4))
     kind = _KINDS.index(failure.kind) if failure else -1
-    broken = SURFACES.index(failure.surface) if failure else -1
+    broken = -1 if failure is None else len(SURFACES) if failure.surface == ALL else SURFACES.index(failure.surface)
     broken_at = (failure.start_s, failure.end_s, failure.size, failure.hz, failure.sign) if failure else (np.inf,) * 5
     drops = _dropouts(np.random.default_rng([74, aircraft.seed, number]), failure, duration_s)
     true_deg, pulses, air = _simulate(
@@ -614,7 +628,7 @@ def _simulate(  # noqa: C901, PLR0912, PLR0915 - one loop over time
                     if not gap:
                         target[i] = asked
                 q_pa = _PA_AT_CRUISE * pressure
-                here = failing and i == broken
+                here = failing and broken in (i, count)
                 goal = min(s[16], max(-s[16], s[14] * target[i]))
                 weak, power = 1.0, True
                 if here:

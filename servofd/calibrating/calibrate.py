@@ -21,7 +21,7 @@ from servofd.core.statistics import Z_95, Estimate
 from servofd.core.types import FloatArray
 from servofd.detection.changes import detectable
 from servofd.detection.evidence import is_blind
-from servofd.detection.flights import Flight
+from servofd.detection.flights import Flight, busiest
 from servofd.detection.known import (
     SPOKEN,
     after_more_flights,
@@ -37,10 +37,13 @@ from servofd.detection.known import (
 )
 from servofd.detection.moving import watched
 from servofd.estimate.family import PRESSURE_PA
-from servofd.estimate.fit import WIDTHS, Fit, fit
+from servofd.estimate.fit import WIDTHS, Fit, fit, reach_of
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
 from servofd.servo.context import AIR_KG_M3
 
+_SOME, _BUSY = 2, 3_000
+"""So many flights, or one more, and samples of each with most motion (a minute at 50 Hz) tell which servos may be
+alike; all flights whole tell which are."""
 _FAST_M_S: Final = 25.0
 """Airspeed for which the deflection under air load is given [m/s]."""
 
@@ -68,7 +71,10 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     supply_v = float(np.median([usual_supply_v(flight.segment.context) for flight in flights]))
     airspeed_m_s = usual_airspeed_m_s([flight.segment.context for flight in flights])
     records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in flights]
-    first = fit(records)
+    some = flights[:: max(len(flights) // _SOME, 1)]
+    busy = [Record.of(piece.segment, supply_v, airspeed_m_s) for each in some for piece in busiest(each, _BUSY)]
+    tried = fit([record for record in busy if record.usable.any()], reach_deg=reach_of(records))
+    first = fit(records, start=tried.alike)
     gain, offset_deg = first.theta[0], first.offset_deg
     refuse_unlike(name, first, records, flights, (supply_v, airspeed_m_s))
     measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)
@@ -142,8 +148,10 @@ def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Est
     found = {resting(key): sure(key) for key in _RESTING if estimates[key].value > _LEAST_SHOWN_DEG}
     if found and max(found.values()) < 1.0:  # they may stand for each other
         widest = max(_RESTING, key=lambda key: estimates[key].value * WIDTHS[key])
-        others = " or ".join(name for key, name in _RESTING.items() if key != widest)
-        found = {f"{resting(widest)}, which may be {others}": _sure_together(fitted)}
+        least_deg = 0.5 * estimates[widest].value * WIDTHS[widest]
+        may_be = (key for key in _RESTING if key != widest and estimates[key].high * WIDTHS[key] > least_deg)
+        others = " or ".join(_RESTING[key] for key in may_be)
+        found = {resting(widest) + (f", which may be {others}" if others else ""): _sure_together(fitted)}
     reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))
     pressure = 0.5 * AIR_KG_M3 * _FAST_M_S**2 / PRESSURE_PA
     gives = pressure * (abs(estimates["hinge"].value) * reach + abs(estimates["hinge_deg"].value))
@@ -158,8 +166,7 @@ def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Est
 def _sure_together(fitted: Fit) -> float:
     """Width of dead band, friction and play together over the half of its interval."""
     widths = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
-    wider = np.max((fitted.estimates[:, 1] / np.sqrt(np.diag(fitted.covariance)))[widths > 0.0])
-    return float(widths @ fitted.theta / (Z_95 * wider * np.sqrt(widths @ fitted.covariance @ widths)))
+    return float(widths @ fitted.theta / (Z_95 * np.sqrt(widths @ fitted.scatter @ widths)))
 
 
 def _shown(estimate: Estimate, *, least: bool) -> str:

@@ -33,6 +33,8 @@ _FIRST_STEPS, _STEPS, _SOME = 2, 30, 2
 _KEPT, _KEPT_ROWS = 16, 2_000_000
 """Servos whose errors and slopes are kept, of those that descents begin with or end at; and rows of them at most, which
 take 256 MB: of two hours at 100 Hz sixteen would take 1.5 GB."""
+_FAR: Final = 0.8
+"""Share of the errors with which a descent began, below which it ended elsewhere, and what is noise is told anew."""
 _CLOSE: Final = 0.5
 """Misfit, of which one standard deviation of a number makes 1 or more, by which a step must improve."""
 _LOOSER_DEG: Final = 0.6
@@ -66,6 +68,8 @@ WIDTHS: Final = {"deadband_deg": 1.0, "friction_deg": 2.0, "play_deg": 1.0}
 """How much of a change of direction each takes, in times its size."""
 _WIDTHS = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
 _LN_BANDWIDTH, _LN_DAMPING, _DELAY = (NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "delay_s"))
+_SIZES = [NAMES.index(name) for name in (*WIDTHS, "hinge_deg")]
+"""Numbers that can stand for each other."""
 _OTHER_POLES: Final = 0.03
 """Standard deviation of the logarithm of a bandwidth for poles that are not two: fitted to the three of an HS-225BB
 they have one that is lower by 1 to 10 % (32 simulated flights, poles scaled by 0.8 to 1.2)."""
@@ -131,6 +135,8 @@ class Fit:
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
     scatter: FloatArray
     """Covariance with what is not in the model, as parts of the flights disagree, shape (13, 13)."""
+    alike: FloatArray
+    """Parameters of servos that explain the records as well, the best first; shape (s, 13)."""
 
     @property
     def offset_deg(self) -> float:
@@ -170,19 +176,27 @@ def fit(
 ) -> Fit:
     """Fit one servo to records of it.
 
-    It begins at `start` (13,); else some delays are tried. `reach_deg` are the deflections that it can take, those of
-    the records if left out. Servos that move alike are tried as well, if it is not alone: what play, friction and dead
-    band are apart matters to whoever reads them, and to no verdict on the log they are fitted to.
+    It begins at `start`, one servo (13,) or several (s, 13); else some delays are tried. `reach_deg` are the
+    deflections that it can take, those of the records if left out. Servos that move alike are tried as well, if it is
+    not alone: what play, friction and dead band are apart matters to whoever reads them, and to no verdict on the log
+    they are fitted to.
     """
     flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
-    begin = _delayed(records, flights.reach_deg) if start is None else np.clip(start, _LOWS, _HIGHS)
-    theta = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
-    error, speed = flights.left(theta)
-    problem = flights.problem(_noise(error, speed, records).sigma_deg(speed))
-    best = minimum(problem, theta, steps=_STEPS, close=_CLOSE)
-    others = [] if is_alone else _alike(theta) if start is None else [begin]
-    tried = [minimum(problem, each, steps=_STEPS, close=_CLOSE) for each in others]
-    return _finished(flights, [best, *tried])
+    if start is None:
+        begin = _delayed(records, flights.reach_deg)
+        begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
+        others = [] if is_alone else _alike(begin)
+    else:
+        begin, *others = np.atleast_2d(np.clip(start, _LOWS, _HIGHS))
+    sigma = flights.sigma(begin)
+    best = minimum(flights.problem(sigma), begin, steps=_STEPS, close=_CLOSE)
+    if best.error.std() < _FAR * flights.left(begin)[0].std():  # what counts as noise where it began does not here
+        sigma = flights.sigma(best.x)
+        best = minimum(flights.problem(sigma), best.x, steps=_STEPS, close=_CLOSE)
+    alike = [minimum(flights.problem(sigma, each), each, steps=_FIRST_STEPS, close=_CLOSE) for each in others]
+    if (other := _best_of([best, *alike])) is not best:
+        best = minimum(best.problem, other.x, steps=_STEPS, close=_CLOSE)
+    return _finished(flights, best, alike)
 
 
 def _delayed(records: Sequence[Record], reach_deg: tuple[float, float]) -> FloatArray:
@@ -220,8 +234,7 @@ def residual(
 
 def _alike(theta: FloatArray) -> list[FloatArray]:
     """Servos that move much like this one: dead band, friction and play in place of each other, air that turned."""
-    places = [NAMES.index(name) for name in ("deadband_deg", "friction_deg", "play_deg", "hinge_deg")]
-    dead, friction, play, pushed = theta[places]
+    dead, friction, play, pushed = theta[_SIZES]
     found = {
         (0.0, friction + 0.5 * dead, play, pushed),
         (dead + 2.0 * friction, 0.0, play, pushed),
@@ -232,7 +245,7 @@ def _alike(theta: FloatArray) -> list[FloatArray]:
     others = []
     for sizes in sorted(found):
         others.append(theta.copy())
-        others[-1][places] = sizes
+        others[-1][_SIZES] = sizes
     return others
 
 
@@ -267,11 +280,19 @@ class _Flights:
         found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
         return found
 
-    def problem(self, sigma: FloatArray) -> Problem:
-        """The servo of these flights."""
+    def sigma(self, theta: FloatArray) -> FloatArray:
+        """Standard deviation of the noise that a servo leaves, in the usable rows (n,) [deg]."""
+        error, speed = self.left(theta)
+        return _noise(error, speed, self.records).sigma_deg(speed)
+
+    def problem(self, sigma: FloatArray, held: FloatArray | None = None) -> Problem:
+        """The servo of these flights; of `held` (13,) it has dead band, friction, play and trim under load."""
         noise = Scatter(huber=_HUBER, sigma=sigma, is_known=True)
+        low, high = _LOWS.copy(), _HIGHS.copy()
+        if held is not None:
+            low[_SIZES] = high[_SIZES] = held[_SIZES]
         return Problem(
-            _LOWS, _HIGHS, 1.0 / _SIGMAS, _VALUES, lambda theta: self.left(theta)[0], noise, derivatives=self.slopes
+            low, high, 1.0 / _SIGMAS, _VALUES, lambda theta: self.left(theta)[0], noise, derivatives=self.slopes
         )
 
 
@@ -292,27 +313,23 @@ def _rough_sigma(flights: _Flights, theta: FloatArray) -> FloatArray:
     return sigma
 
 
-def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
-    """Noise and covariance of the servo that some descents lead to, and what the folds left out say."""
-    records = flights.records
-    least = min(each.misfit for each in tried)
-    alike = _colour_length(_noise(*flights.left(_best_of(tried).x), records)) + _SHARE * least
-    near = [each for each in tried if each.misfit - least < _NEAR * alike]
-    best = _best_of(near)
-    theta = best.x
-    others = np.array([each.x for each in near]) - theta
+def _finished(flights: _Flights, best: Solution, others: Sequence[Solution]) -> Fit:
+    """Noise and covariance of the best servo, beside some others, and what the folds left out say."""
+    records, theta = flights.records, best.x
     error, speed = flights.left(theta)
     noise = _noise(error, speed, records)
     kappa, sigma = _colour_length(noise), noise.sigma_deg(speed)
+    alike = kappa + _SHARE * best.misfit
+    near = np.array([theta, *(each.x for each in others if each.misfit - best.misfit < _NEAR * alike)])
     best = _reweighed(best, sigma, kappa)
     left = _left_out(records, best)
     covariance = best.covariance()
     unseen = _unseen_speed(best)
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
     halves = left.changes[0] - left.changes[1]
-    apart = np.hypot(np.abs(others).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
+    apart = np.hypot(np.abs(near - theta).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
     scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
-    estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, apart)
+    estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, np.hypot(apart, np.sqrt(np.diag(scatter))))
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
     share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
     cuts = np.cumsum([np.count_nonzero(record.usable) for record in records])[:-1]
@@ -324,6 +341,7 @@ def _finished(flights: _Flights, tried: Sequence[Solution]) -> Fit:
     return Fit(
         theta, covariance, noise, flights.reach_deg, tuple(whole),
         tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, scatter,
+        near,
     )  # fmt: skip
 
 
