@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from servofd.estimate.fit import LEAST_DEG, fit, reach_of
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from servofd.aircraft.series import Series
     from servofd.core.tolerance import Tolerance
@@ -76,6 +76,9 @@ _MOST_MISFIT: Final = 25.0
 """Squared standard deviations that one reading counts for, as where a fault is timed."""
 _WINDOW_S: Final = 5.0
 """What one stretch leaves unexplained is no better for the others that are at rest."""
+_AT_ONCE_S, _FEWEST_AT_ONCE = 1.0, 2
+"""Servos that become slow within so much of each other, and how many of them, half or more, have one cause: in 28
+healthy flights of even seed and in wind no part is slow to the end."""
 _CONTRADICT: Final = 4.0
 """Standard deviations between two parts of which one servo is no account."""
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
@@ -96,6 +99,15 @@ _LN_BANDWIDTH, _LN_DAMPING, _DEADBAND, _FRICTION, _PLAY, _RATE = (
 )
 
 
+class Slowed(NamedTuple):
+    """A servo that has lost speed."""
+
+    since_s: float
+    cost: float
+    """By how much less likely this is than what its surface alone shows [nats]."""
+    servo: OwnServo
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnServo:
     """The servo of one surface, as its log shows it."""
@@ -108,15 +120,24 @@ class OwnServo:
     threshold_deg: float
     """Constant threshold that the part stayed below, with a margin."""
     origin: ModelOrigin
+    slowed: tuple[Slowed, ...] = ()
+    """The same servo as parts of the log show it of which it is slow to the end."""
 
     def with_own_scale(self) -> OwnServo:
         """The same servo for a command that is scaled and shifted until it has neither a gain nor an offset."""
-        scales = np.where(np.array(NAMES) == "gain", self.known.parameters["gain"], 1.0)
-        between = self.known.covariance / np.outer(scales, scales)
+        gain, offset_deg = self.known.parameters["gain"], self.known.offset_deg
+        slowed = (each._replace(servo=each.servo._of_scale(gain, offset_deg)) for each in self.slowed)
+        return replace(self._of_scale(gain, offset_deg), slowed=tuple(slowed))
+
+    def _of_scale(self, gain: float, offset_deg: float) -> OwnServo:
+        """The same servo for so many times its command, and an offset."""
+        scales = np.where(np.array(NAMES) == "gain", gain, 1.0)
+        own = self.known.parameters["gain"] / gain
+        bias_deg = self.known.offset_deg - own * offset_deg - self.known.middle_deg * (1.0 - own)
         known = self.known.model_copy(
             update={
-                "parameters": {**self.known.parameters, "gain": 1.0, "bias_deg": 0.0},
-                "between": lower_triangle(between),
+                "parameters": {**self.known.parameters, "gain": own, "bias_deg": bias_deg},
+                "between": lower_triangle(self.known.covariance / np.outer(scales, scales)),
             }
         )
         return replace(self, known=known.model_copy(update={"doubt": unusual(known.theta)}))
@@ -141,6 +162,8 @@ class _Part:
     """Times of the samples that were fitted, shape (n,)."""
     period_s: float
     is_whole: bool
+    slow_since_s: float
+    """Since when it is slow, to the end [s]; NaN where it is not."""
 
 
 def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigin:
@@ -182,7 +205,36 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
                 found += [one] if one is not None else []
         if count > 1 and found and _is_settled(_best(found), whole):
             break
-    return _own(_best(found), found, source) if found else ModelOrigin(origin="none", explained_share=share)
+    if not found:
+        return ModelOrigin(origin="none", explained_share=share)
+    best = _best(found)
+    costs = _costs(found)
+    slowed = (
+        Slowed(part.slow_since_s, cost - min(costs), _own(part, found, source))
+        for part, cost in zip(found, costs, strict=True)
+        if np.isfinite(part.slow_since_s)
+    )
+    return replace(_own(best, found, source), slowed=tuple(slowed))
+
+
+def slow_at_once(servos: Sequence[OwnServo | ModelOrigin]) -> list[OwnServo | ModelOrigin]:
+    """Return the servos of one log; where most lost speed in one instant, as the parts show them that say so.
+
+    A part that was fitted behind that instant explains each surface alone as well: it takes what is left for all it
+    had. That several parts of which one begins before it agree on the instant is no chance.
+    """
+    slowed = [one.slowed if isinstance(one, OwnServo) else () for one in servos]
+    known = sum(isinstance(one, OwnServo) for one in servos)
+    best: dict[int, Slowed] = {}
+    for at_s in sorted(each.since_s for those in slowed for each in those):
+        there = {}
+        for place, those in enumerate(slowed):
+            at_once = [each for each in those if 0.0 <= each.since_s - at_s <= _AT_ONCE_S]
+            if at_once:
+                there[place] = min(at_once, key=lambda each: each.cost)
+        if len(there) >= max(_FEWEST_AT_ONCE, known / 2) and len(there) > len(best):
+            best = there
+    return [best[place].servo if place in best else one for place, one in enumerate(servos)]
 
 
 def fitted_to(segment: Series) -> Fit | None:
@@ -205,6 +257,12 @@ def _is_settled(best: _Part, whole: Record) -> bool:
 
 def _best(found: list[_Part]) -> _Part:
     """The part whose servo, and faults, tell most of the whole log and are most likely to begin with."""
+    costs = _costs(found)
+    return found[costs.index(min(costs))]
+
+
+def _costs(found: list[_Part]) -> list[float]:
+    """How unlikely each part and what it makes of the log is, beside the others [nats]."""
     sharpest = min(found, key=lambda each: float(np.nanmean(each.sigma_deg**2)))
 
     def cost(part: _Part) -> float:
@@ -218,7 +276,7 @@ def _best(found: list[_Part]) -> _Part:
         two = sum(_better(other, part) for other in found) if part.is_whole else 0.0
         return 0.5 * _WINDOW_S / _ALIKE_S * float(np.log(misfit).sum()) + part.apart + unknown + two
 
-    return min(found, key=cost)
+    return [cost(part) for part in found]
 
 
 def _better(part: _Part, whole: _Part) -> float:
@@ -306,9 +364,11 @@ def _judged(
     if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None
     fitted_s = np.concatenate([record.time_s[record.usable] for record in records])
+    slow_s = [fault.start_s for fault in story.faults if fault.kind == "slow" and fault.end_s is None]
     return _Part(
-        between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, fitted_s, whole.period_s, is_whole
-    )
+        between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, fitted_s, whole.period_s, is_whole,
+        min(slow_s, default=np.nan),
+    )  # fmt: skip
 
 
 def _times_as_wide(seconds: float) -> float:

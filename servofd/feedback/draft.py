@@ -24,13 +24,12 @@ from servofd.aircraft.series import bus_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.detection.known import Line
-from servofd.feedback.fitted import Found, at_once, found_in, with_own_servo
+from servofd.feedback.fitted import Found, found_at_once, found_in, with_own_servo
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from logparsers.records import FlightLog
-    from servofd.core.types import Marks
     from servofd.servo.library import Servo
 
 BY_DAYS = "`servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, then `servofd FLIGHT -c plane.toml`"
@@ -119,12 +118,14 @@ def draft_aircraft(log: FlightLog, only: Collection[str] = ()) -> Draft:
     pairs, plain, by_current = _described(log)
     bus = bus_of(log, plain)
 
-    def drafted(pair: Pair) -> DraftedSurface:
-        if only and pair.surface not in only:
-            return DraftedSurface(pair, plain.surfaces[pair.surface], {})
-        return _draft(log, pair, plain, bus)
+    def found(pair: Pair) -> Found:
+        return found_in(log, pair.surface, plain, bus, free_scale=_has_free_scale(pair))
 
-    return Draft(log, tuple(at_once(drafted, pairs)), by_current)
+    wanted = [pair for pair in pairs if not only or pair.surface in only]
+    drafts = {pair.surface: DraftedSurface(pair, plain.surfaces[pair.surface], {}) for pair in pairs}
+    for pair, one in zip(wanted, found_at_once(found, wanted), strict=True):
+        drafts[pair.surface] = _draft(pair, plain.surfaces[pair.surface], one)
+    return Draft(log, tuple(drafts.values()), by_current)
 
 
 def described_aircraft(log: FlightLog) -> tuple[Aircraft, frozenset[str]]:
@@ -171,9 +172,8 @@ def _by_current(log: FlightLog, pairs: Sequence[Pair]) -> dict[str, Surface]:
     return found
 
 
-def _draft(log: FlightLog, pair: Pair, plain: Aircraft, bus: Mapping[str, Marks]) -> DraftedSurface:
-    found = found_in(log, pair.surface, plain, bus, free_scale=_has_free_scale(pair))
-    surface = with_line(plain.surfaces[pair.surface], found.line)
+def _draft(pair: Pair, plain: Surface, found: Found) -> DraftedSurface:
+    surface = with_line(plain, found.line)
     return DraftedSurface(pair, *with_own_servo(surface, pair.surface, Found(Line(), found.servo)))
 
 

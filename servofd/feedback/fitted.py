@@ -13,7 +13,7 @@ from servofd.core.evidence import ModelOrigin
 from servofd.detection.causes import before_it_fell
 from servofd.detection.flights import cropped
 from servofd.detection.known import Line, crude_line
-from servofd.detection.own import OwnServo, fitted_to, own_servo, parts_of
+from servofd.detection.own import OwnServo, fitted_to, own_servo, parts_of, slow_at_once
 from servofd.estimate.record import Record
 from servofd.servo.library import ORDINARY, Servo
 
@@ -54,10 +54,18 @@ def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | No
     """Return the same aircraft with servos fitted to a log."""
     surfaces, servos, bus = dict(aircraft.surfaces), dict(aircraft.servos), bus_of(log, aircraft)
     names = list(aircraft.surfaces if only is None else only)
-    for name, found in zip(names, at_once(lambda name: found_in(log, name, aircraft, bus), names), strict=True):
+    found_of = found_at_once(lambda name: found_in(log, name, aircraft, bus), names)
+    for name, found in zip(names, found_of, strict=True):
         surfaces[name], fitted = with_own_servo(aircraft.surfaces[name], name, found)
         servos |= fitted
     return aircraft.model_copy(update={"surfaces": surfaces, "servos": servos})
+
+
+def found_at_once(found: Callable[[Asked], Found], each: Sequence[Asked]) -> list[Found]:
+    """Return what a log tells of several surfaces; that they lost speed in one instant, they tell together."""
+    alone = at_once(found, each)
+    together = slow_at_once([one.servo for one in alone])
+    return [one._replace(servo=servo) for one, servo in zip(alone, together, strict=True)]
 
 
 def at_once(fitted: Callable[[Asked], Given], each: Sequence[Asked]) -> list[Given]:
@@ -92,7 +100,7 @@ def found_in(
         return Found(Line(gain * line.gain, gain * line.offset_deg + offset_deg), own.with_own_scale())
     what = "sign" if line.gain < 0.0 else "scale"
     doubt = f"its position is {line.gain:.2f}x the command throughout: check the {what} of the calibration"
-    return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt})))
+    return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt}), slowed=()))
 
 
 def good_line(
