@@ -152,7 +152,11 @@ class UlogFile:
         return self._of(group, self.column(group.name, series.field, instance=group.instance))
 
     def _of(self, group: Topic, values: NDArray[Any]) -> NDArray[Any]:
-        return values[self._labels(group.name, group.instance)[group.label]] if group.label else values
+        if group.label:
+            return values[self._labels(group.name, group.instance)[group.label]]
+        # PX4 logs each topic once at the beginning, with a stamp of 0 where nobody had published it: no row, no damage.
+        first = self._parts(group.name, group.instance)[0].rows["timestamp"][:1]
+        return values[1:] if self.begin_s > 0.0 and not first.all() else values
 
     def _labels(self, topic: str, instance: int) -> dict[str, NDArray[np.intp]]:
         """Names that share a topic, and whose each row is."""

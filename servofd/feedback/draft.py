@@ -34,7 +34,9 @@ if TYPE_CHECKING:
 
 BY_DAYS = "`servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, then `servofd FLIGHT -c plane.toml`"
 """How an aircraft without feedback is judged, in words of the command line."""
-_MOTION = f"healthy flights of four days show what each axis loses: {BY_DAYS}; for a verdict on each servo "
+_MOTION = f"healthy flights of four days show what each axis loses: {BY_DAYS}; "
+_WINGED = ("fixed wing", "QuadPlane", "vtol fixedrotor", "vtol tiltrotor", "vtol tiltwing")
+"""Vehicles whose motion is judged: a tailsitter's axes change places."""
 
 
 def what_to_log(log: FlightLog) -> str:
@@ -45,16 +47,16 @@ def what_to_log(log: FlightLog) -> str:
     >>> from pathlib import Path
     >>> from logparsers import FlightLog
     >>> what_to_log(FlightLog(Path("a.ulg"), "ulog", {}))[:30]
-    'send the positions as DEBUG_FL'
+    'for a verdict on each servo se'
     """
     if log.vehicle in WITHOUT_SURFACES:
         return f"it is of a {log.vehicle}, which has no control surfaces: its outputs {WITHOUT_SURFACES[log.vehicle]}"
+    motion = (_MOTION if log.vehicle in _WINGED else "") + "for a verdict on each servo "
     if log.format == "ulog":
-        return (
+        return motion + (
             "send the positions as DEBUG_FLOAT_ARRAY (name SRVP) and log debug topics (SDLOG_PROFILE bit 5); "
             "actuator_outputs and actuator_servos are commands"
         )
-    motion = _MOTION if log.vehicle in ("fixed wing", "QuadPlane") else ""
     if log.format == "tlog":
         return motion + (
             "send the positions as NAMED_VALUE_FLOAT SRVP1, SRVP2, ... in degrees: `servofd onboard --stream-only -o "

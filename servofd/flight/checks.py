@@ -246,7 +246,7 @@ _LOWEST_V, _DIP_SHARE = 4.5, 0.15
 def supply(flight: Flight) -> Check:
     """Whether the rail of the servos held its voltage."""
     if flight.supply_v is None:
-        return Check("supply", "unknown", "no voltage of the servos' rail in this log (POWR.VServo)")
+        return Check("supply", "unknown", "no voltage of the servos' rail in this log (of ArduPilot: POWR.VServo)")
     volts, time_s = flight.supply_v.values, flight.supply_v.time_s
     usual_v, lowest_v = float(np.median(volts)), float(volts.min())
     since_s = float(time_s[int(np.argmin(volts))])

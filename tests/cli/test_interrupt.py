@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import subprocess
 import sys
 import time
 
@@ -64,3 +65,20 @@ def test_an_interrupt_while_the_program_loads_is_one_line(
     finally:
         signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_interrupt_inside_a_callback_while_the_program_loads_is_not_lost() -> None:
+    """As in the callback that lets go of a module's lock: what it raises is ignored."""
+    loads = """
+import signal, servofd.cli, servofd.__main__
+class Lock:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+def load():
+    Lock()
+    return 0
+servofd.cli.main = load
+raise SystemExit(servofd.__main__.main())
+"""
+    ended = subprocess.run([sys.executable, "-c", loads], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (130, "servofd: interrupted before anything was begun\n")

@@ -207,6 +207,16 @@ def test_a_multirotor_is_called_one() -> None:
     assert "CSRV" in wing
 
 
+def test_a_winged_vehicle_of_px4_is_told_of_calibration_and_no_sentence_lacks_its_object() -> None:
+    for craft in ("fixed wing", "vtol fixedrotor"):
+        said = what_to_log(FlightLog(Path("a.ulg"), "ulog", {}, vehicle=craft))
+        assert said.startswith("healthy flights of four days")
+        assert "for a verdict on each servo send the positions as DEBUG_FLOAT_ARRAY" in said
+    for kind in ("dataflash", "tlog", "ulog"):
+        unknown = what_to_log(FlightLog(Path("a.log"), kind, {}))
+        assert unknown.startswith("for a verdict on each servo ")
+
+
 @pytest.mark.parametrize(("scale", "what"), [(-1.0, "sign"), (8.0, "scale")])
 def test_a_position_that_moves_against_its_command_in_degrees_or_by_many_times_as_much_is_suspected(
     scale: float, what: str

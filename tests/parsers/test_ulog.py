@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from logparsers.records import FlightLog
+
 
 def channels(log: UlogFile) -> LazyChannels:
     return LazyChannels(log)
@@ -249,3 +253,23 @@ def test_a_topic_published_once_long_after_the_flight_does_not_make_it_longer() 
     log = logparsers.read(io.BytesIO(encode([servos, once])))
     assert log["mission[0].count"].time_s.tolist() == [1200.0]
     assert log.duration_s == pytest.approx(3.98)
+
+
+def test_what_nobody_had_published_when_the_log_began_is_no_damage() -> None:
+    """PX4 logs each topic once at the beginning, with a stamp of 0 where nobody had published it."""
+    stamps = np.arange(100_000_000, 104_000_000, 20_000).astype(np.uint64)
+    begun = encode([Topic("actuator_servos", {"timestamp": stamps})])[8:16]
+
+    def read(first: NDArray[np.uint64], servos: NDArray[np.uint64]) -> FlightLog:
+        topics = [
+            Topic("transponder_report", {"timestamp": first, "altitude": np.ones(first.size, np.float32)}),
+            Topic("actuator_servos", {"timestamp": servos, "control": np.zeros((servos.size, 8), np.float32)}),
+        ]
+        content = encode(topics)
+        return logparsers.read(io.BytesIO(content[:8] + begun + content[16:]))
+
+    never = np.zeros(1, np.uint64)
+    log = read(never, np.concatenate([never, stamps]))
+    assert log.damage == ()
+    assert log["actuator_servos[0].control[0]"].time_s[0] == 100.0
+    assert [(one.kind, one.count) for one in read(np.zeros(9, np.uint64), stamps).damage] == [("out_of_order", 8)]
