@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from strangers import ALL, Failure, fly, stranger
 
 import servofd
 from logparsers.codec import Codec
@@ -45,6 +46,20 @@ def audited(frozen: dict[str, BoolArray], silent: dict[str, BoolArray]) -> dict[
         columns[f"{name}_pos_deg"] = np.where(silent.get(name, False), np.nan, measured_deg)
     result = servofd.audit(pd.DataFrame({"time_s": TIME_S, **columns}), servo="hs225bb-eq31")[0]
     return {surface.surface: surface for surface in result.surfaces}
+
+
+@pytest.mark.slow
+def test_servos_that_lose_speed_in_one_instant_tell_it_together(tmp_path: Path) -> None:
+    """Alone some take what they do afterwards for all that they could ever do."""
+    failure = Failure("slow", ALL, start_s=39.0, size=1.0 / 3.0)
+    log = fly(stranger(22012), 1, "turbulence", duration_s=110.0, failure=failure).write(tmp_path / "flight.csv")
+    (found,) = servofd.audit(log)
+    assert [cause.kind for cause in found.common_causes] == ["supply"]
+    for surface in found.surfaces:
+        (fault,) = surface.faults
+        assert fault.kind == "slow"
+        assert fault.start_s == pytest.approx(39.0, abs=1.0)
+        assert fault.end_s is None
 
 
 FREEZE = (TIME_S >= 20.0) & (TIME_S < 23.0)
