@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _TOGETHER_S, _STILL_TOGETHER_S = 1.0, 0.5
 _FEWEST, _MOST_SHARE = 3, 0.5
 """So many surfaces, and this share of those that were judged, do not fail in one instant."""
+_FEWEST_SLOW: Final = 2
+"""So many, and that share, do not lose speed in one instant: no two of 28 healthy flights did."""
 _WHILE_IT_FALLS, _WITH_IT_S = 2, 5.0
 """So many do not while their supply falls, within so much of each other: onsets of currents are less sharp [s]."""
 AROUND_S: Final = 15.0
@@ -68,7 +70,9 @@ def with_common_causes(
         fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
         struck = {s.surface: fault for s in result if (fault := _struck(s, at_s, within_s)) is not None}
         still = [s.surface for s in result if s.surface not in struck and _stands_still(s, at_s)]
-        is_common = len(struck) + len(still) >= max(fewest, _MOST_SHARE * len(judged))
+        slow = sum(fault.kind == "slow" and fault.level == "fault" for fault in struck.values())
+        most = _MOST_SHARE * len(judged)
+        is_common = len(struck) + len(still) >= max(fewest, most) or slow >= max(_FEWEST_SLOW, most)
         if not is_common or not (fell or any(fault.level == "fault" for fault in struck.values())):
             continue
         cause = _cause(list(struck.items()), still, at_s, _first_s(result))
