@@ -138,17 +138,22 @@ def _is_of(surface: SurfaceAudit, cause: CommonCause) -> bool:
 def answers(audit: LogAudit) -> list[str]:
     """Beside the sentence: what to do about each surface, the worst first; no verdicts and why; what is cleared.
 
-    A surface with several faults names each, and one that rests on a fitted zero or scale says so.
+    A surface with several faults names each, and one that rests on a fitted zero or scale says so. What is the same for
+    several is said once.
     """
-    lines = []
+    advised: dict[str, list[str]] = {}
     surfaces = sorted(audit.surfaces, key=lambda s: (STATUSES.index(s.status), gravity(s)))
     for surface in surfaces:
         if surface.status in ("fault", "suspect"):
             step, either = next_step(surface).removeprefix("do not fly; "), other_way_round(surface)
             note = f" {either[:1].upper()}{either[1:]}." if either else ""
-            lines.append(f"{spoken(surface.surface).capitalize()}: {step}.{_also(surface)}{note}")
-    if not lines:
+            advised.setdefault(f"{step}.{_also(surface)}{note}", []).append(spoken(surface.surface))
+    if not advised:
         return []  # the sentence says all there is
+    lines = [
+        f"{_listed(names).capitalize()}{', each' if len(names) > 1 else ''}: {advice}"
+        for advice, names in advised.items()
+    ]
     dark = [s for s in surfaces if s.expected and not s.is_judged and s.status not in ("fault", "suspect")]
     lines += [f"No verdict on {spoken(s.surface)}: {_CLAUSE.split(s.reason, maxsplit=1)[0]}." for s in dark]
     healthy = [spoken(s.surface) for s in surfaces if s.status == "healthy"]
