@@ -406,7 +406,8 @@ def judge_axis(name: str, motion: Motion, flies: BoolArray, usable: BoolArray, r
         text = f"{name}: {air_s:.0f} s in the air; {LEAST_PAST_S + WINDOWS_S[0]} s are needed"
         if not flies.any():
             flew = np.any(motion.present & (motion.airspeed_m_s > FLIES_M_S))
-            broken = f"no {_AFTER_TAKEOFF_S + _BEFORE_LANDING_S:.0f} s of flight without a gap in what it needs"
+            least_s = _AFTER_TAKEOFF_S + _BEFORE_LANDING_S
+            broken = f"it never flew for {least_s:.0f} s at a stretch with all that it needs in the log"
             text = f"{name}: {broken if flew else 'it never flew'}{left_out(motion.lifted_share)}"
         return AxisChange(name, "unknown", text, members)
     from_s = float(second_s[judged][0]) - WINDOWS_S[0]
