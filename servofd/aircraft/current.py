@@ -152,6 +152,11 @@ class CalibratedCurrent(BaseModel):
         return np.array([self.parameters[name] for name in NAMES])
 
     @property
+    def late_s(self) -> tuple[float, float]:
+        """By how much its readings come late, and over how long they average."""
+        return self.lag_s, self.width_s
+
+    @property
     def covariance(self) -> FloatArray:
         """Between good flights, shape (terms, terms)."""
         return symmetric(self.between)

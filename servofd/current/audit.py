@@ -18,8 +18,8 @@ from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.core.types import FloatArray
 from servofd.current.both import AGREE_S, agree, beside, confirmed
 from servofd.current.evidence import largest_of
-from servofd.current.judge import faults_of, limits_of, verdict_of
-from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see, widened
+from servofd.current.judge import BY_CURRENT, judged, limits_of, verdict_of
+from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see
 from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
 from servofd.current.stream import OfCurrent, motion_model
@@ -30,9 +30,10 @@ from servofd.detection.verdict import (
     SERVO_OR_SENSOR,
     CommonCause,
     CurrentAudit,
+    Fault,
     LogAudit,
     SurfaceAudit,
-    describe,
+    accusation,
 )
 from servofd.servo.context import Context
 
@@ -93,14 +94,14 @@ def _together(
     names: Sequence[str],
 ) -> tuple[dict[str, CurrentAudit], tuple[CommonCause, ...]]:
     """What one current tells of several servos."""
-    known = {name: aircraft.surfaces[name].healthy_current for name in names}
-    calibrated = {name: one for name, one in known.items() if one is not None}
+    known = ((name, aircraft.surfaces[name].healthy_current) for name in names)
+    calibrated = {name: one for name, one in known if one is not None}
     if len(calibrated) < len(names):
-        channel = sources[names[0]].channel
         reason = (
-            f"channel {channel!r} is the current of {', '.join(names)} together: calibrate all of them on good flights"
+            f"channel {sources[names[0]].channel!r} is the current of {', '.join(names)} together: calibrate all of "
+            "them on good flights to tell them apart"
         )
-        return dict.fromkeys(names, CurrentAudit("unknown", f"{reason} to tell them apart")), ()
+        return dict.fromkeys(names, CurrentAudit("unknown", reason)), ()
     try:
         series = {name: current_series(log, name, aircraft, sources[name]) for name in names}
     except NoMeasurement as error:
@@ -125,7 +126,7 @@ def again_by_current(surface: SurfaceAudit, aircraft: Aircraft, context: Context
         return surface
     watched = OfCurrent(surface.surface, motion_model(aircraft, surface.surface), source, known)
     seen = watched.seen(np.stack([drawn.time_s, drawn.current_a]), drawn.command, context)
-    surface, found = _two(surface, seen, verdict_of(seen, faults_of(seen)))
+    surface, found = _two(surface, seen, judged(seen))
     return _joined(surface, _of_the_log(found, duration_s))
 
 
@@ -185,7 +186,7 @@ def healthy_currents(
 
 def _healthy(flights: Sequence[CurrentSeries], *, is_alone: bool) -> CalibratedCurrent:
     """The current of one servo in its good flights; where several draw, spread is of none alone, and no wear known."""
-    known = widened(fit_current(flights), flights)
+    known = fit_current(flights)
     known = known.model_copy(update={"moving_a": round(largest_of([see(each, known) for each in flights]), 4)})
     if not is_alone:
         return known
@@ -226,17 +227,8 @@ def _judged(
     except (NoMeasurement, CalibrationError) as error:
         return surface, CurrentAudit("unknown", str(error))
     seen = see(series, known)
-    found = verdict_of(seen, faults_of(seen), before)
+    found = judged(seen, before)
     before.append(features_of(seen))
-    if (
-        surface.status == "healthy"
-        and aircraft.surfaces[name].healthy_current is None
-        and found.suspicions + found.faults
-    ):
-        # What this servo draws when well is not known, and one that is blocked or has no power does not follow.
-        return surface, replace(
-            found, status="unknown", reason=f"{found.reason}; {_FOLLOWED}", faults=(), suspicions=()
-        )
     return _two(surface, seen, found)
 
 
@@ -244,20 +236,28 @@ def _two(surface: SurfaceAudit, seen: Seen, found: CurrentAudit) -> tuple[Surfac
     """The verdicts on the position of a surface and on its current, each as the other leaves it."""
     if surface.segment is None:
         return surface, found
-    where = surface.segment.measured_s, surface.segment.measured_deg
-    both = beside(seen, found.faults, surface.faults, where, follows=surface.status == "healthy")
-    reason = surface.reason
-    for before, now in zip(surface.faults, both.position, strict=True):
-        reason = reason.replace(describe(before), describe(now))
+    where, follows = (surface.segment.measured_s, surface.segment.measured_deg), surface.status == "healthy"
+    is_own = seen.known.fitted_between_s is not None
+    raised = (*found.faults, *found.suspicions) if follows and is_own else found.faults
+    both = beside(seen, raised, surface.faults, where, follows=follows)
     if both.is_denied:
-        found = replace(found, status="unknown", reason=f"{found.reason}; {_MOVES}", faults=(), suspicions=())
+        said = f"{found.reason}; {_FOLLOWED if is_own else _MOVES}"
+        found = replace(found, status="unknown", reason=said, faults=(), suspicions=())
     elif both.current != found.faults:
-        said = f"by its current: {'; then '.join(map(describe, both.current))}"
+        said = accusation(both.current, BY_CURRENT)
         found = replace(found, faults=both.current, status="fault", reason=said)
+    reason = _retold(surface.reason, surface.faults, both.position)
     return replace(surface, faults=both.position, reason=reason), found
 
 
+def _retold(reason: str, before: Sequence[Fault], now: Sequence[Fault], who: str = SERVO_OR_SENSOR) -> str:
+    """A reason with faults as they are `now`, and what else it said."""
+    head = accusation(before)
+    return accusation(now, who) + reason.removeprefix(head) if before and reason.startswith(head) else reason
+
+
 _FOLLOWED: Final = "but its position followed: calibrate what it draws on a good flight"
+"""What the servo of a log alone draws when it is well is not known."""
 _MOVES: Final = "but its position followed: the sensor of the current is at fault"
 
 
@@ -284,11 +284,8 @@ def _joined(surface: SurfaceAudit, current: CurrentAudit | None) -> SurfaceAudit
     status = min(surface.status, current.status, key=_GRAVEST.index)
     if surface.status in ("unknown", "no_data") and current.status == "healthy":
         status = surface.status  # a current alone clears no position that was there and could not be judged
-    reason = surface.reason
-    for before, now in zip(surface.faults, known, strict=True):
-        reason = reason.replace(describe(before), describe(now))
-    if known and all(fault.confirmed_by for fault in known):
-        reason = reason.replace(SERVO_OR_SENSOR, "servo: ")
+    who = "servo: " if all(fault.confirmed_by for fault in known) else SERVO_OR_SENSOR
+    reason = _retold(surface.reason, surface.faults, known, who)
     if left or current.status == "suspect" or _MOVES in current.reason:
         reason = f"{reason}; {current.reason}" if surface.status != "healthy" else f"{current.reason}; {reason}"
     if agree(known, left):

@@ -83,7 +83,8 @@ def confirmed(positions: Sequence[Fault], currents: Sequence[Fault]) -> tuple[li
             lasts = same[0].kind == "unpowered" and same[0].end_s is None  # though the air moves its surface
             found[place] = replace(
                 fault,
-                start_s=min(fault.start_s, same[0].alarm_s),
+                # What the position shows after the current has raised it had begun before: the current tells when.
+                start_s=fault.start_s if fault.start_s <= same[0].alarm_s else same[0].start_s,
                 alarm_s=min(fault.alarm_s, same[0].alarm_s),
                 end_s=None if lasts else fault.end_s,
                 probability=right / (right + wrong * other),

@@ -147,6 +147,11 @@ class Evidence:
         """Which readings count."""
         return np.asarray(np.all([one.usable for one in self.seen.values()], axis=0))
 
+    @property
+    def is_own(self) -> bool:
+        """Whether the log itself is all that is known of what it draws."""
+        return any(one.known.fitted_between_s is not None for one in self.seen.values())
+
     def _left(self, draws_a: FloatArray) -> FloatArray:
         """What is left of a current beyond that at rest [A]."""
         left: FloatArray = self.weight * (np.arcsinh(draws_a / self.still_a) - np.arcsinh(self.good_a / self.still_a))
@@ -196,6 +201,24 @@ class Evidence:
             return change
         stall_a = max(float(np.median(self.drawn_a[rows] / change.share[rows])), self.still_a)
         return next(self._blocked(change.names[0], np.array([change.place_deg]), stall_a))
+
+    @cached_property
+    def grid_s(self) -> FloatArray:
+        """When windows of a log end [s]."""
+        first_s, last_s = (float(self.series.time_s[k]) for k in (0, -1))
+        return np.asarray(np.minimum(np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S), last_s))
+
+    @cached_property
+    def all_gains(self) -> FloatArray:
+        """`gains` of the windows of a log."""
+        return self.gains(self.grid_s)
+
+    def gains(self, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
+        """Largest gain of each change in the windows that end at some instants, shape (changes, n)."""
+        shortest_s = np.array([[KINDS[change.kind].shortest_s] for change in self.changes])
+        windows = zip(LOOKS_S, self.windows(at_s, from_s), strict=True)
+        gains = [np.where(shortest_s <= look_s, one.gain, 0.0) for look_s, one in windows]
+        return np.asarray(np.max(gains, axis=0))
 
     def windows(self, at_s: FloatArray, from_s: float, looks_s: Sequence[float] = LOOKS_S) -> list[Fit]:
         """Windows of each length that end at some instants of a grid, and begin after a time."""

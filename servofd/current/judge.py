@@ -17,11 +17,13 @@ from servofd.aircraft.current import CalibratedCurrent
 from servofd.core.statistics import LEAST_DIVISOR, Estimate
 from servofd.core.types import FloatArray
 from servofd.core.windows import Sums, lasting, split
-from servofd.current.evidence import GRID_S, KINDS, LOOKS_S, PUSHES, SLACK_DEG, Change, Evidence, least_stall
+from servofd.current.evidence import GRID_S, KINDS, PUSHES, SLACK_DEG, Change, Evidence, least_stall
 from servofd.current.model import Seen
 from servofd.current.wear import worn
-from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, Status, describe
+from servofd.detection.verdict import WORTH_TELLING, CurrentAudit, Fault, Status, accusation, describe
 
+BY_CURRENT: Final = "by its current: "
+"""With what the reason of a current begins that is not well."""
 SURE_NATS: Final = 9.0
 """Nats by which one explanation must be likelier than another to exclude it: one in 8000 by chance."""
 _STALL_SPREAD: Final = 0.35
@@ -75,29 +77,15 @@ def limit_of(known: CalibratedCurrent, kind: str) -> float:
     return max(KINDS[kind].limit, learnt.get(kind, 0.0))
 
 
-def gains_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
-    """Largest gain of each change in the windows that end at some instants, shape (changes, n)."""
-    shortest_s = np.array([[KINDS[change.kind].shortest_s] for change in evidence.changes])
-    windows = zip(LOOKS_S, evidence.windows(at_s, from_s), strict=True)
-    gains = [np.where(shortest_s <= look_s, one.gain, 0.0) for look_s, one in windows]
-    return np.asarray(np.max(gains, axis=0))
-
-
-def shares_of(evidence: Evidence, at_s: FloatArray, from_s: float = -math.inf) -> FloatArray:
-    """The same over the limit of each change."""
+def shares_of(evidence: Evidence, gains: FloatArray) -> FloatArray:
+    """Gains of windows (changes, n) over the limit of each change."""
     limits = [limit_of(evidence.seen[change.names[0]].known, change.kind) for change in evidence.changes]
-    return np.asarray(gains_of(evidence, at_s, from_s) / np.array(limits)[:, None])
+    return np.asarray(gains / np.array(limits)[:, None])
 
 
 def held(shares: FloatArray, period_s: float) -> FloatArray:
     """The shares (..., n) that last for as long as two windows, or two readings."""
     return lasting(shares, max(math.ceil(period_s / GRID_S), 1) + 1)
-
-
-def grid_s(evidence: Evidence) -> FloatArray:
-    """When windows of a log end [s]."""
-    first_s, last_s = (float(evidence.series.time_s[k]) for k in (0, -1))
-    return np.asarray(np.minimum(np.arange(first_s + GRID_S, last_s + GRID_S, GRID_S), last_s))
 
 
 def limits_of(good: Sequence[Mapping[str, Seen]]) -> dict[str, float]:
@@ -106,7 +94,7 @@ def limits_of(good: Sequence[Mapping[str, Seen]]) -> dict[str, float]:
     for seen in good:
         evidence = Evidence.of(seen)
         if evidence.series.time_s.size > 1:
-            gains = held(gains_of(evidence, grid_s(evidence)), evidence.series.period_s).max(axis=1)
+            gains = held(evidence.all_gains, evidence.series.period_s).max(axis=1)
             for change, gain in zip(evidence.changes, gains.tolist(), strict=True):
                 limits[change.kind] = max(limits[change.kind], float(f"{MARGIN * gain:.3g}"))
     return limits
@@ -135,10 +123,9 @@ def events_of(evidence: Evidence) -> Iterator[Fault]:
     time_s, known = evidence.series.time_s, [one.known for one in evidence.seen.values()]
     if time_s.size < 2 or not all(map(is_witness, known)):
         return
-    is_own = any(one.fitted_between_s is not None for one in known)
-    from_s, at_s, found = -math.inf, grid_s(evidence), 0
+    from_s, at_s, gains, found = -math.inf, evidence.grid_s, evidence.all_gains, 0
     while at_s.size and found < _MOST:
-        shares = shares_of(evidence, at_s, from_s)
+        shares = shares_of(evidence, gains)
         raised = np.flatnonzero(held(shares.max(axis=0), evidence.series.period_s) >= 1.0)
         if not raised.size:
             return
@@ -147,13 +134,15 @@ def events_of(evidence: Evidence) -> Iterator[Fault]:
         fault = _fault(evidence, int(np.argmax(shares[:, raised[0]])), alarm_s, from_s)
         if fault is None:
             at_s, found = at_s[at_s > alarm_s + _AGAIN_S], found - 1
+            gains = evidence.gains(at_s, from_s) if at_s.size else gains
             continue
-        if not is_own or fault.end_s is None or fault.end_s - fault.start_s > _BRIEF_S:
+        if not evidence.is_own or fault.end_s is None or fault.end_s - fault.start_s > _BRIEF_S:
             yield fault
         if fault.end_s is None:
             return
         from_s = max(fault.end_s, alarm_s)
         at_s = at_s[at_s > from_s]
+        gains = evidence.gains(at_s, from_s) if at_s.size else gains
 
 
 def _fault(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Fault | None:
@@ -170,13 +159,12 @@ def _fault(evidence: Evidence, raised: int, alarm_s: float, from_s: float) -> Fa
     change, nats = explained[0]
     if change.kind == "binding" and alarm_s - start_s < _BINDS_S:
         return None
-    rivals = [(one.kind, math.exp(each - nats)) for one, each in explained if one.kind != change.kind]
-    rival, chance = rivals[0] if rivals else ("", 0.0)
+    rivals = ((one.kind, math.exp(each - nats)) for one, each in explained if one.kind != change.kind)
+    rival, chance = next(rivals, ("", 0.0))
     end_s = _end_s(evidence, change, alarm_s)
-    is_own = any(one.known.fitted_between_s is not None for one in evidence.seen.values())
     return Fault(
         change.kind, start_s, alarm_s, end_s, parameters, min(1.0 / (1.0 + chance), _SUREST),
-        (rival,) if chance > WORTH_TELLING else (), level="suspect" if is_own and end_s is not None else "fault",
+        (rival,) if chance > WORTH_TELLING else (), "suspect" if evidence.is_own and end_s is not None else "fault",
         named_s=named_s, witness="current",
     )  # fmt: skip
 
@@ -229,7 +217,7 @@ def _parameters(
 
 def _end_s(evidence: Evidence, change: Change, alarm_s: float) -> float | None:
     """Until when a change lasts: a window after it excludes half of its size; None if none does."""
-    at_s, size = grid_s(evidence), KINDS[change.kind].size or _LEAST_SIZE
+    at_s, size = evidence.grid_s, KINDS[change.kind].size or _LEAST_SIZE
     at_s = at_s[at_s >= alarm_s + _ENDS_S]
     if not at_s.size:
         return None
@@ -245,12 +233,20 @@ def _end_s(evidence: Evidence, change: Change, alarm_s: float) -> float | None:
     return float(time_s[rows][np.argmax(later)]) if later.max(initial=0.0) > 0.0 else alarm_s
 
 
+def judged(seen: Seen, before: Sequence[FloatArray] = ()) -> CurrentAudit:
+    """What is said of one surface by its current alone; arguments as of `verdict_of`."""
+    evidence = Evidence.of({seen.series.surface: seen})
+    return verdict_of(seen, list(events_of(evidence)), before, evidence=evidence)
+
+
 def verdict_of(
-    seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] = (), others: Sequence[Fault] = ()
-) -> CurrentAudit:
+    seen: Seen, found: Sequence[Fault], before: Sequence[FloatArray] = (), others: Sequence[Fault] = (),
+    evidence: Evidence | None = None,
+) -> CurrentAudit:  # fmt: skip
     """What is said of one surface by its current and its faults; of wear, with `features_of` cycles `before` it.
 
-    While `others` on its wire are at fault the reading tells nothing of how much it draws.
+    While `others` on its wire are at fault the reading tells nothing of how much it draws. `evidence` is that of the
+    reading, where there is one at hand.
     """
     series, known = seen.series, seen.known
     whole_share = float(np.mean(seen.usable)) if seen.usable.size else 0.0
@@ -265,9 +261,11 @@ def verdict_of(
     good_a = float(np.mean(seen.healthy_a[rows])) if rows.any() else 0.0
     ratio = round(float(np.mean(series.current_a[rows])) / good_a, 3) if good_a > 0.0 else None
     when = " while all others on its wire were well" if others else ""
-    asked = would_show(seen)
+    if evidence is None:
+        evidence = Evidence.of({series.surface: seen})
+    asked = would_show(evidence)
     status, reason = _status(known, asked, faults, suspicions, ratio, when)
-    if status == "healthy" and known.fitted_between_s is not None and (alike := _alike(seen)):
+    if status == "healthy" and known.fitted_between_s is not None and (alike := _alike(evidence)):
         status, reason = "unknown", alike
     return CurrentAudit(
         status, "; ".join((reason, *series.notes)), known.explained_share, ratio, faults, suspicions, series.time_s,
@@ -281,11 +279,11 @@ def _status(
     when: str,
 ) -> tuple[Status, str]:  # fmt: skip
     if faults:
-        return "fault", f"by its current: {'; then '.join(describe(fault) for fault in faults)}"
+        return "fault", accusation(faults, BY_CURRENT)
     if not is_witness(known):
         return "unknown", no_witness(known)
     if suspicions:
-        return "suspect", f"by its current: {'; '.join(describe(fault) for fault in suspicions)}"
+        return "suspect", f"{BY_CURRENT}{'; '.join(map(describe, suspicions))}"
     if not asked:
         return "unknown", f"too little motion{when} for its current to tell a servo without power from one at rest"
     if known.fitted_between_s is None:
@@ -298,13 +296,12 @@ def _status(
     )
 
 
-def _alike(seen: Seen) -> str:
+def _alike(evidence: Evidence) -> str:
     """Which fault explains the current nearly as well as it would have to, in words; nothing if none does for long.
 
     What a good servo draws is known from the same log alone, and a fault may be in it.
     """
-    evidence = Evidence.of({seen.series.surface: seen})
-    near = held(shares_of(evidence, grid_s(evidence)), evidence.series.period_s) >= _NEARLY
+    near = held(shares_of(evidence, evidence.all_gains), evidence.series.period_s) >= _NEARLY
     for kind in KINDS:
         alike = near[[change.kind == kind for change in evidence.changes]].any(axis=0)
         if alike.mean() >= _NEARLY_FOR:
@@ -315,11 +312,10 @@ def _alike(seen: Seen) -> str:
     return ""
 
 
-def would_show(seen: Seen) -> bool:
+def would_show(evidence: Evidence) -> bool:
     """Whether a servo without power would have shown in these readings, taken together."""
-    if seen.series.time_s.size < 2 or not seen.usable.any():
+    if evidence.series.time_s.size < 2 or not evidence.usable.any():
         return False
-    evidence = Evidence.of({seen.series.surface: seen})
     deviation = float(evidence.whole(-math.inf, math.inf, evidence.changes[:1]).deviation[0, 0])
     kind = KINDS["unpowered"]
     return 0.5 / (deviation**2 + kind.healthy**2) > kind.limit

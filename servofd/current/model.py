@@ -24,6 +24,7 @@ import numpy as np
 from servofd.aircraft.calibrated import lower_triangle
 from servofd.aircraft.current import NAMES, CalibratedCurrent, CurrentNoise
 from servofd.core.errors import CalibrationError
+from servofd.core.fitting import Noise
 from servofd.core.series import latest
 from servofd.core.statistics import MAD_TO_SIGMA
 from servofd.core.types import BoolArray, FloatArray
@@ -41,8 +42,9 @@ _BEFORE_S: Final = 2.0
 """Motion before and after a part of a series that its readings may see [s]: four of the longest lags."""
 _LONGEST_GAP_S: Final = 1.0
 """A command that comes after more than this says nothing of the motion before it."""
-HUBER: Final = 2.5
-"""Standard deviations beyond which an error counts by its size, and not its square (Huber)."""
+HUBER, ROUNDS = 2.5, 5
+"""Standard deviations beyond which an error counts by its size, and not its square (Huber); and how often what an
+error counts is taken anew."""
 _LOOSE_A: Final = 10.0
 """How far any term of a servo's current may be from zero."""
 _ENDS: Final = 0.3
@@ -188,8 +190,7 @@ def _columns(series: CurrentSeries, known: CalibratedCurrent | _Seeing) -> Float
     ])  # fmt: skip
 
 
-@dataclass(slots=True)
-class _Seeing:
+class _Seeing(NamedTuple):
     """What terms depend on, before they are fitted."""
 
     reach_deg: tuple[float, float]
@@ -199,25 +200,17 @@ class _Seeing:
     airspeed_m_s: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CurrentFit:
-    """A healthy current, and what it leaves of each series that it was fitted to."""
+def fit_current(
+    parts: Sequence[CurrentSeries], *, is_own: bool = False, late_s: tuple[float, float] | None = None
+) -> CalibratedCurrent:
+    """Fit a healthy current to good flights, and by how much others, or the rest of the same (`is_own`), may differ.
 
-    known: CalibratedCurrent
-    covariance: FloatArray
-    """Of the fit, shape (terms, terms)."""
-    left_a: tuple[FloatArray, ...]
-
-
-def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
-    """Fit a healthy current to good flights; its covariance between flights is yet to be said.
+    `late_s`: by how much its readings come late, and over how long they average, where that is known.
 
     Raises `CalibrationError` if there is too little motion or current.
     """
-    moved = [part.motion.deflection_deg[part.motion.is_known(part.motion.time_s)] for part in parts]
-    inside = [_between(part) for part in parts]
-    reach = np.concatenate(inside) if inside else np.zeros(0)
-    if not any(each.size for each in moved) or reach.size == 0 or float(np.ptp(reach)) < MOVES_DEG:
+    reach = np.concatenate([np.zeros(0), *map(_between, parts)])
+    if reach.size == 0 or float(np.ptp(reach)) < MOVES_DEG:
         raise CalibrationError(f"its command moves by less than {MOVES_DEG:g} deg: no current to learn from")
     usual_v = float(np.median([usual_supply_v(part.context) for part in parts]))
     ends = float(np.quantile(reach, 0.002)), float(np.quantile(reach, 0.998))
@@ -230,33 +223,18 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
     if not np.ptp(drawn) > 0.0:
         raise CalibrationError("its current never changes: not a measurement")
     least_a = _least_noise(drawn)
-    best = np.inf
-    chosen = draft
-    step = 1 + drawn.size // _MOST_ROWS
-    some = [
-        replace(p, time_s=p.time_s[use][::step], current_a=p.current_a[use][::step])
-        for p, use in zip(parts, rows, strict=True)
-    ]
-    columns, drawn_some = [_columns(part, draft) for part in parts], np.concatenate([part.current_a for part in some])
-    for width_s in (0.0, period_s) if period_s > 2.0 * _GRID_S else (0.0,):
-        means = [averaged(each, width_s) for each in columns]
-        for draft.lag_s in _LAGS_S:
-            table = np.concatenate([terms(part, draft, mean)[0] for part, mean in zip(some, means, strict=True)])
-            left = drawn_some - table @ _solved(table, drawn_some, np.ones(len(table)))[0]
-            cost = float(np.mean(np.minimum(np.abs(left), HUBER * _spread(left, least_a)) ** 2))
-            if cost < best:
-                best, chosen = cost, _Seeing(ends, draft.lag_s, width_s, draft.supply_v, draft.airspeed_m_s)
+    columns = [_columns(part, draft) for part in parts]
+    lag_s, width_s = late_s or _late_s(parts, rows, columns, draft, least_a)
+    chosen = draft._replace(lag_s=lag_s, width_s=width_s)
     tables = [terms(part, chosen, each)[0] for part, each in zip(parts, columns, strict=True)]
     table = np.concatenate([each[use] for each, use in zip(tables, rows, strict=True)])
-    weight = np.ones(drawn.size)
-    still, share = _spread(drawn, least_a), 0.0
-    for _ in range(5):
-        theta, covariance = _solved(table, drawn, weight)
-        left = drawn - table @ theta
+    still, share, weight = _spread(drawn, least_a), 0.0, np.ones(drawn.size)
+    for _ in range(ROUNDS):
+        theta, _ = _solved(table, drawn, weight)
         motion_a = np.maximum(table @ theta - theta[0], 0.0)
-        still, share = _noise(left, motion_a, least_a)
+        still, share = _noise(drawn - table @ theta, motion_a, least_a)
         sigma = np.hypot(still, share * motion_a)
-        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(left) / sigma, 1e-9)) / sigma**2
+        weight = Noise(huber=HUBER, sigma=sigma, is_known=True).weights(drawn - table @ theta)
     theta, covariance = _solved(table, drawn, weight)
     left = drawn - table @ theta
     sigma = np.hypot(still, share * np.maximum(table @ theta - theta[0], 0.0))
@@ -265,7 +243,7 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
     spread_a, free = float(np.var(drawn)), drawn.size - 2 * len(NAMES)  # half of the terms follow a few starts
     known = CalibratedCurrent(
         parameters={name: float(f"{value:.6g}") for name, value in zip(NAMES, theta.tolist(), strict=True)},
-        between=lower_triangle(np.diag(np.diag(covariance))),
+        between=lower_triangle(np.eye(len(NAMES))),
         noise=CurrentNoise(
             still_a=float(f"{still:.4g}"), share=round(share, 4), colour=round(colour, 4),
             period_s=float(f"{period_s:.6g}"),
@@ -280,10 +258,33 @@ def fit_current(parts: Sequence[CurrentSeries]) -> CurrentFit:
         airspeeds_m_s=_airspeeds(parts),
     )  # fmt: skip
     # Readings that are alike say a thing once.
-    alike = (1.0 + colour) / (1.0 - colour)
-    return CurrentFit(
-        known, alike * covariance, tuple(p.current_a - t @ theta for p, t in zip(parts, tables, strict=True))
-    )
+    unsure = _UNCERTAINTIES * ((1.0 + colour) / (1.0 - colour) * covariance)
+    left_a = [part.current_a - table @ theta for part, table in zip(parts, tables, strict=True)]
+    covariance = unsure + np.diag(_apart(parts, known, left_a, is_own=is_own) + _ROUNDED * np.diag(unsure))
+    return known.model_copy(update={"between": lower_triangle(covariance)})
+
+
+def _late_s(
+    parts: Sequence[CurrentSeries], rows: Sequence[BoolArray], columns: Sequence[FloatArray], draft: _Seeing,
+    least_a: float,
+) -> tuple[float, float]:  # fmt: skip
+    """By how much readings come late, and over how long they average [s]: as fits their `rows` best."""
+    step = 1 + sum(map(np.count_nonzero, rows)) // _MOST_ROWS
+    some = [
+        replace(p, time_s=p.time_s[use][::step], current_a=p.current_a[use][::step])
+        for p, use in zip(parts, rows, strict=True)
+    ]
+    drawn, best = np.concatenate([part.current_a for part in some]), (np.inf, 0.0, 0.0)
+    period_s = float(np.median([part.period_s for part in parts]))
+    for width_s in (0.0, period_s) if period_s > 2.0 * _GRID_S else (0.0,):
+        means = [averaged(each, width_s) for each in columns]
+        for lag_s in _LAGS_S:
+            seeing = draft._replace(lag_s=lag_s)
+            table = np.concatenate([terms(part, seeing, mean)[0] for part, mean in zip(some, means, strict=True)])
+            left = drawn - table @ _solved(table, drawn, np.ones(len(table)))[0]
+            cost = float(np.mean(np.minimum(np.abs(left), HUBER * _spread(left, least_a)) ** 2))
+            best = min(best, (cost, lag_s, width_s), key=lambda each: each[0])
+    return best[1:]
 
 
 _UNCERTAINTIES: Final = 4.0
@@ -302,20 +303,19 @@ _PRIOR_FLIGHTS: Final = 4.0
 """The shares count as so many differences between flights."""
 
 
-def widened(fitted: CurrentFit, parts: Sequence[CurrentSeries], *, is_own: bool = False) -> CalibratedCurrent:
-    """The same current with what other flights, or the rest of the same (`is_own`), may differ by."""
-    known = fitted.known
+def _apart(
+    parts: Sequence[CurrentSeries], known: CalibratedCurrent, left_a: Sequence[FloatArray], *, is_own: bool
+) -> FloatArray:
+    """Variances of the terms between flights, shape (13,), of which the current has left so much of each."""
     tables = [terms(part, known)[0] for part in parts]
     usual_a = float(np.mean(np.maximum(np.concatenate(tables) @ known.theta - known.theta[0], 0.0)))
     share = _APART_OWN if is_own else APART
     apart = np.hypot(share * known.theta, _LEAST * usual_a) ** 2
     apart[0] = (_IDLE_APART * np.hypot(known.theta[0], known.noise.still_a)) ** 2
     if len(parts) > 1:
-        changes = np.array([_change(t, left, apart, known) for t, left in zip(tables, fitted.left_a, strict=True)])
+        changes = np.array([_change(t, left, apart, known) for t, left in zip(tables, left_a, strict=True)])
         apart = (_PRIOR_FLIGHTS * apart + (changes**2).sum(axis=0)) / (_PRIOR_FLIGHTS + len(parts) - 1.0)
-    unsure = _UNCERTAINTIES * fitted.covariance
-    covariance = unsure + np.diag(apart + _ROUNDED * np.diag(unsure))
-    return known.model_copy(update={"between": lower_triangle(covariance)})
+    return np.asarray(apart)
 
 
 def _change(table: FloatArray, left: FloatArray, apart: FloatArray, known: CalibratedCurrent) -> FloatArray:
@@ -330,16 +330,14 @@ def _airspeeds(parts: Sequence[CurrentSeries]) -> tuple[float, float] | None:
     """Slowest and fastest while currents were read, but for glitches [m/s]; None if some flight did not log it."""
     if not all(part.context.airspeed_s.size for part in parts):
         return None
-    flown = np.concatenate(
-        [np.interp(part.time_s, part.context.airspeed_s, part.context.airspeed_m_s) for part in parts]
-    )
-    return round(float(np.quantile(flown, 0.01)), 2), round(float(np.quantile(flown, 0.99)), 2)
+    flown = [np.interp(part.time_s, part.context.airspeed_s, part.context.airspeed_m_s) for part in parts]
+    slowest, fastest = np.quantile(np.concatenate(flown), (0.01, 0.99)).tolist()
+    return round(slowest, 2), round(fastest, 2)
 
 
 def _between(part: CurrentSeries) -> FloatArray:
     """Deflections of the motion while its current was read."""
-    first, last = np.searchsorted(part.motion.time_s, (part.time_s[0], part.time_s[-1])) if part.time_s.size else (0, 0)
-    inside = slice(int(first), int(last))
+    inside = slice(*np.searchsorted(part.motion.time_s, part.time_s[[0, -1]] if part.time_s.size else (0, 0)).tolist())
     return part.motion.deflection_deg[inside][part.motion.known[inside]]
 
 

@@ -46,7 +46,7 @@ def parted(flights: Sequence[Mapping[str, CurrentSeries]]) -> list[dict[str, Cur
 
     Raises `CalibrationError` if there is too little motion or current.
     """
-    drafts = {name: fit_current([flight[name] for flight in flights]).known for name in flights[0]}
+    drafts = {name: fit_current([flight[name] for flight in flights]) for name in flights[0]}
     blocks = [
         np.column_stack([terms(series, drafts[name])[0][:, 1:] for name, series in flight.items()])
         for flight in flights
@@ -144,7 +144,8 @@ def _whose(explained: Sequence[tuple[Change, float]], followed: Set[str], failed
 def _draws(seen: Seen, span_s: tuple[float, float]) -> bool:
     """Whether what a servo draws for its motion shows between two times."""
     time_s = seen.series.time_s
-    return would_show(seen._replace(usable=seen.usable & (time_s >= span_s[0]) & (time_s <= span_s[1])))
+    seen = seen._replace(usable=seen.usable & (time_s >= span_s[0]) & (time_s <= span_s[1]))
+    return would_show(Evidence.of({seen.series.surface: seen}))
 
 
 def _failed_between(failed: Mapping[str, Sequence[Fault]], from_s: float, to_s: float) -> set[str]:

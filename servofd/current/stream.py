@@ -157,7 +157,7 @@ class CurrentStream(Following):
         if not due_s.size:
             return due_s
         evidence = Evidence.of({self._healthy.name: seen})
-        self._shares = np.append(self._shares[-_KEPT:], shares_of(evidence, due_s).max(axis=0))
+        self._shares = np.append(self._shares[-_KEPT:], shares_of(evidence, evidence.gains(due_s)).max(axis=0))
         raised = held(self._shares, seen.series.period_s)[-due_s.size :] >= 1.0
         return np.asarray(due_s[raised])
 

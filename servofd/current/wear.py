@@ -15,10 +15,11 @@ import numpy as np
 
 from servofd.aircraft.calibrated import lower_triangle
 from servofd.aircraft.current import FEATURES, NAMES, CalibratedCurrent, Wear
+from servofd.core.fitting import Noise
 from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
 from servofd.core.windows import Sizes, distance
-from servofd.current.model import APART, HUBER, Seen
+from servofd.current.model import APART, HUBER, ROUNDS, Seen
 from servofd.detection.verdict import Fault
 
 _MOVES, _RESTS = 0.8, 0.1
@@ -123,16 +124,13 @@ def _followed(seen: Seen) -> FloatArray:
     if not motion_a.size or np.ptp(motion_a) == 0.0:
         return np.full(3, np.nan)
     best = np.array([1.0, seen.known.theta[0]])
-    for _ in range(_ROUNDS):  # as the model itself was fitted, to which starts and gusts are spikes
-        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(drawn - columns @ best), 1e-9))
-        weighted = columns * weight[:, None]
+    for _ in range(ROUNDS):  # as the model itself was fitted, to which starts and gusts are spikes
+        weighted = columns * Noise(huber=HUBER, is_known=True).weights(drawn - columns @ best)[:, None]
         best = np.linalg.lstsq(weighted.T @ columns, weighted.T @ drawn, rcond=None)[0]
     return np.array([best[0], np.exp(np.mean(features_of(seen)[_SPREADS])), best[1]])
 
 
 _SPREADS: Final = slice(FEATURES.index("spread_up"), FEATURES.index("spread_down") + 1)
-_ROUNDS: Final = 5
-"""Of weighted least squares, as many as the model took."""
 _DEVIATIONS: Final = 3.0
 """Between good flights, that make a limit: as of positions."""
 
@@ -149,7 +147,7 @@ def followed_limits(known: CalibratedCurrent) -> dict[str, float]:
 def _known(table: FloatArray, usual_a: float) -> Wear:
     count = len(table)
     prior = np.diag(np.array([_MEAN_SHARE * usual_a] * 2 + [_LOG_APART] * 4) ** 2)
-    shared = np.cov(table.T) if count > 1 else np.zeros_like(prior)
+    shared = np.cov(table.T)
     shared = (1.0 - _OWN) * shared + _OWN * np.diag(np.diag(shared))
     between = (_PRIOR_FLIGHTS * prior + (count - 1.0) * shared) / (_PRIOR_FLIGHTS + count - 1.0)
     return Wear(
@@ -181,10 +179,6 @@ def worn(seen: Seen, before: Sequence[FloatArray] = ()) -> tuple[Fault, ...]:
     away = (together.mean(axis=0) - np.array(known.mean)) / np.sqrt(np.diag(known.covariance))
     most = int(np.argmax(np.abs(away)))
     size = float(np.sqrt(ratio))
-    parameters = {"distance": Estimate.of(size, 1.0 / np.sqrt(2.0 * len(FEATURES))), FEATURES[most]: _size(away[most])}
+    off = Estimate.of(float(away[most]), 1.0)  # in standard deviations between good flights
+    parameters = {"distance": Estimate.of(size, 1.0 / np.sqrt(2.0 * len(FEATURES))), FEATURES[most]: off}
     return (Fault("worn", first_s, last_s, None, parameters, 1.0, (), "suspect", named_s=last_s, witness="current"),)
-
-
-def _size(sigmas: float) -> Estimate:
-    """Standard deviations between good flights by which a feature is off."""
-    return Estimate.of(float(sigmas), 1.0)

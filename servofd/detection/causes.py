@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.detection.verdict import SERVO_OR_SENSOR, CommonCause, SurfaceAudit, describe, two_digits
+from servofd.detection.verdict import CommonCause, SurfaceAudit, accusation, describe, two_digits
 from servofd.servo.context import Context
 
 if TYPE_CHECKING:
@@ -304,7 +304,7 @@ def _convicted(surface: SurfaceAudit, given: Fault, *, is_fallen: bool) -> Surfa
     fault = replace(given, kind="slow" if is_slow else given.kind, level="fault")
     suspicions = tuple(one for one in surface.suspicions if one is not given)
     faults = tuple(sorted((*surface.faults, fault), key=lambda one: one.start_s))
-    reason = f"{SERVO_OR_SENSOR}{'; then '.join(describe(one) for one in faults)}; others show the same at once"
+    reason = f"{accusation(faults)}; others show the same at once"
     return replace(surface, status="fault", faults=faults, suspicions=suspicions, reason=reason)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.series import outline
-from servofd.detection.verdict import SERVO_OR_SENSOR, describe, two_digits
+from servofd.detection.verdict import accusation, describe, two_digits
 from servofd.servo.loops import compiled, play
 
 if TYPE_CHECKING:
@@ -278,7 +278,7 @@ def status_of(
 ) -> tuple[Status, str]:
     """What a surface has earned, and why; `well` says in which way it is healthy, if it is."""
     if faults:
-        return "fault", f"{SERVO_OR_SENSOR}{'; then '.join(describe(fault) for fault in faults)}"
+        return "fault", accusation(faults)
     if suspicions:
         return "suspect", f"no alarm stands, but look at it: {'; '.join(describe(fault) for fault in suspicions)}"
     problem = why_not_cleared(residuals, shown, threshold.typical_deg)

@@ -274,6 +274,11 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
+def accusation(faults: Sequence[Fault], who: str = SERVO_OR_SENSOR) -> str:
+    """With what the reason of a surface at fault begins: `who` it may be, and what it does."""
+    return f"{who}{'; then '.join(map(describe, faults))}"
+
+
 def describe(fault: Fault) -> str:
     """One clause: what, since when, until when, how sure.
 

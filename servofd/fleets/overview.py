@@ -30,8 +30,9 @@ class Overview:
     statuses: dict[str, int]
     """Worst status of a log to number of logs; ``not_judged`` where there is no verdict on the log as a whole."""
     surfaces: tuple[dict[str, Any], ...]
-    """Each surface over all logs that know it: its servos, logs by status, faults by kind, and the largest residual
-    over its threshold in the logs without a fault."""
+    """Each surface over all logs that know it: its servos, logs by status, faults by kind, and of the logs without a
+    fault the largest residual over its threshold, and the smallest and largest current of motion beside that of good
+    flights."""
     axes: tuple[dict[str, Any], ...]
     """What motion showed of each axis: its surfaces, logs by status, smallest and largest share of its effect."""
     faults: tuple[dict[str, Any], ...]
@@ -118,13 +119,16 @@ def _flight(log: dict[str, Any]) -> dict[str, Any]:
 
 
 def _count(name: str, entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    shares = [share for entry in entries if entry["status"] != "fault" and (share := _share(entry)) is not None]
+    well = [entry for entry in entries if entry["status"] != "fault"]
+    shares = [share for entry in well if (share := _share(entry)) is not None]
+    drawn = [ratio for entry in well if (ratio := entry.get("current", {}).get("ratio_to_good")) is not None]
     return {
         "surface": name,
         "servos": list(dict.fromkeys(entry["servo"] for entry in entries)),
         "logs": dict(Counter(entry["status"] for entry in entries)),
         "kinds": dict(Counter(fault["kind"] for entry in entries for fault in entry["faults"])),
         "largest_share": max(shares, default=None),
+        "current_ratio": [min(drawn), max(drawn)] if drawn else None,
     }
 
 

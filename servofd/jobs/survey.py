@@ -85,6 +85,7 @@ def _with_currents(log: FlightLog, aircraft: Aircraft) -> Iterator[dict[str, Any
                 asked(aircraft.surfaces[name], channel_of(log, found["command"], "command"))
                 found["current_hz"] = _rate(read_current(log, source).time_s)
                 found["verdict"] = f"{can}; and by its current" if can.startswith("yes") else "yes, by its current"
+                found["position"] = found["position"] if found["position"] in log.channels else "-"
             except NoMeasurement as reason:
                 found["verdict"] += f"; {reason}"
         yield found

@@ -70,6 +70,11 @@ class Alarm:
         begin_s, end_s = min(self.since_s, self.raised_s) - _ECHO_S, math.inf if self.end_s is None else self.end_s
         return begin_s <= max(fault.start_s, fault.alarm_s) and fault.start_s <= end_s
 
+    def dated(self, fault: Fault | None) -> Fault | None:
+        """The same fault, seen by what tells nothing of before this was raised, with the onset that is known."""
+        is_late = fault is not None and fault.start_s > self.raised_s
+        return replace(fault, start_s=min(fault.start_s, self.since_s)) if fault is not None and is_late else fault
+
 
 def over(fault: Fault | None) -> str:
     """What is said once a fault is over.
@@ -188,6 +193,7 @@ class Alarms:
         is_told = event.fault is not None and event.fault.other not in ("", alarm.fault and alarm.fault.other)
         if event.kind == "unknown" or (event.kind == alarm.kind and not is_told):
             return []
+        event = replace(event, fault=alarm.dated(event.fault))
         self._learn(alarm, event)
         return [self._published(event, alarm.id, alarm.severity, "named")]
 
@@ -198,7 +204,7 @@ class Alarms:
         named: list[Published] = []
         if not alarm.dismissed:  # a name that was reported stays; one that comes so late is reported before the end
             named = self._named(alarm, event) if alarm.kind == "unknown" else []
-            ended = event.fault
+            ended = alarm.dated(event.fault)
             if ended is not None:
                 known = ended if event.kind == alarm.kind else alarm.fault or ended
                 ended = alarm.fault = replace(known, kind=alarm.kind, end_s=ended.end_s)

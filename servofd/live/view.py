@@ -183,14 +183,17 @@ class View:
             name, word = self._of(vehicle, monitor.name), status_of(monitor, alarm, is_lost=vehicle.is_lost)
             since, words = _since(alarm), monitor.silenced if word in ("no data", "waiting") else _to_do(alarm)
             words = words or monitor.stands_in
-            numbers = _numbers(reading, " A" * (monitor.quantity == "current"))
+            is_current = monitor.quantity == "current"
+            if is_current and word == "no data":
+                reading = None  # what was read last is not what is drawn now
+            numbers = _numbers(reading, " A" * is_current)
             yield Row(vehicle.now_s, name, word, numbers, _share(reading), since, words)
             if monitor.drawn is not None:
                 is_late = vehicle.is_lost or vehicle.now_s - monitor.drawn.time_s > monitor.patience_s
                 beside = "no data" if is_late else "watched" if monitor.drawn.settled else "settling"
-                yield Row(
-                    vehicle.now_s, f"{name} current", beside, _numbers(monitor.drawn, " A"), _share(monitor.drawn)
-                )
+                drawn = None if is_late else monitor.drawn
+                said = f"no current since {monitor.drawn.time_s:.1f} s" * is_late
+                yield Row(vehicle.now_s, f"{name} current", beside, _numbers(drawn, " A"), _share(drawn), words=said)
 
     def _axes(self) -> Iterator[Row]:
         """Axes of all vehicles by the latest judgement of their motion."""

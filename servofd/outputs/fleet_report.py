@@ -31,6 +31,7 @@ _MOST_FLIGHTS = 2000
 FLIGHTS_HEAD = ("flight", "verdict", "begun (UTC)", "length", "residual", "what")
 _FAULTS_HEAD = ("log", "begun (UTC)", "surface", "kind", "onset [s]", "end [s]", "parameters", "probability")
 _SURFACES_HEAD = ("surface", "flights", "faults", "residual / threshold", "servo")
+_CURRENT_HEAD = "current / good flights"
 _AXES_HEAD = ("axis", "flights", "effect left", "surfaces")
 _LINE = (
     "The small pictures show the residual of the worst surface (what its motion shows of the worst axis) over the "
@@ -73,7 +74,7 @@ def fleet_report(document: dict[str, Any], pages: frozenset[str] = frozenset()) 
         parts=[
             Table("Flights, the worst first", FLIGHTS_HEAD, rows, long=True),
             *[Figures(lambda: [_chart(flights)])] * (len(flights) >= _FEWEST_DRAWN),
-            Table("Surfaces", _SURFACES_HEAD, list(map(_surface, document["surfaces"]))),
+            _surfaces(document["surfaces"]),
             Table("Axes, judged by the motion of the aircraft", _AXES_HEAD, list(map(_axis, document["axes"]))),
         ],
         evidence=[
@@ -167,12 +168,19 @@ def _axis(axis: dict[str, Any]) -> tuple[str | Cell, ...]:
     return axis["axis"], _by_status(axis["logs"]), effect, members
 
 
-def _surface(surface: dict[str, Any]) -> tuple[str | Cell, ...]:
-    """With its largest share of the threshold in the flights without a fault of it."""
-    share = surface["largest_share"]
-    kinds = ", ".join(f"{spoken(kind)} {number}" for kind, number in surface["kinds"].items())
-    flights, nearest = _by_status(surface["logs"]), "" if share is None else f"{share:.0%}"
-    return surface["surface"], flights, kinds or "none", nearest, ", ".join(surface["servos"])
+def _surfaces(surfaces: Sequence[Mapping[str, Any]]) -> Table:
+    """Each with its largest share of the threshold, and its currents, in the flights without a fault of it."""
+    rows = []
+    for one in surfaces:
+        share, kinds = one["largest_share"], ", ".join(f"{spoken(kind)} {n}" for kind, n in one["kinds"].items())
+        nearest, servos = "" if share is None else f"{share:.0%}", ", ".join(one["servos"])
+        rows.append((one["surface"], _by_status(one["logs"]), kinds or "none", nearest, servos))
+    drawn = [one.get("current_ratio") for one in surfaces]
+    if not any(drawn):
+        return Table("Surfaces", _SURFACES_HEAD, rows)
+    ratios = ["" if each is None else f"{each[0]:.0%} to {each[1]:.0%}" for each in drawn]
+    head = (*_SURFACES_HEAD, _CURRENT_HEAD)
+    return Table("Surfaces", head, [(*row, ratio) for row, ratio in zip(rows, ratios, strict=True)])
 
 
 def _fault(fault: dict[str, Any]) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from servofd.core.errors import ConfigError, NoMeasurement, ServofdError
 from servofd.core.statistics import Estimate
 from servofd.core.types import Marks
 from servofd.current.audit import current_series
-from servofd.current.judge import faults_of, verdict_of
+from servofd.current.judge import judged
 from servofd.current.model import see
 from servofd.current.wear import followed_limits, quantities_of
 from servofd.detection.audit import audit_segment
@@ -119,7 +119,7 @@ def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> ServoEstimate 
     if known is None or source is None or [one.channel for one in sources.values()].count(source.channel) > 1:
         return None  # a wire that several servos share wears for none of them
     seen = see(current_series(log, name, aircraft, source), known)
-    verdict = verdict_of(seen, faults_of(seen))
+    verdict = judged(seen)
     return ServoEstimate(quantities_of(seen), {}, verdict.reason if verdict.faults else "")
 
 

@@ -186,6 +186,42 @@ def test_positions_that_come_again_are_judged_again(
     assert "A" in modes
 
 
+@pytest.mark.slow
+def test_a_jam_that_its_current_told_began_then_though_its_position_comes_back_later(
+    tmp_path: Path, plane: str
+) -> None:
+    """The position is away from 10 s before the jam to 25 s after it, and shows it from then on."""
+    flight, log = flown(6, "blocked", 130.0), tmp_path / "flight.csv"
+    gone = (flight.current_s > START_S - 10.0) & (flight.current_s < START_S + 25.0)
+    log.write_text(
+        replace(flight, position_deg=np.where(gone, np.nan, flight.position_deg))
+        .csv("aileron", position=True)
+        .replace("nan", "")
+    )
+    code, events = watched(log, plane)
+    named = [event for event in events if event.get("fault")]
+    assert (code, [event["kind"] for event in named], {event["id"] for event in named}) == (
+        1,
+        ["blocked", "stuck"],
+        {"0/aileron/1"},
+    )
+    assert [event["fault"]["start_s"] for event in named] == pytest.approx([START_S] * 2, abs=1.0)
+
+
+@pytest.mark.slow
+def test_a_current_that_stops_shows_no_numbers_any_more(
+    tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight, log = flown(8), tmp_path / "flight.csv"
+    ends_a = np.where(flight.current_s > START_S, np.nan, flight.current_a)
+    log.write_text(replace(flight, current_a=ends_a).csv("aileron", position=True).replace("nan", ""))
+    assert watched(log, plane) == (0, [])
+    rows = [line.strip() for line in capsys.readouterr().out.splitlines() if "aileron current: " in line]
+    late = [row.partition("aileron current: ")[2] for row in rows if float(row.split()[0]) > START_S + 6.0]
+    assert set(late) == {"no data, no current since 50.0 s"}
+    assert " draws " in rows[0]
+
+
 class _Silent:
     """A monitor that nothing tells anything."""
 

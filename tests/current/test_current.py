@@ -386,7 +386,7 @@ def test_a_battery_that_empties_is_no_supply_that_gives_way(tmp_path: Path) -> N
 def test_info_says_what_a_current_allows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", written(tmp_path / "flight.csv", flown(5, 10.0, seconds=40.0)), "--json"]) == 0
     (surface,) = json.loads(capsys.readouterr().out)["logs"][0]["surfaces"]
-    assert surface["current"] == "aileron_current_a"
+    assert (surface["position"], surface["current"]) == ("-", "aileron_current_a")
     assert surface["verdict"] == "yes, by its current"
 
 

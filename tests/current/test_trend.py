@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -57,3 +58,20 @@ def test_good_flights_show_no_trend_and_their_intervals_hold(tmp_path: Path, pla
         away = np.abs(one.flights.value - np.median(one.flights.value)) / one.flights.deviation
         assert np.mean(away < 1.96) >= 0.7  # 95 % in 30 flights; of 12 chance leaves out two or three
         assert np.mean(away < 0.5) <= 0.7  # nor are they wide for safety
+
+
+@pytest.mark.slow
+def test_flights_of_a_fleet_are_compared_by_what_their_servos_draw(
+    tmp_path: Path, plane: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "logs").mkdir()
+    for k, times in enumerate((1.0, 1.3)):
+        written(tmp_path / "logs", f"flight{k}", 8500 + k, times)
+    assert main(["audit", str(tmp_path / "logs"), "-c", plane, "-o", str(tmp_path / "results")]) == 0
+    capsys.readouterr()
+    assert main(["fleet", str(tmp_path / "results"), "--json", "-"]) == 0
+    (surface,) = json.loads(capsys.readouterr().out)["surfaces"]
+    low, high = surface["current_ratio"]
+    assert 0.8 < low < 1.2
+    assert high > low + 0.1
+    assert "current / good flights" in (tmp_path / "results" / "fleet.html").read_text()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -83,3 +84,18 @@ def test_what_was_taken_back_is_reported_when_it_comes_again() -> None:
     assert [event.event for event in alarms.publish([Event(34.5, "rudder", "clear", "healthy")])] == ["clear"]
     (again,) = alarms.publish([Event(38.7, "rudder", "alarm", "bias", 1.5, 1.9, fault=offset)])
     assert (again.event, again.id) == ("alarm", "1/rudder/2")
+
+
+@pytest.mark.parametrize("last", ["named", "clear"])
+def test_what_is_seen_of_a_fault_only_after_its_alarm_does_not_move_its_onset(last: str) -> None:
+    """A jam that its current showed at 50 s, and its position, which was away, from 65.5 s on."""
+    alarms = Alarms(1)
+    jam = Fault("stuck", 50.1, 51.9, None, {}, 0.9, (), witness="current")
+    alarms.publish([Event(51.9, "rudder", "alarm", "stuck", fault=jam)])
+    again = replace(jam, kind="slow", start_s=65.5, alarm_s=66.0, witness="position")
+    alarms.publish([Event(66.0, "rudder", "named", "slow", fault=again)])
+    ended = replace(again, end_s=80.0)
+    what: Any = last
+    (told,) = alarms.publish([Event(80.0, "rudder", what, "slow" if last == "clear" else "stuck", fault=ended)])
+    assert told.fault is not None
+    assert (told.event, told.fault.start_s, alarms.all[0].since_s) == (last, 50.1, 50.1)
