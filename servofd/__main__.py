@@ -6,6 +6,7 @@ import sys
 from types import FrameType
 
 _INTERRUPTED = 128 + signal.SIGINT
+"""Exit code of a program that Ctrl-C ended, as shells give it."""
 
 
 def _tell() -> None:

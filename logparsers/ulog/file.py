@@ -154,7 +154,7 @@ class UlogFile:
     def _of(self, group: Topic, values: NDArray[Any]) -> NDArray[Any]:
         if group.label:
             return values[self._labels(group.name, group.instance)[group.label]]
-        # PX4 logs each topic once at the beginning, with a stamp of 0 where nobody had published it: no row, no damage.
+        # PX4 logs each topic once at the beginning, with a stamp of 0 if not published yet: no row, no damage.
         first = self._parts(group.name, group.instance)[0].rows["timestamp"][:1]
         return values[1:] if self.begin_s > 0.0 and not first.all() else values
 

@@ -79,12 +79,19 @@ def with_common_causes(
         if fell and cause.kind != "servo_type":
             cause = replace(cause, kind="supply", text=f"{cause.text}; {fell}{_rose(result, cause)}")
         causes.append(cause)
-        for place, surface in enumerate(result):
-            if surface.surface in struck and cause.kind in _OF_NO_SERVO:
-                result[place] = _excused(surface, at_s, cause)
-            elif surface.surface in struck and cause.kind == "supply":
-                result[place] = _convicted(surface, struck[surface.surface], is_fallen=bool(fell))
+        result = [_answers_for(s, struck.get(s.surface), cause, at_s, is_fallen=bool(fell)) for s in result]
     return tuple(result), (*causes, *_of_volts_alone(result, causes, volts))
+
+
+def _answers_for(
+    surface: SurfaceAudit, given: Fault | None, cause: CommonCause, at_s: float, *, is_fallen: bool
+) -> SurfaceAudit:
+    """The verdict on a surface beside a cause that befell it at a time, if it did."""
+    if given is None or cause.kind not in (*_OF_NO_SERVO, "supply"):
+        return surface
+    if cause.kind == "supply":
+        return _convicted(surface, given, is_fallen=is_fallen)
+    return _excused(surface, at_s, cause)
 
 
 def cause_of_alarms(
@@ -101,7 +108,9 @@ def cause_of_alarms(
         fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
         struck = [(name, fault) for name, fault in faults.items() if _is_at(fault.start_s, at_s, within_s)]
         is_first = at_s - first_s <= _AT_START_S
-        if len(struck) >= max(min(fewest, watched) if is_first and watched > 1 else fewest, _MOST_SHARE * watched):
+        slow, most = sum(fault.kind == "slow" for _, fault in struck), _MOST_SHARE * watched
+        fewest = min(fewest, watched) if is_first and watched > 1 else fewest
+        if len(struck) >= max(fewest, most) or slow >= max(_FEWEST_SLOW, most):
             cause = _cause(struck, (), at_s, first_s)
             return replace(cause, kind="supply", text=f"{cause.text}; {fell}") if fell and not is_first else cause
     return None

@@ -34,7 +34,7 @@ _KEPT, _KEPT_ROWS = 16, 2_000_000
 """Servos whose errors and slopes are kept, of those that descents begin with or end at; and rows of them at most, which
 take 256 MB: of two hours at 100 Hz sixteen would take 1.5 GB."""
 _FAR: Final = 0.8
-"""Share of the errors with which a descent began, below which it ended elsewhere, and what is noise is told anew."""
+"""Share of the errors with which a descent began, below which it ended elsewhere, and noise is estimated again."""
 _CLOSE: Final = 0.5
 """Misfit, of which one standard deviation of a number makes 1 or more, by which a step must improve."""
 _LOOSER_DEG: Final = 0.6
