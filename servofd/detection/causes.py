@@ -108,9 +108,7 @@ def cause_of_alarms(
         fewest, within_s = (_WHILE_IT_FALLS, _WITH_IT_S) if fell else (_FEWEST, _TOGETHER_S)
         struck = [(name, fault) for name, fault in faults.items() if _is_at(fault.start_s, at_s, within_s)]
         is_first = at_s - first_s <= _AT_START_S
-        slow, most = sum(fault.kind == "slow" for _, fault in struck), _MOST_SHARE * watched
-        fewest = min(fewest, watched) if is_first and watched > 1 else fewest
-        if len(struck) >= max(fewest, most) or slow >= max(_FEWEST_SLOW, most):
+        if len(struck) >= max(min(fewest, watched) if is_first and watched > 1 else fewest, _MOST_SHARE * watched):
             cause = _cause(struck, (), at_s, first_s)
             return replace(cause, kind="supply", text=f"{cause.text}; {fell}") if fell and not is_first else cause
     return None
