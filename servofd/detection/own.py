@@ -79,6 +79,9 @@ _WINDOW_S: Final = 5.0
 _AT_ONCE_S, _FEWEST_AT_ONCE = 1.0, 2
 """Servos that become slow within so much of each other, and how many of them, half or more, have one cause: in 28
 healthy flights of even seed and in wind no part is slow to the end."""
+_SHOWN_BEFORE: Final = 10.0
+"""Nats by which a part has to explain better what was before: 80 to 90 in flights whose supply gave way, and up to 3
+where all became brisk at once, and quicker than their servos."""
 _CONTRADICT: Final = 4.0
 """Standard deviations between two parts of which one servo is no account."""
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
@@ -103,8 +106,8 @@ class Slowed(NamedTuple):
     """A servo that has lost speed."""
 
     since_s: float
-    cost: float
-    """By how much less likely this is than what its surface alone shows [nats]."""
+    shown: float
+    """By how much better it explains what was before than what its surface alone shows [nats]."""
     servo: OwnServo
 
 
@@ -207,21 +210,21 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
             break
     if not found:
         return ModelOrigin(origin="none", explained_share=share)
-    best = _best(found)
-    costs = _costs(found)
-    slowed = (
-        Slowed(part.slow_since_s, cost - min(costs), _own(part, found, source))
-        for part, cost in zip(found, costs, strict=True)
-        if np.isfinite(part.slow_since_s)
-    )
+    best, sharpest = _best(found), _sharpest(found)
+    slowed = []
+    for each in found:
+        since_s = each.slow_since_s
+        shown = _unexplained(best, sharpest, since_s) - _unexplained(each, sharpest, since_s)
+        if np.isfinite(since_s) and (each is best or shown > _SHOWN_BEFORE):
+            slowed.append(Slowed(since_s, shown, _own(each, found, source)))
     return replace(_own(best, found, source), slowed=tuple(slowed))
 
 
 def slow_at_once(servos: Sequence[OwnServo | ModelOrigin]) -> list[OwnServo | ModelOrigin]:
     """Return the servos of one log; where most lost speed in one instant, as the parts show them that say so.
 
-    A part that was fitted behind that instant explains each surface alone as well: it takes what is left for all it
-    had. That several parts of which one begins before it agree on the instant is no chance.
+    A part that was fitted behind that instant may explain its surface alone as well: it takes what is left for all it
+    had. It does not explain what was quicker before; and that several agree on the instant is no chance.
     """
     slowed = [one.slowed if isinstance(one, OwnServo) else () for one in servos]
     known = sum(isinstance(one, OwnServo) for one in servos)
@@ -231,7 +234,7 @@ def slow_at_once(servos: Sequence[OwnServo | ModelOrigin]) -> list[OwnServo | Mo
         for place, those in enumerate(slowed):
             at_once = [each for each in those if 0.0 <= each.since_s - at_s <= _AT_ONCE_S]
             if at_once:
-                there[place] = min(at_once, key=lambda each: each.cost)
+                there[place] = max(at_once, key=lambda each: each.shown)
         if len(there) >= max(_FEWEST_AT_ONCE, known / 2) and len(there) > len(best):
             best = there
     return [best[place].servo if place in best else one for place, one in enumerate(servos)]
@@ -263,20 +266,30 @@ def _best(found: list[_Part]) -> _Part:
 
 def _costs(found: list[_Part]) -> list[float]:
     """How unlikely each part and what it makes of the log is, beside the others [nats]."""
-    sharpest = min(found, key=lambda each: float(np.nanmean(each.sigma_deg**2)))
+    sharpest = _sharpest(found)
 
     def cost(part: _Part) -> float:
-        squares = np.minimum((part.left_deg / sharpest.sigma_deg) ** 2, _MOST_MISFIT)
-        known = np.isfinite(squares)
-        window = np.floor(part.time_s[known] / _WINDOW_S).astype(int)
-        first = np.flatnonzero(np.diff(window, prepend=window[:1] - 1))
-        count = np.diff(first, append=window.size)
-        misfit = np.maximum(np.add.reduceat(squares[known], first) / count, 1.0) if first.size else np.zeros(0)
         unknown = 0.5 * float(np.log(np.nanmean(part.sigma_deg**2) / np.nanmean(sharpest.sigma_deg**2)))
         two = sum(_better(other, part) for other in found) if part.is_whole else 0.0
-        return 0.5 * _WINDOW_S / _ALIKE_S * float(np.log(misfit).sum()) + part.apart + unknown + two
+        return _unexplained(part, sharpest) + part.apart + unknown + two
 
     return [cost(part) for part in found]
+
+
+def _sharpest(found: list[_Part]) -> _Part:
+    """The part whose servo knows best where it stands."""
+    return min(found, key=lambda each: float(np.nanmean(each.sigma_deg**2)))
+
+
+def _unexplained(part: _Part, sharpest: _Part, until_s: float = np.inf) -> float:
+    """What a part and its faults leave of the log until a time, over the sigma of the sharpest [nats]."""
+    squares = np.minimum((part.left_deg / sharpest.sigma_deg) ** 2, _MOST_MISFIT)
+    known = np.isfinite(squares) & (part.time_s < until_s)
+    window = np.floor(part.time_s[known] / _WINDOW_S).astype(int)
+    first = np.flatnonzero(np.diff(window, prepend=window[:1] - 1))
+    count = np.diff(first, append=window.size)
+    misfit = np.maximum(np.add.reduceat(squares[known], first) / count, 1.0) if first.size else np.zeros(0)
+    return 0.5 * _WINDOW_S / _ALIKE_S * float(np.log(misfit).sum())
 
 
 def _better(part: _Part, whole: _Part) -> float:

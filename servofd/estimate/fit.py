@@ -188,6 +188,8 @@ def fit(
         others = [] if is_alone else _alike(begin)
     else:
         begin, *others = np.atleast_2d(np.clip(start, _LOWS, _HIGHS))
+        if is_alone:  # another part of the log may have begun with a fault
+            begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
     sigma = flights.sigma(begin)
     best = minimum(flights.problem(sigma), begin, steps=_STEPS, close=_CLOSE)
     if best.error.std() < _FAR * flights.left(begin)[0].std():  # what counts as noise where it began does not here
