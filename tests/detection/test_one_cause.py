@@ -26,6 +26,7 @@ from servofd.servo.context import Context
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import second_order
+from servofd.servo.loops import lagged_twice
 from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import doublets
 
@@ -60,6 +61,27 @@ def test_servos_that_lose_speed_in_one_instant_tell_it_together(tmp_path: Path) 
         assert fault.kind == "slow"
         assert fault.start_s == pytest.approx(39.0, abs=1.0)
         assert fault.end_s is None
+
+
+@pytest.mark.slow
+def test_sound_servos_that_all_turn_brisk_at_once_are_not_slow() -> None:
+    """Parts that were calm never met the largest speed, and each alone calls the rest slow since the same instant."""
+    rng, time_s = np.random.default_rng(4), np.arange(0.0, 90.0, 0.02)
+    columns: dict[str, FloatArray] = {"time_s": time_s}
+    for name in ("aileron_left", "aileron_right", "elevator", "rudder"):
+        smooth = lagged_twice(rng.standard_normal(time_s.size), 1.0 - 8.0 * 0.02)
+        command_deg = smooth / smooth.std() * np.where(time_s < 55.0, 1.5, 16.0)
+        fine_s = np.arange(0.0, 90.0, 0.005)
+        asked_deg = np.interp(fine_s - 0.03, time_s, command_deg)
+        position_deg, at_deg = np.zeros(fine_s.size), 0.0
+        for k, want_deg in enumerate(asked_deg.tolist()):
+            at_deg += 0.005 * min(max(22.0 * (want_deg - at_deg), -70.0), 70.0)
+            position_deg[k] = at_deg
+        columns[f"{name}_cmd_deg"] = command_deg
+        columns[f"{name}_pos_deg"] = position_deg[::4] + 0.08 * rng.standard_normal(time_s.size)
+    (found,) = servofd.audit(pd.DataFrame(columns))
+    assert not found.common_causes
+    assert [surface.faults for surface in found.surfaces] == [(), (), (), ()]
 
 
 FREEZE = (TIME_S >= 20.0) & (TIME_S < 23.0)
