@@ -90,9 +90,9 @@ NO_PLAY = [("no_play", run) for run in "234"]
     [
         ("gravity_load", "0"),
         ("no_play", "1"),
+        ("play", "3"),
         ("play", "4"),
         *(pytest.param(*each, marks=pytest.mark.nightly) for each in (("gravity_load", "3"), *NO_PLAY)),
-        pytest.param("play", "3", marks=pytest.mark.xfail(strict=True, reason="run 2, which a hand pulls, is slow")),
     ],
 )
 def test_a_smart_servo_calibrated_on_one_run_is_at_fault_in_no_other(name: str, run: str) -> None:
