@@ -403,7 +403,7 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
     surface = aircraft.surfaces[name]
     command = channel_of(log, surface.command.channel, "command")
     if surface.measured is None:
-        raise NoMeasurement("the aircraft file names no measured channel for this surface")
+        raise NoMeasurement("no measured channel is known for this surface")
     measured = channel_of(log, surface.measured.channel, "position")
     if measured.is_constant:
         values = measured.values[np.isfinite(measured.values)]

@@ -301,5 +301,5 @@ def flights_of(
     if missing:
         raise UnknownName(suggest("run", missing[0], sorted(seen)))
     if not any(flights.values()):
-        raise NoMeasurement("; ".join(reasons) or "the aircraft file names no measured channel")
+        raise NoMeasurement("; ".join(reasons) or "no measured channel is known")
     return flights
