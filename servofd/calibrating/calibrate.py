@@ -21,7 +21,7 @@ from servofd.core.statistics import Z_95, Estimate
 from servofd.core.types import FloatArray
 from servofd.detection.changes import detectable
 from servofd.detection.evidence import is_blind
-from servofd.detection.flights import Flight, busiest
+from servofd.detection.flights import Flight
 from servofd.detection.known import (
     SPOKEN,
     after_more_flights,
@@ -37,13 +37,10 @@ from servofd.detection.known import (
 )
 from servofd.detection.moving import watched
 from servofd.estimate.family import PRESSURE_PA
-from servofd.estimate.fit import WIDTHS, Fit, fit, reach_of
+from servofd.estimate.fit import WIDTHS, Fit, fit
 from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
 from servofd.servo.context import AIR_KG_M3
 
-_SOME, _BUSY = 2, 3_000
-"""So many flights, or one more, and samples of each with most motion (a minute at 50 Hz) tell which servos may be
-alike; all flights whole tell which are."""
 _FAST_M_S: Final = 25.0
 """Airspeed for which the deflection under air load is given [m/s]."""
 
@@ -71,10 +68,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     supply_v = float(np.median([usual_supply_v(flight.segment.context) for flight in flights]))
     airspeed_m_s = usual_airspeed_m_s([flight.segment.context for flight in flights])
     records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in flights]
-    some = flights[:: max(len(flights) // _SOME, 1)]
-    busy = [Record.of(piece.segment, supply_v, airspeed_m_s) for each in some for piece in busiest(each, _BUSY)]
-    tried = fit([record for record in busy if record.usable.any()], reach_deg=reach_of(records))
-    first = fit(records, start=tried.alike)
+    first = fit(records)
     gain, offset_deg = first.theta[0], first.offset_deg
     refuse_unlike(name, first, records, flights, (supply_v, airspeed_m_s))
     measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)

@@ -72,7 +72,8 @@ def with_common_causes(
         still = [s.surface for s in result if s.surface not in struck and _stands_still(s, at_s)]
         slow = sum(fault.kind == "slow" and fault.level == "fault" for fault in struck.values())
         most = _MOST_SHARE * len(judged)
-        is_common = len(struck) + len(still) >= max(fewest, most) or slow >= max(_FEWEST_SLOW, most)
+        are_slow = len(judged) >= _FEWEST and slow >= max(_FEWEST_SLOW, most)
+        is_common = are_slow or len(struck) + len(still) >= max(fewest, most)
         if not is_common or not (fell or any(fault.level == "fault" for fault in struck.values())):
             continue
         cause = _cause(list(struck.items()), still, at_s, _first_s(result))

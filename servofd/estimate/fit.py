@@ -135,8 +135,6 @@ class Fit:
     """What the flights alone say of each parameter, and how sure that is; shape (13, 2)."""
     scatter: FloatArray
     """Covariance with what is not in the model, as parts of the flights disagree, shape (13, 13)."""
-    alike: FloatArray
-    """Parameters of servos that explain the records as well, the best first; shape (s, 13)."""
 
     @property
     def offset_deg(self) -> float:
@@ -176,29 +174,26 @@ def fit(
 ) -> Fit:
     """Fit one servo to records of it.
 
-    It begins at `start`, one servo (13,) or several (s, 13); else some delays are tried. `reach_deg` are the
-    deflections that it can take, those of the records if left out. Servos that move alike are tried as well, if it is
-    not alone: what play, friction and dead band are apart matters to whoever reads them, and to no verdict on the log
-    they are fitted to.
+    It begins at `start` (13,); else some delays are tried. `reach_deg` are the deflections that it can take, those of
+    the records if left out. Servos that move alike are tried as well if neither is given nor it is alone, freely and
+    with what they differ in held: what play, friction and dead band are apart matters to whoever reads them, and to no
+    verdict on the log they are fitted to.
     """
     flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
-    if start is None:
-        begin = _delayed(records, flights.reach_deg)
+    begin = _delayed(records, flights.reach_deg) if start is None else np.clip(start, _LOWS, _HIGHS)
+    if start is None or is_alone:  # another part of the log may have begun with a fault
         begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
-        others = [] if is_alone else _alike(begin)
-    else:
-        begin, *others = np.atleast_2d(np.clip(start, _LOWS, _HIGHS))
-        if is_alone:  # another part of the log may have begun with a fault
-            begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
     sigma = flights.sigma(begin)
     best = minimum(flights.problem(sigma), begin, steps=_STEPS, close=_CLOSE)
     if best.error.std() < _FAR * flights.left(begin)[0].std():  # what counts as noise where it began does not here
         sigma = flights.sigma(best.x)
         best = minimum(flights.problem(sigma), best.x, steps=_STEPS, close=_CLOSE)
-    alike = [minimum(flights.problem(sigma, each), each, steps=_FIRST_STEPS, close=_CLOSE) for each in others]
-    if (other := _best_of([best, *alike])) is not best:
+    others = [] if is_alone or start is not None else _alike(begin)
+    tried = [minimum(best.problem, each, steps=_STEPS, close=_CLOSE) for each in others]
+    tried += [minimum(flights.problem(sigma, each), each, steps=_FIRST_STEPS, close=_CLOSE) for each in others]
+    if (other := _best_of([best, *tried])) is not best:
         best = minimum(best.problem, other.x, steps=_STEPS, close=_CLOSE)
-    return _finished(flights, best, alike)
+    return _finished(flights, best, tried)
 
 
 def _delayed(records: Sequence[Record], reach_deg: tuple[float, float]) -> FloatArray:
@@ -343,7 +338,6 @@ def _finished(flights: _Flights, best: Solution, others: Sequence[Solution]) -> 
     return Fit(
         theta, covariance, noise, flights.reach_deg, tuple(whole),
         tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, scatter,
-        near,
     )  # fmt: skip
 
 
