@@ -243,8 +243,8 @@ class Series:
             why=self.why[rows],
         )
 
-    def coarser(self) -> Series:
-        """The same surface with one measurement in `FINEST_S` at most; those that do not count stay, with the reason.
+    def coarser(self, finest_s: float = FINEST_S) -> Series:
+        """The same surface with one measurement in so long at most [s]; those that do not count stay, with the reason.
 
         Examples
         --------
@@ -252,10 +252,10 @@ class Series:
         >>> Series("x", t, t, t, t).coarser().measured_s.size
         10
         """
-        if not self.period_s < FINEST_S:
+        if not self.period_s < finest_s:
             return self
         counts = np.isfinite(self.measured_deg)
-        return self.at(~counts | (np.cumsum(counts) % max(round(FINEST_S / self.period_s), 1) == 0))
+        return self.at(~counts | (np.cumsum(counts) % max(round(finest_s / self.period_s), 1) == 0))
 
     def with_commands(self, gain: float, offset_deg: float) -> Series:
         """The same surface with a command that was read in another scale.

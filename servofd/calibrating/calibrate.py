@@ -54,6 +54,8 @@ _VAGUE: Final = 4.0
 _RESTING: Final = {"friction_deg": "friction", "deadband_deg": "dead band", "play_deg": "play"}
 _FLYING: Final = 0.1
 """Median dynamic pressure, over its unit in the model, above which the calibration flew."""
+_SOME_S: Final = 0.02
+"""Time between the measurements that servos are compared with [s]."""
 _LEAST_SHOWN_DEG: Final = 0.02
 """Smallest width of play, friction or dead band that is given as a lower bound [deg]."""
 
@@ -67,14 +69,15 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     flights = [replace(flight, segment=flight.segment.coarser()) for flight in flights]
     supply_v = float(np.median([usual_supply_v(flight.segment.context) for flight in flights]))
     airspeed_m_s = usual_airspeed_m_s([flight.segment.context for flight in flights])
-    records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in flights]
+    some = [replace(flight, segment=flight.segment.coarser(_SOME_S)) for flight in flights]
+    records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in some]
     first = fit(records)
     gain, offset_deg = first.theta[0], first.offset_deg
-    refuse_unlike(name, first, records, flights, (supply_v, airspeed_m_s))
+    refuse_unlike(name, first, records, some, (supply_v, airspeed_m_s))
+    refuse_mixed(name, first, records, some)
     measured = surface.measured.corrected(1.0 / gain, -offset_deg / gain)
     scale, shift_deg = float(f"{measured.correction[0]:.6g}"), round(measured.correction[1], 4)
     measured = measured.model_copy(update={"correction": (scale, shift_deg)})
-    refuse_mixed(name, first, records, flights)
     scaled = [flight.with_scale(gain, offset_deg) for flight in flights]
     records = [Record.of(flight.segment, supply_v, airspeed_m_s) for flight in scaled]
     fitted = fit(records, start=_scaled(first.theta))
