@@ -104,7 +104,7 @@ def _span(text: str) -> tuple[float, float]:
     first, colon, last = text.partition(":")
     if not colon:
         raise argparse.ArgumentTypeError(f"must be two times in seconds such as 10:93.5, not {text}")
-    from_s, to_s = _SECONDS(first), _SECONDS(last)
+    from_s, to_s = _SECONDS(first) if first else -math.inf, _SECONDS(last) if last else math.inf
     if not from_s < to_s:
         raise argparse.ArgumentTypeError(f"must be an earlier and a later time such as 10:93.5, not {text}")
     return from_s, to_s
@@ -130,8 +130,9 @@ def _audit(parser: Parser) -> None:
     parser.config()
     parser.servo()
     parser.surface("judge only this surface")
-    parser.value("--threshold-deg", "alarm level [deg] (default: 1.5)", "X", _DEGREES)
-    parser.add_argument("--threshold", choices=["constant", "interval"], help="kind (default: constant)")
+    parser.value("--threshold-deg", "alarm where the residual exceeds X deg, and nowhere else", "X", _DEGREES)
+    kinds = "kind of threshold (default: that of the aircraft file)"
+    parser.add_argument("--threshold", choices=["constant", "interval"], help=kinds)
     parser.json()
     parser.file("--html", "write a page that can be sent by mail")
     parser.file("--rrd", "write a Rerun recording (of one log)")
@@ -159,7 +160,7 @@ def _explain(parser: Parser) -> None:
     parser.file("--effect", "try an effect of your own as well (docs/explain.md)", "FILE.py")
     parser.value(
         "--also",
-        "judge the model on these flights, too, fitting nothing",
+        "judge the model on these flights as well, without fitting it to them",
         "FILE",
         nargs="+",
         action="extend",
@@ -214,20 +215,22 @@ def _config(parser: Parser) -> None:
 
 def _calibrate(parser: Parser) -> None:
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flights of one aircraft, all of them good")
-    parser.config(help="what is known of it so far (default: drafted from the logs)")
+    parser.config(help="what is known of the aircraft (default: drafted from the logs)")
     parser.flag(
         "--motion",
         "calibrate the axes by the aircraft's motion (which is what happens where no servo reports)",
     )
     parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
     rate = (
-        "wanted of all axes together, where motion is calibrated (default: 1); of servos that report their "
-        "position the measured rate is given"
+        "rate of all axes together that is aimed at where motion is calibrated (default: 1); where servos report "
+        "their position the measured rate is printed"
     )
     parser.value("--false-alarms-per-hour", rate, "X", _PER_HOUR)
     parser.surface("calibrate only this one")
     many: dict[str, Any] = {"action": "append", "default": []}
-    parser.value("--between", "use this part [s] only; may be repeated", "A:B", _span, **many)
+    parser.value(
+        "--between", "use only these seconds, of which one may be left out; may be repeated", "A:B", _span, **many
+    )
     parser.value("--run", "of a table of several runs, use only this", "NAME", dest="runs", **many)
     parser.flag(
         "--force", "calibrate also where the loss of a third of travel and of two thirds of speed would not show"
@@ -378,7 +381,7 @@ def _help(parser: Parser) -> None:
 
 
 _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
-    "look at flights": {
+    "Look at flights": {
         _audit: (
             "judge every surface of a flight log",
             f"Judges every surface of one or more flight logs. {_JUDGED}",
@@ -423,7 +426,7 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
             "serve --folder flights",
         ),
     },
-    "model an aircraft": {
+    "Model an aircraft": {
         _config: (
             "draft an aircraft file from a log",
             "Prints a commented aircraft file: the surfaces of the log, each with a servo fitted to it.",
@@ -432,9 +435,9 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
         _calibrate: (
             "fit an aircraft file to flights that are known to be good",
             "Fits each servo with its effects (scale, offset, delay, bandwidth, largest speed, dead band, "
-            "friction, play, load of the air) to flights that are known to be good, and what it may differ by between "
-            "flights, and writes a new aircraft file. Flights that look faulty are refused. Exit code 0: written; "
-            "2: not.",
+            "friction, play, load of the air) to flights that are known to be good, measures how far these differ from "
+            "each other, and writes a new aircraft file. Flights that look faulty are refused. Exit code 0: the file "
+            "is written; 2: it is not.",
             "calibrate good1.bin good2.bin -o plane.toml",
         ),
         _identify: (
@@ -445,7 +448,7 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
             "identify chirp.csv step.csv --save my_servo.toml --html my_servo.html",
         ),
     },
-    "fly": {
+    "Fly": {
         _monitor: (
             "watch a flying aircraft on its MAVLink stream",
             f"Watches the servos of a flying aircraft and raises alarms. Never commands the vehicle. {_JUDGED}",
@@ -464,7 +467,7 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
             "simulate -o flight.csv --fault elevator:deadband@20:width_deg=3",
         ),
     },
-    "and": {
+    "And": {
         _help: (
             "show the manual of a verb",
             "Shows the options of a verb, or the list of verbs, with a pager where stdout is a terminal.",
@@ -545,7 +548,7 @@ def build_parser() -> argparse.ArgumentParser:
             verb = verbs.add_parser(name, help=short, description=description, epilog=f"Example: servofd {example}")
             declare(verb)
             ways = [way for way in WAYS.values() if way[0] == name]
-            other = verb.add_argument_group("instead") if ways else verb
+            other = verb.add_argument_group("another way to use it") if ways else verb
             for _, option, _, what, _, _ in ways:
                 about = f"{what} (options: servofd {name} {option} --help)"
                 other.add_argument(option, action="store_true", help=about)

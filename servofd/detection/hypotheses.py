@@ -31,9 +31,11 @@ if TYPE_CHECKING:
 WINDOW_S, SHORTEST_WINDOW_S = 20.0, 5.0
 """Longest window that is explained, and the one below which it is not halved any more [s]."""
 _LEAD_S: Final = 1.0
+"""Before a window begins, so much is simulated, so that its servo is where it should be [s]."""
 _IN_FORCE_S: Final = 1.0
 """For so long before a stretch commands are on their way to the servo, or move it still."""
 _COUNTED: Final = 0.5
+"""Share of the readings of a window that tell something of their own: what a model lacks lasts."""
 _ALARMED: Final = 3.0
 """Logarithm of how much less likely a good servo is judged here than a faulty one: an alarm was raised."""
 _SCALES = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
@@ -88,7 +90,8 @@ _LEAST_STILL_DEG: Final = 0.05
 _STRANGE, _UNEXPLAINED = 2.0, 0.55
 """Misfit for each sample, and the share of what a good servo does not do, that no hypothesis may leave."""
 _NOTHING: Final = 0.1
-"""A hypothesis that explains less of that is no name, however loud the alarm: readings that jump at random."""
+"""Share of what a good servo does not do, that a hypothesis must explain to be a name, however loud the alarm: readings
+may jump at random."""
 _SLOWEST_HZ, _QUICKEST_HZ = 0.5, 12.0
 """Frequencies between which an oscillation is looked for."""
 _LINES: Final = 0.2
@@ -114,7 +117,7 @@ class Guess:
     power: float = 0.0
     added: tuple[str, FloatArray] | None = None
     place: int | None = None
-    """Of the parameter that was changed, where its size is an estimate around the value tried."""
+    """Index among `NAMES` of the parameter that was changed, where its size is fitted around the value tried."""
     behind: bool = False
     """Whether a named servo lost its travel behind its play, and not before it."""
     outages: tuple[Outage, ...] = ()
@@ -210,7 +213,8 @@ class Window:
     ) -> tuple[tuple[float, float], FloatArray, FloatArray]:
         """Costs of an error once parameters (and free columns) have done their best; these, and their covariance.
 
-        The costs are its misfit, and how far the parameters had to go for it: sums of squares over their variances.
+        `free` (n, k) become the columns from `FITTED` on, and are fitted without a prior. The costs are its misfit, and
+        how far the parameters had to go for it: sums of squares over their variances.
         """
         columns = slopes if free is None else np.concatenate([slopes, free], axis=1)
         w, e = self.whitened(columns), self.whitened(error_deg)
@@ -299,7 +303,7 @@ class _Tried(NamedTuple):
     size: dict[str, tuple[float, float]]
     """Name of the size, and the size and its deviation; what the parameter is over, where that is free."""
     place: int | None = None
-    """Of the parameter that is free around its new value."""
+    """As of `Guess`."""
     power: float = 0.0
     behind: bool = False
 

@@ -29,15 +29,17 @@ class Kind:
     clause: tuple[str, ...]
     """In a sentence, before "since"."""
     headline: tuple[str, ...]
-    """In capitals, with `since`."""
+    """In capitals, with `since`; of the last form what stands before " at ", " since " or a comma is its `state`."""
     meaning: str
     """What may have happened to the aircraft."""
     check: str = _ANYHOW
     """What to do on the ground."""
     in_flight: str = _WATCH
     """What to do in the air."""
-    severity: Literal["critical", "warning", "by size"] = "by size"
+    severity: Literal["critical", "warning", "by size"] = "warning"
     """What it does to the aircraft: control lost, control worse, or as much as it is large."""
+    size_deg: str = ""
+    """Parameter that tells how large it is [deg]; where there is none, the residual of the moment does."""
     stands_still: bool = False
     """Whether no servo with other numbers is an account of it."""
 
@@ -134,6 +136,7 @@ _ROWS: Final = (
         "The surface moves less than asked: a slipping gear or horn, or a position channel of the wrong scale.",
         "compare its travel with the commanded one, in degrees",
         "fly gently, land soon",
+        "by size",
     ),
     Kind(
         "slow",
@@ -147,7 +150,6 @@ _ROWS: Final = (
         "The surface arrives late: low supply voltage, a binding hinge, too much load, or a worn motor.",
         "measure the supply at the servo while it moves, and the time from stop to stop",
         "fly gently, land soon",
-        "warning",
     ),
     Kind(
         "intermittent",
@@ -161,7 +163,6 @@ _ROWS: Final = (
         "drops its commands.",
         "move it while you bend its wires and press on its plugs",
         "land soon: its contact may fail for good",
-        "warning",
     ),
     Kind(
         "binding",
@@ -171,17 +172,18 @@ _ROWS: Final = (
         "The servo needs more current for the same motion: a hinge or gear that binds, ice, or a linkage that rubs.",
         "take the linkage off and compare its current with and without it",
         _SOON,
-        "warning",
     ),
     Kind(
         "bias",
         "an offset",
         ("off by {bias_deg:+.1f} deg", "off by some degrees"),
         ("OFF BY {bias_deg:+z.1f} deg since {since}", "OFF since {since}"),
-        "The surface follows, but beside its command: a slipped horn or linkage, a shifted sensor, or a trim that the "
-        "aircraft file does not know.",
+        "The surface follows its command with an offset: a slipped horn or linkage, a shifted sensor, or a trim that "
+        "the aircraft file does not know.",
         "compare its neutral position with a ruler",
         "trim against it, land soon",
+        "by size",
+        "bias_deg",
     ),
     Kind(
         "oscillation",
@@ -195,6 +197,8 @@ _ROWS: Final = (
         "a loop inside the servo that is about to become unstable.",
         "hold it at several deflections and listen for buzzing",
         "slow down, land soon",
+        "by size",
+        "amplitude_deg",
     ),
     Kind(
         "deadband",
@@ -207,6 +211,8 @@ _ROWS: Final = (
         "Small commands have no effect: worn gears, play in the linkage, or friction.",
         "move it in steps of 0.5 deg and look for steps it does not follow",
         "fly on, check it on the ground",
+        "by size",
+        "width_deg",
     ),
     Kind(
         "worn",
@@ -217,6 +223,7 @@ _ROWS: Final = (
         "wear.",
         "compare its current with and without its linkage, and look at gears and bearings",
         "fly on, check it on the ground",
+        "by size",
     ),
     Kind(
         "unknown",
@@ -225,6 +232,7 @@ _ROWS: Final = (
         ("NOT WHERE IT SHOULD BE since {since}",),
         "The surface left its model, and no single fault explains how, or there was too little motion to tell which"
         " one it is.",
+        severity="by size",
     ),
     Kind(
         "healthy",
@@ -233,6 +241,7 @@ _ROWS: Final = (
         ("NOT WHERE IT SHOULD BE since {since}",),
         "The surface is further from its model than chance allows, yet within what a working servo may be: the "
         "model is not quite that of this servo.",
+        severity="by size",
     ),
 )
 KINDS: Final[Mapping[str, Kind]] = {kind.name: kind for kind in _ROWS}

@@ -439,13 +439,13 @@ def _contradicted(part: _Part, others: list[_Part]) -> str:
         spread = np.hypot(_sure(part), _sure(other))
         change = other.fitted.theta - part.fitted.theta
         changes = {
-            f"moves by {other.fitted.theta[0] / part.fitted.theta[0]:.2f} times as much": abs(change[0]) / spread[0],
-            f"stands off by {change[1]:+.2g} deg": abs(change[1]) / spread[1],
+            f"moves by {other.fitted.theta[0] / part.fitted.theta[0]:.2f} times as much as": abs(change[0]) / spread[0],
+            f"stands {change[1]:+.2g} deg off where it stood": abs(change[1]) / spread[1],
         }
         worst = max(changes, key=lambda text: changes[text])
         if changes[worst] > _CONTRADICT:
             (own_from_s, own_to_s), (from_s, to_s) = part.between_s, other.between_s
-            return f"from {from_s:.0f} to {to_s:.0f} s it {worst}, beside {own_from_s:.0f} to {own_to_s:.0f} s"
+            return f"from {from_s:.0f} to {to_s:.0f} s it {worst} from {own_from_s:.0f} to {own_to_s:.0f} s"
     return ""
 
 

@@ -227,7 +227,7 @@ class OfFlights:
         is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
         where = ", in motion faster than theirs" if is_unknown else ""
         own_s = surface.model.fitted_between_s
-        like = "as in its good flights" if own_s is None else f"as from {own_s[0]:.0f} to {own_s[1]:.0f} s of this log"
+        like = "in its good flights" if own_s is None else f"it did from {own_s[0]:.0f} to {own_s[1]:.0f} s"
         notes = []
         if known.airspeed_m_s and not segment.context.airspeed_s.size:
             notes.append(
@@ -235,7 +235,7 @@ class OfFlights:
             )
         if not known.airspeed_m_s and segment.context.airspeed_s.size:
             notes.append("its good flights hold no airspeed: calibrate it on logs that do, for fewer false alarms")
-        like = f"{like} (largest residual {{largest}} deg{where})"
+        like = f"moves as {like} (largest residual {{largest}} deg{where})"
         time_s = segment.measured_s
 
         def look(from_s: float, to_s: float) -> Found:

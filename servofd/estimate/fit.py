@@ -28,6 +28,9 @@ _HUBER: Final = 2.5
 """Standard deviations beyond which an error counts by its size, and not its square (Huber)."""
 _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 """Delays at which descents begin [s]: between them the misfit may have another valley."""
+_SPEED_S, _FASTEST = 0.1, 0.99
+"""Time over which speeds of a position are taken [s], and the share of them that are no larger than the top speed of a
+servo that reaches it."""
 _FIRST_STEPS, _STEPS, _SOME = 2, 30, 2
 """Steps of the descents that are compared and of the one that is continued; pieces of a flight for the first."""
 _KEPT, _KEPT_ROWS = 16, 2_000_000
@@ -181,6 +184,7 @@ def fit(
     """
     flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
     begin = _delayed(records, flights.reach_deg) if start is None else np.clip(start, _LOWS, _HIGHS)
+    begin = min((begin, as_fast_as_seen(begin, records)), key=flights.rough_misfit)
     if start is None or is_alone:  # another part of the log may have begun with a fault
         begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
     sigma = flights.sigma(begin)
@@ -202,7 +206,30 @@ def _delayed(records: Sequence[Record], reach_deg: tuple[float, float]) -> Float
     begins = [np.where(np.arange(_VALUES.size) == _DELAY, delay_s, _VALUES) for delay_s in _DELAYS_S]
     problem = some.problem(_rough_sigma(some, begins[0]))
     tried = [minimum(problem, each, steps=_FIRST_STEPS, close=_CLOSE) for each in begins]
+    likely = begins[tried.index(_best_of(tried))]
+    tried.append(minimum(problem, as_fast_as_seen(likely, records), steps=_FIRST_STEPS, close=_CLOSE))
     return _best_of(tried).x
+
+
+def as_fast_as_seen(theta: FloatArray, records: Sequence[Record]) -> FloatArray:
+    """The same servo (13,) with the top speed of its positions: no slope leads to a speed that is never reached."""
+    speeds = [_speeds(record) for record in records]
+    fast = theta.copy()
+    if sum(each.size for each in speeds):
+        top_deg_s = float(np.quantile(np.concatenate(speeds), _FASTEST))
+        fast[_RATE] = np.clip(np.log(max(top_deg_s, 1.0)), _LOWS[_RATE], _HIGHS[_RATE])
+    return fast
+
+
+def _speeds(record: Record) -> FloatArray:
+    """Speeds of a position over `_SPEED_S` [deg/s]."""
+    time_s, measured_deg = record.time_s[record.usable], record.measured_deg[record.usable]
+    later = np.searchsorted(time_s, time_s + _SPEED_S)
+    here = np.flatnonzero(later < time_s.size)
+    step_s = time_s[later[here]] - time_s[here]
+    near = step_s < 2.0 * _SPEED_S
+    speeds: FloatArray = np.abs(measured_deg[later[here]] - measured_deg[here])[near] / step_s[near]
+    return speeds
 
 
 def reach_of(records: Sequence[Record]) -> tuple[float, float]:
@@ -276,6 +303,10 @@ class _Flights:
         inside = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[1]
         found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
         return found
+
+    def rough_misfit(self, theta: FloatArray) -> float:
+        """Mean size of what a servo leaves [deg]."""
+        return float(np.abs(self.left(theta)[0]).mean())
 
     def sigma(self, theta: FloatArray) -> FloatArray:
         """Standard deviation of the noise that a servo leaves, in the usable rows (n,) [deg]."""

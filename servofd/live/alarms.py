@@ -109,15 +109,15 @@ def severity_of(kind: str, fault: Fault | None, residual_deg: float, travel_deg:
     'CRITICAL'
     """
     sizes = {} if fault is None else {name: abs(estimate.value) for name, estimate in fault.parameters.items()}
-    known = KINDS.get(kind, KINDS["unknown"]).severity
-    if known != "by size":
-        return Severity.CRITICAL if known == "critical" else Severity.WARNING
+    known = KINDS.get(kind, KINDS["unknown"])
+    if known.severity != "by size":
+        return Severity.CRITICAL if known.severity == "critical" else Severity.WARNING
     if kind == "loss_of_effectiveness":
         share = abs(1.0 - sizes["gain"]) if "gain" in sizes else 1.0
     else:
-        sized = [sizes[name] for name in ("bias_deg", "amplitude_deg", "width_deg") if name in sizes]
-        share = (sized[0] if sized else abs(residual_deg)) / travel_deg
-        share = min(share, _CRITICAL * 0.999) if sized else share
+        is_sized = known.size_deg in sizes
+        share = (sizes[known.size_deg] if is_sized else abs(residual_deg)) / travel_deg
+        share = min(share, _CRITICAL * 0.999) if is_sized else share
     if math.isnan(share):
         return Severity.WARNING
     return Severity.CRITICAL if share >= _CRITICAL else Severity.WARNING if share >= _WARNING else Severity.NOTICE

@@ -103,8 +103,10 @@ def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _
     """Instance of a small dataclass from its numbers."""
     fields = {f.name: f for f in dataclasses.fields(kind) if f.init}  # type: ignore[arg-type]
     required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}
-    if set(values) - set(fields) or required - set(values):
-        raise ConfigError(f"{where}: takes {', '.join(fields)}; {', '.join(sorted(required))} must be given")
+    if unknown := sorted(set(values) - set(fields)):
+        raise ConfigError(f"{where}: does not know {unknown[0]!r}; takes {', '.join(fields)}")
+    if missing := sorted(required - set(values)):
+        raise ConfigError(f"{where}: {', '.join(missing)} must be given; takes {', '.join(fields)}")
     try:
         return kind(**values)
     except ConfigError as error:

@@ -192,7 +192,7 @@ def test_a_current_that_dies_while_the_position_follows_is_no_fault_of_the_servo
     (tmp_path / "flight.csv").write_text("\n".join([head, *map(",".join, dead)]) + "\n")
     found = servofd.audit(tmp_path / "flight.csv", plane)["aileron"]
     assert (found.status, found.faults) == ("healthy", ())
-    assert "the sensor of the current is at fault; as in its good flights" in found.reason
+    assert "the sensor of the current is at fault; moves as in its good flights" in found.reason
 
 
 @pytest.mark.slow
