@@ -9,7 +9,7 @@ import numpy as np
 from servofd.core.statistics import MAD_TO_SIGMA, correlation_factor
 from servofd.core.types import BoolArray, FloatArray
 from servofd.discrepancy.known import A_TYPE
-from servofd.discrepancy.record import SLOWEST_RATE_HZ, Record, comb_step_deg
+from servofd.discrepancy.record import SLOWEST_EXPLAINED_HZ, Record, comb_step_deg
 
 _THIRD = 20.0**0.5
 """Standard deviation of third differences (1, -3, 3, -1) of white noise."""
@@ -167,7 +167,7 @@ _DIGITS = 3
 
 def at_rest(record: Record) -> Record:
     """A single run, of which only rests count, if it is too slow for anything else."""
-    if 1.0 / record.period_s >= SLOWEST_RATE_HZ:
+    if 1.0 / record.period_s >= SLOWEST_EXPLAINED_HZ:
         return record
     held_deg, held_s = _held(record)
     rest = _still(record) & (held_s >= _HELD_S) & record.counts

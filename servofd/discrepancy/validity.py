@@ -13,7 +13,7 @@ from servofd.core.series import stretches
 from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
 from servofd.core.types import BoolArray, FloatArray
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
-from servofd.discrepancy.record import SLOWEST_RATE_HZ, Record, simulate
+from servofd.discrepancy.record import SLOWEST_EXPLAINED_HZ, Record, simulate
 from servofd.estimate.record import Commands
 from servofd.identification.records import DRIFT_SHARE, drift_deg
 from servofd.servo.physics import Physics
@@ -40,11 +40,11 @@ must be so much [deg]."""
 def check(record: Record) -> None:
     """Refuse what cannot show an effect."""
     rate_hz = min(1.0 / each.period_s for each in record.runs or (record,))
-    if rate_hz < SLOWEST_RATE_HZ and not (record.side is not None and record.side.any()):
+    if rate_hz < SLOWEST_EXPLAINED_HZ and not (record.side is not None and record.side.any()):
         rested = f" ({rest_sentence(record)})" if record.counts.any() else ""
         raise NoMeasurement(
-            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be found below 20 Hz, but for play where "
-            f"the surface rests, and none is seen{rested}: log faster"
+            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be found below {SLOWEST_EXPLAINED_HZ:g} Hz, "
+            f"but for play where the surface rests, and none is seen{rested}: log faster"
         )
     seconds = float(record.counts.sum()) * record.period_s
     shortest_s = _SHORTEST_ON_BENCH_S if record.runs else _SHORTEST_RECORD_S

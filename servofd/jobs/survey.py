@@ -48,10 +48,11 @@ def survey(
 
 
 def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict[str, Any]:
+    why, aircraft = "", None
     try:
-        aircraft: Aircraft | None = surfaces_of(log, known)
-    except NoMeasurement:
-        aircraft = None
+        aircraft = surfaces_of(log, known)
+    except NoMeasurement as reason:
+        why = str(reason).removeprefix(f"{log.label}: ")
     surfaces = list(_with_currents(log, aircraft)) if aircraft else []
     unfit = not surfaces or any(not surface["verdict"].startswith("yes") for surface in surfaces)
     return {
@@ -69,7 +70,7 @@ def _survey(log: FlightLog, known: Aircraft | None, every_channel: bool) -> dict
         "rails": rails_of(log, [surface["current"] for surface in surfaces]) or None,
         "on_board": _on_board(log, aircraft),
         "channel_details": [_channel(log[name]) for name in log.channels] if every_channel else [],
-        "advice": (what_to_log(log) if unfit and log.is_of_autopilot else "") or None,
+        "advice": (what_to_log(log) if unfit and log.is_of_autopilot else why) or None,
     }
 
 

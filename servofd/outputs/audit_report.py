@@ -62,14 +62,18 @@ _ORIGINS = {
     "fitted": "fitted to this very log",
     "none": "none that predicts",
 }
-_RATES = {"calibrated": "as measured on simulated aircraft"}
+_RATES = dict.fromkeys(("calibrated", "fitted"), "as measured on simulated aircraft")
 """What a rate of false alarms rests on, by the origin of the model."""
 _BY_POSITION = """Each servo is simulated with the commands that were logged, on their true time stamps: poles,
-transport delay, hold and rate limit of its model. Measured minus simulated deflection passes a nullspace filter,
-which leaves a residual that no command can move as long as the servo is healthy. The alarm is raised when its size
-reaches the threshold; a bank of fault models then says which fault it is, since when, how large and how sure. With
-command and position alone a bad servo and a bad position sensor look the same. After Model-based Fault Detection for
-Low-cost UAV Actuators, University of Minnesota, 2016."""
+transport delay, hold and rate limit of its model. Where a bank of fault models explains an alarm, it says which fault
+it is, since when, how large and how sure. With command and position alone a bad servo and a bad position sensor look
+the same. After Model-based Fault Detection for Low-cost UAV Actuators, University of Minnesota, 2016."""
+_BY_NULLSPACE = """Of a servo that was named, measured minus simulated deflection passes a nullspace filter, which
+leaves a residual that no command can move as long as the servo is healthy; the alarm is raised when its size reaches
+the threshold."""
+_BY_PREDICTION = """Of a servo that was calibrated, or fitted to the log itself, the residual is measured minus
+predicted deflection; the alarm is raised when windows of it, from single samples to half a minute, are further from
+zero than its noise and what good servos differ by allow."""
 _BY_MOTION = """An axis without measured deflections is judged by the motion of the aircraft: a model fitted to
 healthy flights says which part of the motion the command should cause. What the motion shows instead is a share of
 the command that was lost, and an offset; the alarm is raised when both together are further from those of healthy
@@ -127,7 +131,12 @@ def _how_found(results: Sequence[LogAudit | FailedLog]) -> Section:
     alone = any(isinstance(one, FailedLog) and one.flight is not None for one in results)
     measured = any(one.surfaces for one in audits) or not (moved or alone)
     drawn = any(s.current is not None for one in audits for s in one.surfaces)
-    methods = ((_BY_POSITION, measured), (_BY_MOTION, moved), (_BY_ITSELF, alone), (_BY_CURRENT, drawn))
+    origins = {s.model.origin for one in audits for s in one.surfaces}
+    methods = (
+        (_BY_POSITION, measured), (_BY_NULLSPACE, "named" in origins),
+        (_BY_PREDICTION, not origins.isdisjoint(("calibrated", "fitted"))), (_BY_MOTION, moved), (_BY_ITSELF, alone),
+        (_BY_CURRENT, drawn),
+    )  # fmt: skip
     return Section("How this was found", [Words(text) for text, is_used in methods if is_used], folded=True)
 
 
