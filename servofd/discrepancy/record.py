@@ -72,8 +72,8 @@ def _beats(command_s: FloatArray, period_s: float) -> tuple[FloatArray, BoolArra
 
 
 SLOWEST_EXPLAINED_HZ = 19.0
-"""Below this, which a rate of 20 Hz that loses some frames still reaches, the effects of a servo fall between the samples:
-HS-225BB, time constants 15 to 40 ms."""
+"""Below this, which a rate of 20 Hz that loses some frames still reaches, the effects of a servo fall between the
+samples: HS-225BB, time constants 15 to 40 ms."""
 
 BLOCK_S = 0.3
 """Length of the blocks that are fitted and held out in turn [s]: longer than a servo remembers, shorter than most

@@ -43,8 +43,8 @@ def check(record: Record) -> None:
     if rate_hz < SLOWEST_EXPLAINED_HZ and not (record.side is not None and record.side.any()):
         rested = f" ({rest_sentence(record)})" if record.counts.any() else ""
         raise NoMeasurement(
-            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be found below {SLOWEST_EXPLAINED_HZ:g} Hz, "
-            f"but for play where the surface rests, and none is seen{rested}: log faster"
+            f"position comes at {rate_hz:.3g} Hz; what a model lacks cannot be found below {SLOWEST_EXPLAINED_HZ:g} "
+            f"Hz, but for play where the surface rests, and none is seen{rested}: log faster"
         )
     seconds = float(record.counts.sum()) * record.period_s
     shortest_s = _SHORTEST_ON_BENCH_S if record.runs else _SHORTEST_RECORD_S
