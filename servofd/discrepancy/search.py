@@ -273,18 +273,20 @@ class Search:
 
     def is_physical(self, fit: Fit) -> bool:
         """Whether no number is at its bound, and none so small that it is none."""
-        if fit.ran_away:
-            return False
-        neutral, first = self.fitter.record.plant.neutral, 0
-        for effect in fit.effects:
+        return not fit.ran_away and not self._too_small(fit)
+
+    def _too_small(self, fit: Fit) -> list[int]:
+        """Places of the effects of a fit that are so small that they are none."""
+        neutral, first, small = self.fitter.record.plant.neutral, 0, []
+        for k, effect in enumerate(fit.effects):
             sizes = []
             for p, value in zip(effect.parameters, fit.values[first:].tolist(), strict=False):
                 if p.smallest and not p.aside:
                     sizes.append(p.away(value, neutral) >= self.fitter.smallest(p))
             first += len(effect.parameters)
             if sizes and not any(sizes):
-                return False
-        return True
+                small.append(k)
+        return small
 
     def grow(self, base: Fit, enough: float, *, framed: bool = True) -> list[Fit]:
         """Fits with one effect more than a base; with pulse frames, which take long, only if asked for."""
@@ -339,8 +341,18 @@ class Search:
 
     def _fitted(self, effects: tuple[type[Effect], ...], start: Physics, enough: float = np.inf) -> Fit:
         fit = self.fitter.descended(effects, start, enough=enough)
-        self.keep(fit)
+        if not self.keep(fit) and not fit.ran_away:
+            self._without_small(fit, enough)
         return fit
+
+    def _without_small(self, fit: Fit, enough: float) -> None:
+        """The rest of a fit, of which an effect that stood for another became nothing beside it."""
+        small = self._too_small(fit)
+        rest = tuple(effect for k, effect in enumerate(fit.effects) if k not in small)
+        start = taken_off(fit.physics, self.fitter.record.plant.neutral, [fit.effects[k] for k in small])
+        start = placed(start, rest)
+        if rest and (tuple(sorted(effect.key() for effect in rest)), start.slow_place) not in self.visited:
+            self._fitted(rest, start, enough)
 
     def exchange(self, fit: Fit, enough: float, known: int = 0) -> None:
         """Each effect of a fit, but for so many that are known, in its other forms, started from what it came to.
