@@ -197,7 +197,7 @@ def _value(name: str, parameter: Parameter, given: Mapping[str, float | str]) ->
     if parameter.name not in given:
         if parameter.aside or parameter.name in _OPTIONAL:
             return parameter.neutral
-        raise ConfigError(f"{where}: this key is missing")
+        raise ConfigError(f"{where}: give it too, a number from {parameter.low:g} to {parameter.high:g}")
     value = given[parameter.name]
     # Just outside counts as on the bound: files hold rounded numbers.
     margin = 1e-6 * (parameter.high - parameter.low)

@@ -28,7 +28,8 @@ class Slot(Enum):
     deflections that loads take away [deg], which begins at 0; in `GRIP`, the sum of frictions as the position error
     that overcomes them [deg], which begins at 0; and in `SPEED`, the speed of the shaft [deg/s], whose result is
     where the loop goes on: it may be limited, and not scaled, for a factor would act in each step anew. Effects of
-    one slot act in the order of their modules' names.
+    one slot act in the order of their modules' names, and within a module as they stand there. In `READING` nothing
+    takes time: `Now.step_s` is 0.
     """
 
     EVENTS = "the commands, when they reach the servo"
@@ -235,7 +236,8 @@ class Effect:
     searched: ClassVar[bool] = True
     """False for a number of the servo's own, which is part of a model and not named as an effect."""
     memory: ClassVar[int] = 0
-    """How many numbers it remembers from step to step; at rest the first is what passes, the others are 0."""
+    """How many numbers it remembers from step to step. Where a run begins, and after each pause, the first is the
+    command or the deflection that passes (elsewhere than in these slots 0), and the others are 0."""
     longest_s: ClassVar[float] = 2.5e-3
     """Longest step in which it is held: half of it changes a flight with much manoeuvring by less than 0.002 deg rms
     (tests/laws/test_stepper.py)."""

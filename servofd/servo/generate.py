@@ -303,9 +303,7 @@ def _rest(sources: Sequence[_Source], off: Mapping[str, float]) -> str:
     lines = ["def rest(x, u, now, p, v, m):"]
     for each in sources:
         effect = each.act.effect
-        if effect.slot not in (Slot.COMMAND, Slot.OUTPUT):
-            continue
-        passes = "u" if effect.slot is Slot.COMMAND else "x"
+        passes = {Slot.COMMAND: "u", Slot.OUTPUT: "x"}.get(effect.slot, "0.0")
         lines += [f"    m[v, {each.act.first + k}] = {passes if k == 0 else '0.0'}" for k in range(effect.memory)]
         if effect.slot is Slot.OUTPUT and not effect.memory:
             lines += each.lines(off)

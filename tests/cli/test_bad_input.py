@@ -177,7 +177,7 @@ def test_bad_aircraft_files(name: str, tmp_path: Path, capsys: pytest.CaptureFix
         (["simulate", "-o", "a.csv", "--fault", "elevator:slow@1:bandwidth_scale=2"], "at most 1"),
         (["simulate", "-o", "a.csv", "--fault", "elevator:bias@1:end_s=soon"], "end_s=soon"),
         (["simulate", "-o", "a.csv", "--effect", "elevator:delai:delay_s=1"], "did you mean delay?"),
-        (["simulate", "-o", "a.csv", "--effect", "elevator:delay"], "delay_s: this key is missing"),
+        (["simulate", "-o", "a.csv", "--effect", "elevator:delay"], "delay_s: give it too, a number from"),
         (["simulate", "-o", "a.csv", "--effect", "elevator:delay:delay_s=-1"], "between 0 and 0.5"),
         (["simulate", "-o", "a.csv", "--command", "loop"], "unknown command 'loop'"),
         (["simulate", "-o", "a.csv", "--duration", "-3"], "positive duration"),

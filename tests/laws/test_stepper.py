@@ -22,14 +22,14 @@ from servofd.core.errors import DesignError
 from servofd.core.types import FloatArray
 from servofd.servo.catalogue import installed
 from servofd.servo.context import Context
-from servofd.servo.effect import Effect, Slot
+from servofd.servo.effect import Effect, Now, Parameter, Slot
 from servofd.servo.effects.linkage import Backlash, RateLimit
 from servofd.servo.generate import STEPPED, stepper_of
 from servofd.servo.library import library, servo_named
 from servofd.servo.loop import AFTER, BEFORE
 from servofd.servo.motion import AnyServo, Machine, Motion, machine_of, received, started_anew, swung
 from servofd.servo.physics import Physics
-from servofd.servo.registry import everything, fields_of
+from servofd.servo.registry import everything, fields_of, including
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import gusty
@@ -599,6 +599,38 @@ def test_effects_in_the_loop_of_a_servo_that_has_no_shaft_are_refused() -> None:
         with pytest.raises(DesignError, match=f"{words} has no friction"):
             machine_of(transfer, [Physics(friction_deg=0.1)])
         assert machine_of(transfer, [Physics(backlash_deg=0.1)]).longest_s < 1.0
+
+
+class Tired(Effect):
+    """A motor that loses torque for as long as a run lasts."""
+
+    name, slot, memory = "tired", Slot.ERROR, 1
+    parameters = (Parameter("share", low=0.0, high=1.0, neutral=0.0, typical=0.5),)
+
+    @staticmethod
+    def act(x: float, now: Now, share: float, since_s: float) -> tuple[float, float]:
+        """Less of the error drives it, the longer the run."""
+        since_s = min(since_s + now.step_s, 1.0)
+        return x * (1.0 - share * since_s), since_s
+
+
+@pytest.mark.slow
+def test_what_an_effect_in_the_loop_remembers_is_forgotten_where_a_run_begins_anew() -> None:
+    at_s = np.concatenate([AT_S, AT_S + 10.0])
+    anew = np.zeros(at_s.size, dtype=bool)
+    anew[[0, AT_S.size]] = True
+    commands = np.concatenate([COMMANDS, COMMANDS + np.array([[10.0], [0.0], [0.0]])], axis=1)
+    around = np.concatenate([AROUND, AROUND])
+    with including(Tired):
+        physics = installed(Physics(), [Tired], [0.9])
+        machine = machine_of(TRANSFERS[3], [physics])
+        read_deg, _ = machine.run(
+            machine.new_state(), (commands[0], commands[1], commands[2]), at_s,
+            anew=anew, measured_deg=np.zeros(at_s.size), around=around,
+        )  # fmt: skip
+    first_deg, second_deg = read_deg[: AT_S.size, 0], read_deg[AT_S.size :, 0]
+    np.testing.assert_allclose(second_deg, first_deg, rtol=0, atol=NANODEGREE)
+    assert np.abs(first_deg - alone(TRANSFERS[3], Physics())).max() > 0.1
 
 
 @pytest.mark.slow

@@ -346,7 +346,7 @@ def test_an_effect_without_its_signal_is_left_out_and_said(tmp_path: Path) -> No
     [
         ("backlsh = { width_deg = 1.0 }", "did you mean backlash?"),
         ("backlash = { width = 1.0 }", "unknown parameter 'width'; did you mean width_deg?"),
-        ("backlash = {}", "effects.backlash.width_deg: this key is missing"),
+        ("backlash = {}", "effects.backlash.width_deg: give it too, a number from"),
         ("backlash = { width_deg = 99.0 }", "must lie between 0 and 8, not 99"),
         ("backlash = { width_deg = nan }", "must be a number from 0 to 8, not nan"),
         ('rate_limit = { form = "motr", rate_limit_deg_s = 60.0 }', "unknown form 'motr'; did you mean motor"),
