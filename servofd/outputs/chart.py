@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from servofd.core.types import FloatArray, IntArray
+from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import WITHIN_SIGMAS, Fault, SurfaceAudit, gravest
 from servofd.outputs.sentence import clock, spoken
 
@@ -418,5 +419,5 @@ def _found(surface: SurfaceAudit, end_s: float) -> tuple[tuple[Span, ...], tuple
 
 
 def kind_of(fault: Fault) -> str:
-    """Kind of a fault, as it is read aloud."""
-    return "within tolerance" if fault.kind == "healthy" else spoken(fault.kind)
+    """Kind of a fault, in the words of its sentence."""
+    return KINDS[fault.kind].perhaps.removeprefix("a ").removeprefix("an ")

@@ -23,7 +23,18 @@ from servofd.outputs.sentence import answers, sentence
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 STUCK = str(SAMPLES / "faser_stuck_flight.mat")
-KINDS = ("stuck", "bias", "hardover", "floating", "oscillation", "deadband", "slow", "loss_of_effectiveness", "unknown")
+KINDS = (
+    "stuck",
+    "bias",
+    "hardover",
+    "floating",
+    "oscillation",
+    "deadband",
+    "slow",
+    "intermittent",
+    "loss_of_effectiveness",
+    "unknown",
+)
 
 
 @pytest.mark.slow
