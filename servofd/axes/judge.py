@@ -93,7 +93,7 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
         name: _draft(axis, motion, usable, flown, model, len(_members(name, axis, motion)))
         for name, axis in model.axes.items()
     }
-    events = _with_causes(drafts, {name: axis.suspect for name, axis in model.axes.items()}, motion.time_s)
+    events = _with_causes(drafts, {name: axis.noise_var for name, axis in model.axes.items()}, motion.time_s)
     differing = [name for name, found in events.items() if any(event.from_start for event in found)]
     return tuple(
         _verdict(name, model, drafts[name], events[name], motion, inside, flown, differing) for name in model.axes
@@ -443,13 +443,20 @@ def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Estimate | N
 
 
 def _with_causes(
-    drafts: dict[str, _Draft], levels: dict[str, float], time_s: FloatArray
+    drafts: dict[str, _Draft], noise_vars: dict[str, float], time_s: FloatArray
 ) -> dict[str, tuple[AxisEvent, ...]]:
-    """Of events that overlap one axis is the cause: the strongest, over its threshold, soon after the first alarm."""
+    """Of events that overlap one axis is the cause: whose loss and offset explain most, soon after the first alarm.
+
+    They explain it in units of the noise. Healthy flights may differ less in pitch than in roll, and the bank that an
+    aileron hard over makes moves pitch as well: beyond what they differ by, pitch would be the stronger.
+    """
 
     def strength(axis: str, event: AxisEvent, first_s: float) -> float:
-        around = (time_s >= event.start_s) & (time_s <= first_s + _NAMING_S)
-        return float(np.max(drafts[axis].changes[around], initial=0.0)) / levels[axis]
+        inputs, noise_var = drafts[axis].inputs, noise_vars[axis]
+        span = np.searchsorted(time_s, (event.start_s, first_s + _NAMING_S), side="right")
+        window = inputs.sums.between(span[:1] - 1, np.minimum(span[1:], time_s.size))
+        found = fitted(window, SIZES.patterns, columns=SIZES.columns)
+        return float(np.nan_to_num(found.explained)[0]) / noise_var
 
     found = {}
     for axis, draft in drafts.items():
