@@ -76,7 +76,7 @@ class Look(NamedTuple):
     lambda, covariance [us] and variance of beta [us2]. `limit`: J that healthy flights do not pass. Both were measured
     by benchmarks/one_flight.py on the healthy time of two aircraft, no flight with a surface fault among it: ALFA
     (10 Hz) and ArduPlane in wind (25 Hz). The limit is 1.25 times their largest J that was held and of a size that
-    counts.
+    counts, before what gusts feign was left out (since then 9.3 for pitch).
     """
 
     slow: tuple[str, float]

@@ -38,8 +38,8 @@ class Output:
 
     def within(self, begin_s: float, end_s: float) -> Output:
         """What was asked of it in a part of the log."""
-        at = (self.time_s >= begin_s) & (self.time_s <= end_s)
-        return replace(self, time_s=self.time_s[at], share=self.share[at])
+        part = Series(self.time_s, self.share).within(begin_s, end_s)
+        return replace(self, time_s=part.time_s, share=part.values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,14 +79,14 @@ class Flight:
         """A part of the log."""
         outputs = tuple(one for each in self.outputs if (one := each.within(begin_s, end_s)).time_s.size > 1)
         supply = None if self.supply_v is None else self.supply_v.within(begin_s, end_s)
-        supply = None if supply is None or supply.values.size == 0 else supply
+        flight = replace(self, outputs=outputs, supply_v=supply if supply and supply.values.size else None)
         if self.motion is None:
-            return replace(self, outputs=outputs, supply_v=supply)
+            return flight
         motion = self.motion.within([(begin_s, end_s)])
         flies, _ = airborne(motion)
         sure_s = motion.time_s[flies]
         span_s = (float(sure_s[0]), float(sure_s[-1])) if sure_s.size else (np.nan, np.nan)
-        return replace(self, outputs=outputs, motion=motion, flies=flies, span_s=span_s, supply_v=supply)
+        return replace(flight, motion=motion, flies=flies, span_s=span_s)
 
     def each(self) -> tuple[Flight, ...]:
         """Every flight by itself, from the landing before it on; and what was not taken for a landing is said.
@@ -111,8 +111,7 @@ class Flight:
                 landed_s.append(begin_s)
                 since = last
         flight = replace(self, left_out="; ".join(said))
-        parts = [flight.within(*part) for part in pairwise([*landed_s, np.inf])]
-        return tuple(parts) if len(parts) > 1 else (flight,)
+        return tuple(flight.within(*part) for part in pairwise([*landed_s, np.inf])) if since else (flight,)
 
     def at(self, time_s: FloatArray, flags: BoolArray) -> BoolArray:
         """Flags on the grid of `motion` at some times; none outside."""

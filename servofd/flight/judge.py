@@ -55,15 +55,15 @@ _Answer = TypeVar("_Answer", Check, AxisChange)
 
 
 def _together(names: Sequence[str], answers: Sequence[_Answer]) -> _Answer:
-    """One answer for several flights: the gravest, with the words of all."""
+    """One answer for several flights: the gravest, with the words and scores of all."""
     worst = max(answers, key=lambda one: _SEVERITIES.index(one.status))
     if len({one.text for one in answers}) > 1:
         said = "; ".join(f"{name}: {one.text}" for name, one in zip(names, answers, strict=True))
         worst = replace(worst, text=said)
-    if isinstance(worst, AxisChange) and any(one.score for one in answers if isinstance(one, AxisChange)):
-        scored = [one for one in answers if isinstance(one, AxisChange) and one.score]
-        scores = np.fmax.reduce([one.score for one in scored])
-        worst = replace(worst, time_s=scored[0].time_s, score=tuple(scores.tolist()))
+    scored = [one for one in answers if isinstance(one, AxisChange) and one.score]
+    if isinstance(worst, AxisChange) and scored:
+        scores = np.fmax.reduce([one.score for one in scored]).tolist()
+        worst = replace(worst, time_s=scored[0].time_s, score=tuple(scores))
     return worst
 
 
@@ -71,16 +71,11 @@ def _judged(flight: Flight) -> tuple[tuple[Check, ...], dict[str, AxisChange]]:
     """Checks and axes of one flight."""
     axes = {} if flight.motion is None else judge_motion_alone(flight.motion)
     change = checks.axis_change(axes) if axes else Check("axis_change", "unknown", flight.lacking)
-    found = (
-        checks.surface_check(flight),
-        checks.saturation(flight),
-        checks.trim(flight),
-        checks.travel(flight),
-        checks.limit_cycle(flight),
-        checks.asymmetry(flight),
-        checks.supply(flight),
-        change,
+    asked = (
+        *(checks.surface_check, checks.saturation, checks.trim, checks.travel),
+        *(checks.limit_cycle, checks.asymmetry, checks.supply),
     )
+    found = (*(check(flight) for check in asked), change)
     return found, axes
 
 
