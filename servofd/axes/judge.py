@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
+from servofd.axes.filters import Section
 from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
 from servofd.axes.verdict import (
     KNOWN_WITHIN,
@@ -93,7 +94,7 @@ def judge_motion(model: MotionModel, motion: Motion) -> tuple[AxisAudit, ...]:
         name: _draft(axis, motion, usable, flown, model, len(_members(name, axis, motion)))
         for name, axis in model.axes.items()
     }
-    events = _with_causes(drafts, {name: axis.suspect for name, axis in model.axes.items()}, motion.time_s)
+    events = _with_causes(drafts, {name: axis.noise_var for name, axis in model.axes.items()}, motion.time_s)
     differing = [name for name, found in events.items() if any(event.from_start for event in found)]
     return tuple(
         _verdict(name, model, drafts[name], events[name], motion, inside, flown, differing) for name in model.axes
@@ -300,11 +301,8 @@ def lagged(loss: FloatArray, lag_s: float, rate_hz: float) -> FloatArray:
     """What a surface that follows its command through a first-order lag leaves in the residual, shape (n,)."""
     if lag_s <= 0.0:
         return np.zeros_like(loss)
-    from scipy import signal  # takes longer to load than a flight to judge
-
     keep = math.exp(-1.0 / (rate_hz * lag_s))
-    followed = signal.lfilter([1.0 - keep], [1.0, -keep], loss, zi=[keep * loss[0]])[0]
-    return np.asarray(loss - followed)
+    return loss - Section((1.0 - keep, 0.0, 0.0), (-keep, 0.0)).passed(loss)
 
 
 def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> int | None:
@@ -443,13 +441,20 @@ def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Estimate | N
 
 
 def _with_causes(
-    drafts: dict[str, _Draft], levels: dict[str, float], time_s: FloatArray
+    drafts: dict[str, _Draft], noise_vars: dict[str, float], time_s: FloatArray
 ) -> dict[str, tuple[AxisEvent, ...]]:
-    """Of events that overlap one axis is the cause: the strongest, over its threshold, soon after the first alarm."""
+    """Of events that overlap one axis is the cause: whose loss and offset explain most, soon after the first alarm.
+
+    They explain it in units of the noise. Healthy flights may differ less in pitch than in roll, and the bank that an
+    aileron hard over makes moves pitch as well: beyond what they differ by, pitch would be the stronger.
+    """
 
     def strength(axis: str, event: AxisEvent, first_s: float) -> float:
-        around = (time_s >= event.start_s) & (time_s <= first_s + _NAMING_S)
-        return float(np.max(drafts[axis].changes[around], initial=0.0)) / levels[axis]
+        inputs, noise_var = drafts[axis].inputs, noise_vars[axis]
+        span = np.searchsorted(time_s, (event.start_s, first_s + _NAMING_S), side="right")
+        window = inputs.sums.between(span[:1] - 1, np.minimum(span[1:], time_s.size))
+        found = fitted(window, SIZES.patterns, columns=SIZES.columns)
+        return float(np.nan_to_num(found.explained)[0]) / noise_var
 
     found = {}
     for axis, draft in drafts.items():

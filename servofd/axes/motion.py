@@ -126,6 +126,11 @@ class Series:
         """Typical rate of samples."""
         return 1.0 / float(np.median(np.diff(self.time_s)))
 
+    def within(self, begin_s: float, end_s: float) -> Series:
+        """What it holds of a part of the log."""
+        at = (self.time_s >= begin_s) & (self.time_s <= end_s)
+        return Series(self.time_s[at], self.values[at])
+
     def on(self, grid_s: FloatArray, *, held: bool = False) -> FloatArray:
         """Means over the cells of a grid."""
         return cell_means(grid_s, self.time_s, self.values, held=held)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servofd.axes.motion import FLIES_M_S, Series
+from servofd.axes.motion import Series
+from servofd.core.series import stretches
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.types import BoolArray, FloatArray
 from servofd.flight.change import AxisChange, Status, first_turns
@@ -47,9 +48,8 @@ def saturation(flight: Flight) -> Check:
         return Check("saturation", "unknown", _NEVER_FLEW)
     longest_s, begin_s, which = 0.0, 0.0, flight.outputs[0]
     for output in flight.outputs:
-        in_flight = (output.time_s >= flight.span_s[0]) & ~_on_ground(flight, output.time_s)
-        at_end = (np.abs(output.share) >= _AT_END) & in_flight
-        for first, last in _runs(at_end):
+        at_end = (np.abs(output.share) >= _AT_END) & (output.time_s >= flight.span_s[0])
+        for first, last in stretches(at_end):
             end_s = float(output.time_s[min(last, output.time_s.size - 1)])
             lasted_s = end_s - float(output.time_s[first])
             if lasted_s > longest_s and output.time_s[first] <= flight.span_s[1] + _LONG_AT_END_S:
@@ -69,21 +69,6 @@ def saturation(flight: Flight) -> Check:
 
 _OBEYS_DEG_S = 5.0
 """Rate below which an aircraft does not obey full travel: a hundredth of what it gives an aerobatic one [deg/s]."""
-
-
-_LANDED_S = 20.0
-"""A stall is slow for shorter than that, an aircraft that stands between two flights for longer [s]."""
-
-
-def _on_ground(flight: Flight, time_s: FloatArray) -> BoolArray:
-    """Whether it stood between two flights, at some times."""
-    motion, ground = flight.motion, np.zeros(time_s.size, dtype=bool)
-    if motion is not None:
-        for first, last in _runs(motion.airspeed_m_s <= FLIES_M_S):
-            begin_s, end_s = float(motion.time_s[first]), float(motion.time_s[last - 1])
-            if end_s - begin_s >= _LANDED_S and end_s < flight.span_s[1]:
-                ground |= (time_s >= begin_s) & (time_s <= end_s)
-    return ground
 
 
 def _answer(flight: Flight, output: Output, begin_s: float, end_s: float) -> str:
@@ -222,7 +207,7 @@ def limit_cycle(flight: Flight) -> Check:
                 since_s = float(motion.time_s[row[0][0]])
                 text = (
                     f"{axis} swings at {peak_hz:.1f} Hz by ±{swing_deg_s:.0f} deg/s with its command from "
-                    f"{since_s:.0f} s on: play, a slow servo, or gains too high"
+                    f"{since_s:.0f} s on: play, a slow servo, gains too high, or a pilot's own hand"
                 )
                 return Check("limit_cycle", "look", text, since_s)
     return Check("limit_cycle", "ok", f"no swing at one frequency in {len(begins)} windows of {_CYCLE_S:.0f} s")
@@ -329,8 +314,8 @@ def axis_change(axes: Mapping[str, AxisChange]) -> Check:
     """Whether an axis stopped answering as it had before."""
     looks = [one for one in axes.values() if one.status == "look"]
     if looks:
-        first = min(looks, key=lambda one: one.alarm_s or np.inf)
-        return Check("axis_change", "look", first.text, first.since_s)
+        looks.sort(key=lambda one: one.alarm_s or np.inf)
+        return Check("axis_change", "look", "; ".join(one.text for one in looks), looks[0].since_s)
     judged = [one for one in axes.values() if one.status == "ok"]
     if judged:
         return Check("axis_change", "ok", "; ".join(one.text for one in judged))
@@ -339,9 +324,3 @@ def axis_change(axes: Mapping[str, AxisChange]) -> Check:
         why.setdefault(one.text.removeprefix(f"{one.axis}: "), []).append(one.axis)
     reasons = "; ".join(f"{' and '.join(names)}: {reason}" for reason, names in why.items())
     return Check("axis_change", "unknown", reasons or "no axis could be judged")
-
-
-def _runs(at: BoolArray) -> list[tuple[int, int]]:
-    """First row, and the row behind the last, of each stretch."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
-    return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]

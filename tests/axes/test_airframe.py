@@ -66,6 +66,21 @@ def test_an_aerobatic_flight_among_those_of_calibration_hides_no_half_of_an_elev
             assert 60.0 < min(event.alarm_s for event in pitch.events) < 75.0
 
 
+@pytest.mark.slow
+def test_an_aileron_hard_over_whose_bank_moves_pitch_as_well_is_one_of_roll() -> None:
+    model = calibrate_motion([flown(1000 + k, k // 2, turbulence=0.5 + 0.2 * (k % 4)) for k in range(6)])
+    for seed in (3, 5):
+        jam = AirframeFault("aileron_left", "stuck", 60.0, 20.0)
+        flight = flown(seed, 9, turbulence=0.4, faults=(jam,))
+        begin_s = float(flight.time_s[0]) + 60.0
+        bank_deg = flight.roll_deg - np.interp(begin_s, flight.time_s, flight.roll_deg)
+        pulled_us = 30.0 * np.abs(np.sin(np.radians(bank_deg)))
+        flight.commands_us["pitch"][:] += np.where(flight.time_s > begin_s, pulled_us, 0.0)
+        roll, pitch = (audit for audit in judge_motion(model, flight) if audit.axis in ("roll", "pitch"))
+        assert roll.status in ("suspect", "fault")
+        assert next(event.cause for event in pitch.events if event.start_s >= begin_s - 0.5) == "roll"
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -98,6 +98,39 @@ def test_a_small_offset_is_no_reason_to_believe_a_loss() -> None:
     assert counted(sizes, sizes) == pytest.approx([at_most, at_most + 25.0, 25.0])
 
 
+def followed_by(one: Motion, other: Motion) -> Motion:
+    """One flight that goes on as another."""
+
+    def both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return np.concatenate([first, second], axis=-1)
+
+    return replace(
+        one,
+        time_s=both(one.time_s, other.time_s + one.time_s[-1]),
+        commands_us={axis: both(values, other.commands_us[axis]) for axis, values in one.commands_us.items()},
+        rates_deg_s=both(one.rates_deg_s, other.rates_deg_s),
+        accelerations_m_s2=both(one.accelerations_m_s2, other.accelerations_m_s2),
+        roll_deg=both(one.roll_deg, other.roll_deg),
+        pitch_deg=both(one.pitch_deg, other.pitch_deg),
+        airspeed_m_s=both(one.airspeed_m_s, other.airspeed_m_s),
+        throttle=both(one.throttle, other.throttle),
+        present=both(one.present, other.present),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "rate_hz", "turbulence"), [(900, 25.0, 0.307), (913, 10.0, 0.616), (920, 10.0, 0.802), (915, 25.0, 0.529)]
+)
+def test_a_straight_leg_in_gusts_after_turns_is_no_loss(seed: int, rate_hz: float, turbulence: float) -> None:
+    turns, leg = (
+        fly_airframe(seed, rate_hz=rate_hz, turbulence=turbulence, duration_s=duration_s, manoeuvres=manoeuvres)
+        for duration_s, manoeuvres in ((70.0, 1.0), (90.0, 0.05))
+    )
+    flight = followed_by(*(motion_of(logparsers.read(io.BytesIO(airframe_log(one)))) for one in (turns, leg)))
+    assert [axis.text for axis in judge_motion_alone(flight).values() if axis.status == "look"] == []
+
+
 CALM = ((207, 0.55), (239, 1.09), (215, 0.58), (223, 0.57), (283, 0.76), (289, 0.57))
 """Healthy flights that read "lost 63 % [-2, 128]" while sizes that mean nothing counted; the last four at night."""
 

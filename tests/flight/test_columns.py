@@ -81,3 +81,54 @@ def test_what_was_judged_is_said_from_when_until_when_and_what_would_not_show() 
     assert f"judged from {roll.judged_from_s:.0f} to {roll.judged_until_s:.0f} s" in found.sentence
     for word in ("failed earlier", "near its trim", "a few degrees off", "slow"):
         assert word in found.sentence
+
+
+def joined(first: FlightLog, second: FlightLog, ground_s: float) -> FlightLog:
+    """Two flights in one log, the second take-off so long after the first landing."""
+    later_s = first.ends_s[1] + ground_s
+    stands = np.arange(first.ends_s[1] + 0.04, later_s, 0.04)
+    channels = {}
+    for name, one in first.channels.items():
+        other = second.channels[name]
+        still = np.full(stands.size, 0.0 if name == "CTUN.As" else one.values[-1])
+        time_s = np.concatenate([one.time_s, stands, other.time_s + later_s])
+        channels[name] = replace(one, time_s=time_s, values=np.concatenate([one.values, still, other.values]))
+    return replace(first, channels=channels)
+
+
+def test_of_two_flights_in_a_log_each_is_judged_by_itself_and_the_one_to_look_at_comes_first() -> None:
+    healthy = log_of(flown(8, duration_s=150.0))
+    failed = log_of(flown(9, duration_s=150.0, aileron_share=0.0, from_s=100.0))
+    found = judge_flight(joined(healthy, failed, 40.0))
+    assert found is not None
+    assert found.sentence.startswith("flight 2 of 2 (in the air from 195 to ")
+    assert "; flight 1 of 2 (in the air from 5 to 147 s): nothing looks wrong in roll" in found.sentence
+    assert found.sentence.count("would not show") == 1
+    roll = found.axes["roll"]
+    assert roll.status == "look"
+    alone = judge_flight(failed)
+    assert alone is not None
+    assert alone.axes["roll"].since_s is not None
+    assert roll.since_s == pytest.approx(190.0 + alone.axes["roll"].since_s, abs=1.0)
+    assert len(roll.score) == len(roll.time_s)
+    assert np.isfinite(roll.score[60:140]).mean() > 0.9
+    assert not np.isfinite(roll.score[192:225]).any()  # its own past begins on the ground
+
+
+def test_what_was_trimmed_on_the_ground_is_no_reason_to_look() -> None:
+    first = flown(8, duration_s=150.0)
+    trimmed = flown(9, duration_s=150.0, trim_step_us=60.0, from_s=0.0)
+    found = judge_flight(joined(log_of(first), log_of(trimmed), 40.0))
+    assert found is not None
+    assert found.axes["roll"].status == "ok"
+
+
+def test_an_airspeed_that_dies_in_the_air_is_said_and_is_no_landing() -> None:
+    log = log_of(flown(1, duration_s=200.0))
+    airspeed = log["CTUN.As"]
+    dies = replace(airspeed, values=np.where(airspeed.time_s > 120.0, 3.0, airspeed.values))
+    found = judge_flight(replace(log, channels={**log.channels, dies.name: dies}))
+    assert found is not None
+    assert "from 120 to 200 s the airspeed reads 3 m/s though the aircraft banks" in found.sentence
+    assert "nothing there was judged" in found.sentence
+    assert "flight 2" not in found.sentence
