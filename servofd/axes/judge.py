@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
-from servofd.axes.filters import Section
 from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
 from servofd.axes.verdict import (
     KNOWN_WITHIN,
@@ -301,8 +300,11 @@ def lagged(loss: FloatArray, lag_s: float, rate_hz: float) -> FloatArray:
     """What a surface that follows its command through a first-order lag leaves in the residual, shape (n,)."""
     if lag_s <= 0.0:
         return np.zeros_like(loss)
+    from scipy import signal  # takes longer to load than a flight to judge
+
     keep = math.exp(-1.0 / (rate_hz * lag_s))
-    return loss - Section((1.0 - keep, 0.0, 0.0), (-keep, 0.0)).passed(loss)
+    followed = signal.lfilter([1.0 - keep], [1.0, -keep], loss, zi=[keep * loss[0]])[0]
+    return np.asarray(loss - followed)
 
 
 def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> int | None:

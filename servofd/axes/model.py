@@ -12,7 +12,6 @@ Forces are proportional to v^2, damping to v (Etkin and Reid, Dynamics of Flight
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +19,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.axes.filters import low_pass, warped
 from servofd.core.types import BoolArray, FloatArray
 from servofd.core.windows import Sums
 
@@ -37,9 +35,14 @@ class Filtered:
     """Channels of a flight, all through one second-order low-pass filter."""
 
     def __init__(self, motion: Motion, *, corner_hz: float, reference_m_s: float) -> None:
+        from scipy import signal  # takes longer to load than a flight to judge
+
         self.rate_hz = motion.rate_hz
         self.commands_us = motion.commands_us
-        self._low, self._slope = low_pass(corner_hz, self.rate_hz, _DAMPING)
+        corner = 2.0 * np.pi * corner_hz
+        bottom = [1.0, 2.0 * _DAMPING * corner, corner**2]
+        self._low = signal.bilinear([corner**2], bottom, self.rate_hz)
+        self._slope = signal.bilinear([corner**2, 0.0], bottom, self.rate_hz)
         self.v = np.maximum(motion.airspeed_m_s, 1.0) / reference_m_s
         self.p, self.q, self.r = motion.rates_deg_s
         self.ax, self.ay, self.az = motion.accelerations_m_s2
@@ -48,11 +51,19 @@ class Filtered:
 
     def low(self, values: FloatArray) -> FloatArray:
         """F of a channel, beginning at rest on its first value."""
-        return self._low.passed(values)
+        return _run(self._low, values)
 
     def slope(self, values: FloatArray) -> FloatArray:
         """F of the derivative of a channel."""
-        return self._slope.passed(values)
+        return _run(self._slope, values)
+
+
+def _run(coefficients: tuple[FloatArray, FloatArray], values: FloatArray) -> FloatArray:
+    from scipy import signal
+
+    top, bottom = coefficients
+    out: FloatArray = signal.lfilter(top, bottom, values, zi=signal.lfilter_zi(top, bottom) * values[0])[0]
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,8 +224,14 @@ class Flown:
 
 def flown_of(motion: Motion, reference_m_s: float) -> Flown:
     """Under which conditions an aircraft flew."""
-    corner_hz = warped(min(_REGIME_HZ, 0.4 * motion.rate_hz), motion.rate_hz)
-    low = low_pass(corner_hz, motion.rate_hz, math.sqrt(0.5))[0].passed
+    from scipy import signal  # takes longer to load than a flight to judge
+
+    smooth = signal.butter(2, min(_REGIME_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz)
+
+    def low(values: FloatArray) -> FloatArray:
+        out: FloatArray = signal.lfilter(*smooth, values, zi=signal.lfilter_zi(*smooth) * values[0])[0]
+        return out
+
     speed = low(motion.airspeed_m_s)
     lift = low(-motion.accelerations_m_s2[2]) / np.maximum(speed / reference_m_s, 0.1) ** 2
     return Flown(speed, low(motion.throttle), lift)
@@ -252,9 +269,11 @@ def whitened(inputs: Inputs, coefficients: tuple[float, ...]) -> Inputs:
     """Take what the past predicts of the residual out of everything."""
     if not coefficients:
         return inputs
+    from scipy import signal
+
     taps = np.concatenate(([1.0], -np.asarray(coefficients)))
     channels = (inputs.residual, inputs.loss, inputs.offset, inputs.lag)
-    residual, loss, offset, lag = (np.convolve(taps, x)[: x.size] for x in channels)
+    residual, loss, offset, lag = (signal.lfilter(taps, [1.0], x) for x in channels)
     return Inputs(residual, loss, offset, inputs.usable, lag, inputs.variance)
 
 

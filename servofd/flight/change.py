@@ -258,17 +258,17 @@ def regressed(form: Form, motion: Motion, usable: BoolArray, corner_hz: float, r
 
 def airborne(motion: Motion) -> tuple[BoolArray, float]:
     """Where an aircraft surely flies, and its usual airspeed [m/s]: not soon after a take-off, nor before a landing."""
+    from scipy import ndimage
+
     moving = motion.present & (motion.airspeed_m_s > FLIES_M_S)
     if not moving.any():
         return moving, 1.0
     usual_m_s = float(np.median(motion.airspeed_m_s[moving]))
     flies = motion.present & (motion.airspeed_m_s > _AIRBORNE * usual_m_s)
     after, before = (round(s * motion.rate_hz) for s in (_AFTER_TAKEOFF_S, _BEFORE_LANDING_S))
-    so_far = np.concatenate([[0], np.cumsum(flies)])
-    place = np.arange(flies.size)
-    begin, end = place - after, place + before + 1
-    whole = (begin >= 0) & (end <= flies.size)
-    sure = whole & (so_far[np.minimum(end, flies.size)] - so_far[np.maximum(begin, 0)] == end - begin)
+    # Erosion by a window that reaches so far back and ahead of each sample.
+    window = np.ones(after + before + 1, dtype=bool)
+    sure = ndimage.binary_erosion(flies, window, origin=(after - before) // 2, border_value=0)
     return sure, usual_m_s
 
 
