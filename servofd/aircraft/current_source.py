@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -72,7 +72,8 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, Curre
     """Where a log holds the current of each surface, for those whose it does; and why a column is none, of others.
 
     What the aircraft file names comes first, then a column of the surface's name, then what the servo, or a hub,
-    reports of its output; of a table with one surface, the current of the servo.
+    reports of its output; of a table with one surface, the current of the servo. Columns that read the same throughout
+    are one channel, of several servos.
 
     Examples
     --------
@@ -85,6 +86,7 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, Curre
     found: dict[str, CurrentSource] = {}
     unfit: dict[str, str] = {}
     hubs = hub_outputs(log)
+    shared = next((f"servo{end}" for end in _UNITS if f"servo{end}" in log.channels), "")
     for name, surface in aircraft.surfaces.items():
         stem, dot, _ = ("" if surface.measured is None else surface.measured.channel).rpartition(".")
         fields = _BESIDE.get(stem.partition("[")[0], ("", ""))
@@ -118,7 +120,29 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, Curre
                 f"column {unitless} has no unit: call it <surface>_current_a or <surface>_current_ma, or name channel "
                 "and unit in [surfaces.<surface>.current] of the aircraft file"
             )
-    return found, unfit
+        elif shared and (surface.measured is None or surface.measured.channel not in log.channels):
+            unfit[name] = (
+                f"column {shared} is a current of no surface by name: say in [surfaces.<surface>.current] of an "
+                "aircraft file which servos it feeds, and calibrate them on good flights to tell them apart"
+            )
+    return _together(log, found), unfit
+
+
+def _together(log: FlightLog, found: Mapping[str, CurrentSource]) -> dict[str, CurrentSource]:
+    """The same sources; columns that read the same are one channel, which is a current of several servos."""
+    first: dict[tuple[str, bytes | str], str] = {}
+    for source in found.values():
+        first.setdefault(_readings(log, source), source.channel)
+    return {
+        name: source.model_copy(update={"channel": first[_readings(log, source)]}) for name, source in found.items()
+    }
+
+
+def _readings(log: FlightLog, source: CurrentSource) -> tuple[str, bytes | str]:
+    """What a channel reads, and its unit; its name in place of readings that never change."""
+    values = log[source.channel].values if source.channel in log.channels else np.zeros(0)
+    is_one = np.unique(values[np.isfinite(values)]).size < 2
+    return source.unit, source.channel if is_one else values.tobytes()
 
 
 def rails_of(log: FlightLog, named: Collection[str] = ()) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from typing import Final
 
 import numpy as np
@@ -23,9 +24,10 @@ def own_current(series: CurrentSeries) -> CalibratedCurrent:
     """
     first_s, last_s = float(series.time_s[0]), float(series.time_s[-1])
     found: list[tuple[bool, float, CalibratedCurrent]] = []
+    sharpest = operator.itemgetter(0, 1)
     reason, late_s = "", None
     for count in _PARTS:
-        best = min(found, key=_sharpest, default=None)
+        best = min(found, key=sharpest, default=None)
         if best is not None and not best[0]:
             late_s = best[2].late_s
         for from_s, to_s in itertools.pairwise(np.linspace(first_s, last_s, count + 1).tolist()):
@@ -40,10 +42,6 @@ def own_current(series: CurrentSeries) -> CalibratedCurrent:
             found.append((known.explained_share < EXPLAINED_OWN, sharpness_a, known))
     if not found:
         raise CalibrationError(reason)
-    known = min(found, key=_sharpest)[2]
+    known = min(found, key=sharpest)[2]
     part = series.within(*(known.fitted_between_s or (first_s, last_s)))
     return known.model_copy(update={"limits_nats": limits_of([{series.surface: see(part, known)}])})
-
-
-def _sharpest(one: tuple[bool, float, CalibratedCurrent]) -> tuple[bool, float]:
-    return one[:2]

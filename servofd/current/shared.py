@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -91,7 +90,7 @@ def _spoken(names: Sequence[str] | set[str]) -> str:
 
 
 def faults_of_wire(
-    seen: Mapping[str, Seen], followed: Set[str], failed: Mapping[str, Sequence[Fault]] = MappingProxyType({})
+    seen: Mapping[str, Seen], followed: Set[str], failed: Mapping[str, Sequence[Fault]]
 ) -> tuple[dict[str, list[Fault]], tuple[CommonCause, ...], float]:
     """Return the faults of each servo on a wire, each event that may be of several, and until when it is read [s].
 

@@ -61,6 +61,16 @@ def test_a_current_alone_tells_it_without_any_calibration(
     assert "by its current" in found["sentence"]
 
 
+def test_a_hub_that_reports_once_a_second_shows_a_servo_without_power(tmp_path: Path) -> None:
+    """Its current at rest was taken for seven times as much, beside a friction that gave current back."""
+    command_deg = gusty(np.arange(0.0, 180.0, 0.04), np.random.default_rng([6006, 7]))
+    sensor = Sensor(1.0, averages=True)
+    flight = fly(180.0, 6006, sensor=sensor, fault="unpowered", start_s=START_S, command_deg=command_deg)
+    found = servofd.audit(written(tmp_path / "flight.csv", flight))["aileron"]
+    assert [fault.kind for fault in found.faults] == ["unpowered"]
+    assert START_S <= found.faults[0].alarm_s <= START_S + 20.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0])
 def test_a_good_one_is_cleared(tmp_path: Path, rate_hz: float) -> None:

@@ -158,6 +158,18 @@ def test_who_draws_what_is_not_guessed(tmp_path: Path) -> None:
     assert "calibrate all of them" in found["elevator"].reason
 
 
+@pytest.mark.parametrize("columns", ["servo_current_a", "aileron_left_current_a,elevator_current_a"])
+def test_a_sum_that_a_table_tells_of_several_servos_accuses_none(tmp_path: Path, columns: str) -> None:
+    """Nor does one whose column stands there twice, by the names of two of them."""
+    head, *rows = bench(9, "blocked", ("elevator",)).splitlines()
+    twice = [f"{row},{row.rpartition(',')[2]}" for row in rows] if "," in columns else rows
+    (tmp_path / "flight.csv").write_text("\n".join([head.replace("servo_current_a", columns), *twice]) + "\n")
+    found = servofd.audit(tmp_path / "flight.csv")
+    assert not any(s.is_judged for s in found.surfaces)
+    assert "current" in found["elevator"].reason
+    assert "calibrate" in found["elevator"].reason
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "channel", "unit"),
