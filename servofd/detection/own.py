@@ -24,7 +24,7 @@ from servofd.detection.faults import judged
 from servofd.detection.flights import Flight, busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
 from servofd.detection.moving import statistics_of, watched
-from servofd.estimate.fit import LEAST_DEG, fit, reach_of
+from servofd.estimate.fit import LEAST_DEG, fit, reach_of, top_speed
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 
 if TYPE_CHECKING:
@@ -72,6 +72,9 @@ _EACH_FAULT: Final = 2.0
 """Nats: one surface in some has a fault."""
 _MENDED, _MOVES_DEG = 20.0, 1.0
 """Nats: servos break and stay so; none is at fault from its first motion on, by so much [deg], and mends itself."""
+_FASTER, _FASTER_S, _NEVER_FASTER = 1.2, 0.2, 50.0
+"""Times its largest speed a position moves for so long in all [s], beyond what noise makes of it: no servo was ever
+faster than it can be, whatever its fault, and one that was is told by this many nats."""
 _MOST_MISFIT: Final = 25.0
 """Squared standard deviations that one reading counts for, as where a fault is timed."""
 _WINDOW_S: Final = 5.0
@@ -97,6 +100,8 @@ _CAUGHT_UP_S, _LASTS_S = 2.0, 3
 """After so long even a slow servo is where it was asked to be, and so many seconds in a row are no passing thing."""
 _TURNS_DEG: Final = 180.0
 """No surface is further from its command: a reading that is has another unit, or is none."""
+_SPEED_NOISE_S: Final = 80.0
+"""Speed that noise makes over a twentieth of a second, three deviations of two readings, over that noise [1/s]."""
 _LN_BANDWIDTH, _LN_DAMPING, _DEADBAND, _FRICTION, _PLAY, _RATE = (
     NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "deadband_deg", "friction_deg", "play_deg", "ln_rate")
 )
@@ -372,7 +377,10 @@ def _judged(
         return None
     moved = np.abs(whole.measured_deg - whole.measured_deg[0]) > _MOVES_DEG
     at_first = any(fault.start_s < whole.time_s[np.argmax(moved)] + _TELLING_S for fault in mended)
-    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen + _MENDED * at_first
+    seen_deg_s = top_speed(whole, _FASTER_S) - _SPEED_NOISE_S * known.noise.still_deg
+    was_faster = seen_deg_s > _FASTER * float(np.exp(fitted.theta[_RATE]))
+    apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen
+    apart += _MENDED * at_first + _NEVER_FASTER * was_faster
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
     if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None

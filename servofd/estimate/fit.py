@@ -31,6 +31,8 @@ _DELAYS_S: Final = (0.01, 0.03, 0.06, 0.1)
 _SPEED_S, _FASTEST = 0.1, 0.99
 """Time over which speeds of a position are taken [s], and the share of them that are no larger than the top speed of a
 servo that reaches it."""
+_LONGEST_S: Final = 0.25
+"""Between readings whose difference is a speed [s]."""
 _FIRST_STEPS, _STEPS, _SOME = 2, 30, 2
 """Steps of the descents that are compared and of the one that is continued; pieces of a flight for the first."""
 _KEPT, _KEPT_ROWS = 16, 2_000_000
@@ -222,14 +224,25 @@ def as_fast_as_seen(theta: FloatArray, records: Sequence[Record]) -> FloatArray:
 
 
 def _speeds(record: Record) -> FloatArray:
-    """Speeds of a position over `_SPEED_S` [deg/s]."""
+    """Speeds of a position over `_SPEED_S` [deg/s]: in both halves of it, so that one reading that jumps makes none."""
     time_s, measured_deg = record.time_s[record.usable], record.measured_deg[record.usable]
-    later = np.searchsorted(time_s, time_s + _SPEED_S)
-    here = np.flatnonzero(later < time_s.size)
-    step_s = time_s[later[here]] - time_s[here]
-    near = step_s < 2.0 * _SPEED_S
-    speeds: FloatArray = np.abs(measured_deg[later[here]] - measured_deg[here])[near] / step_s[near]
+    middle = np.searchsorted(time_s, time_s + 0.5 * _SPEED_S)
+    middle = middle[middle < time_s.size]
+    end = np.searchsorted(time_s, time_s[middle] + 0.5 * _SPEED_S)
+    end = end[end < time_s.size]
+    places = np.stack([np.arange(end.size), middle[: end.size], end])
+    step_s, step_deg = np.diff(time_s[places], axis=0), np.diff(measured_deg[places], axis=0)
+    known = (step_s < _LONGEST_S).all(axis=0)
+    first, second = step_deg[:, known] / step_s[:, known]
+    speeds: FloatArray = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
     return speeds
+
+
+def top_speed(record: Record, seconds: float) -> float:
+    """Speed that a position exceeds for so long in all [deg/s]."""
+    speeds = np.sort(_speeds(record))[::-1]
+    place = int(np.ceil(seconds / record.period_s))
+    return float(speeds[place]) if place < speeds.size else 0.0
 
 
 def reach_of(records: Sequence[Record]) -> tuple[float, float]:
