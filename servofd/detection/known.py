@@ -261,7 +261,7 @@ def refuse_unlike(
         )
     if not _FAR_GAINS[0] <= gain <= _FAR_GAINS[1]:
         raise CalibrationError(
-            f"{name}: the position moves by {gain:.3g} times its command in {logs}: check scale and unit in the "
+            f"{name}: the position moves by {gain:.2g} times its command in {logs}: check scale and unit in the "
             "aircraft file, or a servo that has lost its travel"
         )
 

@@ -179,14 +179,16 @@ def fit(
 ) -> Fit:
     """Fit one servo to records of it.
 
-    It begins at `start` (13,); else some delays are tried. `reach_deg` are the deflections that it can take, those of
-    the records if left out. Servos that move alike are tried as well if neither is given nor it is alone, freely and
-    with what they differ in held: what play, friction and dead band are apart matters to whoever reads them, and to no
-    verdict on the log they are fitted to.
+    It begins at `start` (13,); else some delays are tried. Alone, it may also begin at the top speed that the positions
+    show; a largest speed that was calibrated so other flights may exceed. `reach_deg` are the deflections that it can
+    take, those of the records if left out. Servos that move alike are tried as well if neither is given nor it is
+    alone, freely and with what they differ in held: what play, friction and dead band are apart matters to whoever
+    reads them, and to no verdict on the log they are fitted to.
     """
     flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
-    begin = _delayed(records, flights.reach_deg) if start is None else np.clip(start, _LOWS, _HIGHS)
-    begin = min((begin, as_fast_as_seen(begin, records)), key=flights.rough_misfit)
+    begin = _delayed(records, flights.reach_deg, is_alone) if start is None else np.clip(start, _LOWS, _HIGHS)
+    if is_alone:
+        begin = min((begin, as_fast_as_seen(begin, records)), key=flights.rough_misfit)
     if start is None or is_alone:  # another part of the log may have begun with a fault
         begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
     sigma = flights.sigma(begin)
@@ -202,14 +204,15 @@ def fit(
     return _finished(flights, best, tried)
 
 
-def _delayed(records: Sequence[Record], reach_deg: tuple[float, float]) -> FloatArray:
+def _delayed(records: Sequence[Record], reach_deg: tuple[float, float], is_alone: bool) -> FloatArray:
     """Where a descent begins of which nothing is known: near the delay that explains some of the records best."""
     some = _Flights(records[:: max(len(records) // _SOME, 1)], reach_deg)
     begins = [np.where(np.arange(_VALUES.size) == _DELAY, delay_s, _VALUES) for delay_s in _DELAYS_S]
     problem = some.problem(_rough_sigma(some, begins[0]))
     tried = [minimum(problem, each, steps=_FIRST_STEPS, close=_CLOSE) for each in begins]
-    likely = begins[tried.index(_best_of(tried))]
-    tried.append(minimum(problem, as_fast_as_seen(likely, records), steps=_FIRST_STEPS, close=_CLOSE))
+    if is_alone:
+        likely = as_fast_as_seen(begins[tried.index(_best_of(tried))], records)
+        tried.append(minimum(problem, likely, steps=_FIRST_STEPS, close=_CLOSE))
     return _best_of(tried).x
 
 
