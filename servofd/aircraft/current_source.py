@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from logparsers.records import FlightLog
 from servofd.aircraft.current import AMPERES, CurrentSource
 from servofd.aircraft.marks import refresh_of
 from servofd.aircraft.outputs import counts_from_1, output_of
-from servofd.aircraft.schema import Aircraft
+from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.series import SURROUNDINGS, signal_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.types import BoolArray, FloatArray
@@ -95,7 +95,6 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, Curre
         if len(aircraft.surfaces) == 1 and not any(each in log.channels for each in own):
             own |= {f"servo{end}": unit for end, unit in _UNITS.items()} | {"amps": "A"}
             bare += ["servo_current", "current"]
-        unitless = next((each for each in bare if each in log.channels), "")
         column = next((each for each in own if each in log.channels), "")
         number = output_of(surface)
         if surface.current is not None:
@@ -115,17 +114,25 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, Curre
             found[name] = CurrentSource(
                 channel=hubs[number], unit="A", voltage=volts if _has_numbers(log, volts) else ""
             )
-        elif unitless:
-            unfit[name] = (
-                f"column {unitless} has no unit: call it <surface>_current_a or <surface>_current_ma, or name channel "
-                "and unit in [surfaces.<surface>.current] of the aircraft file"
-            )
-        elif shared and (surface.measured is None or surface.measured.channel not in log.channels):
-            unfit[name] = (
-                f"column {shared} is a current of no surface by name: say in [surfaces.<surface>.current] of an "
-                "aircraft file which servos it feeds, and calibrate them on good flights to tell them apart"
-            )
+        elif why := _why_none(log, surface, bare, shared):
+            unfit[name] = why
     return _together(log, found), unfit
+
+
+def _why_none(log: FlightLog, surface: Surface, bare: Iterable[str], shared: str) -> str:
+    """Why a column that may be a surface's current is none: one of `bare` names, or `shared` by several; or nothing."""
+    unitless = next((each for each in bare if each in log.channels), "")
+    if unitless:
+        return (
+            f"column {unitless} has no unit: call it <surface>_current_a or <surface>_current_ma, or name channel "
+            "and unit in [surfaces.<surface>.current] of the aircraft file"
+        )
+    if shared and (surface.measured is None or surface.measured.channel not in log.channels):
+        return (
+            f"column {shared} is a current of no surface by name: say in [surfaces.<surface>.current] of an "
+            "aircraft file which servos it feeds, and calibrate them on good flights to tell them apart"
+        )
+    return ""
 
 
 def _together(log: FlightLog, found: Mapping[str, CurrentSource]) -> dict[str, CurrentSource]:

@@ -74,7 +74,7 @@ _MENDED, _MOVES_DEG = 20.0, 1.0
 """Nats: servos break and stay so; none is at fault from its first motion on, by so much [deg], and mends itself."""
 _FASTER, _FASTER_S, _NEVER_FASTER = 1.2, 0.2, 50.0
 """Times its largest speed a position moves for so long in all [s], beyond what noise makes of it: no servo was ever
-faster than it can be, whatever its fault, and one that was is told by this many nats."""
+faster than it can be, whatever its fault, and one that was is less likely by so many nats."""
 _MOST_MISFIT: Final = 25.0
 """Squared standard deviations that one reading counts for, as where a fault is timed."""
 _WINDOW_S: Final = 5.0

@@ -46,7 +46,7 @@ class Fault:
     alternatives: tuple[str, ...]
     level: Level = "fault"
     named_s: float | None = None
-    """Until when the log was looked at for this name [s]."""
+    """End of the window that this name rests on [s]."""
     witness: Literal["position", "current", "motion"] = "position"
     """What tells of it."""
     confirmed_by: Fault | None = None
