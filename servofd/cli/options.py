@@ -229,7 +229,7 @@ def _calibrate(parser: Parser) -> None:
     parser.surface("calibrate only this one")
     many: dict[str, Any] = {"action": "append", "default": []}
     parser.value(
-        "--between", "use only these seconds, of which one may be left out; may be repeated", "A:B", _span, **many
+        "--between", "use only the seconds from A to B; either may be left out; may be repeated", "A:B", _span, **many
     )
     parser.value("--run", "of a table of several runs, use only this", "NAME", dest="runs", **many)
     parser.flag(

@@ -291,7 +291,7 @@ def _status(
         return "healthy", f"its current is as in its good flights{times}"
     from_s, to_s = known.fitted_between_s
     return "healthy", (
-        f"its current is as from {from_s:.0f} to {to_s:.0f} s of this log: would have shown a servo that becomes "
+        f"its current is as it was from {from_s:.0f} to {to_s:.0f} s: would have shown a servo that becomes "
         "blocked or loses its power, and not one that was so from the beginning, or wears"
     )
 

@@ -29,7 +29,7 @@ class Kind:
     clause: tuple[str, ...]
     """In a sentence, before "since"."""
     headline: tuple[str, ...]
-    """In capitals, with `since`; of the last form what stands before " at ", " since " or a comma is its `state`."""
+    """In capitals, with `since`, or `when` where it may have ended; before either, or a comma, stands its `state`."""
     meaning: str
     """What may have happened to the aircraft."""
     check: str = _ANYHOW
@@ -52,7 +52,7 @@ class Kind:
         >>> KINDS["stuck"].state, KINDS["hardover"].state, KINDS["worn"].state
         ('JAMMED', 'RAN TO ONE END', 'WORN')
         """
-        return re.split(" at | since |,", self.headline[-1])[0]
+        return re.split(r" at | \{when\}|,", self.headline[-1])[0]
 
 
 def filled(forms: tuple[str, ...], values: Mapping[str, float | str]) -> str:
@@ -100,7 +100,7 @@ _ROWS: Final = (
         "blocked",
         "blocked",
         ("blocked: draws {current_a:.2g} A wherever it is asked to be elsewhere", "blocked"),
-        ("BLOCKED since {since}, by its current ({current_a:.1f} A)", "BLOCKED since {since}, by its current"),
+        ("BLOCKED {when}, by its current ({current_a:.1f} A)", "BLOCKED {when}, by its current"),
         "The servo pushes with all it has and the surface does not move: something blocks the linkage or the gear, "
         "and it will overheat.",
         "take the linkage off and move surface and servo apart from each other",
@@ -111,7 +111,7 @@ _ROWS: Final = (
         "floating",
         "floating",
         ("floating: moves by itself within about ±{amplitude_deg:.1f} deg", "floating"),
-        ("FLOATS FREE since {since}",),
+        ("FLOATS FREE {when}",),
         "The surface moves without being asked: the linkage is open or the servo has no power, and the air moves it.",
         "pull at the surface with the servo powered: it must hold",
         "slow down, land soon: it may flutter",
@@ -122,7 +122,7 @@ _ROWS: Final = (
         "unpowered",
         "without power",
         ("without power: draws {current_a:.2g} A whatever it is asked", "without power"),
-        ("WITHOUT POWER since {since}, by its current",),
+        ("WITHOUT POWER {when}, by its current",),
         "The servo draws no current for what it is asked: a broken wire or plug, a blown fuse, or dead electronics.",
         "measure the supply at its plug, and move it",
         "slow down, land soon: it may flutter",
@@ -132,7 +132,7 @@ _ROWS: Final = (
         "loss_of_effectiveness",
         "a loss of travel",
         ("moves by only {gain:.0%} of its command", "moves by less than its command"),
-        ("MOVES ONLY {gain:.0%} of its command since {since}", "MOVES LESS THAN ITS COMMAND since {since}"),
+        ("MOVES ONLY {gain:.0%} of its command {when}", "MOVES LESS THAN ITS COMMAND {when}"),
         "The surface moves less than asked: a slipping gear or horn, or a position channel of the wrong scale.",
         "compare its travel with the commanded one, in degrees",
         "fly gently, land soon",
@@ -146,7 +146,7 @@ _ROWS: Final = (
             "slow: no faster than {rate_limit_deg_s:.0f} deg/s",
             "slow",
         ),
-        ("TOO SLOW since {since} ({bandwidth_scale:.0%} of its speed is left)", "TOO SLOW since {since}"),
+        ("TOO SLOW {when} ({bandwidth_scale:.0%} of its speed is left)", "TOO SLOW {when}"),
         "The surface arrives late: low supply voltage, a binding hinge, too much load, or a worn motor.",
         "measure the supply at the servo while it moves, and the time from stop to stop",
         "fly gently, land soon",
@@ -156,8 +156,8 @@ _ROWS: Final = (
         "a contact that comes and goes",
         ("comes and goes: holds still for {outage_s:.1f} s at a time, and obeys again", "comes and goes"),
         (
-            "COMES AND GOES since {since} (holds still for {outage_s:.1f} s at a time)",
-            "COMES AND GOES since {since}",
+            "COMES AND GOES {when} (holds still for {outage_s:.1f} s at a time)",
+            "COMES AND GOES {when}",
         ),
         "For moments the surface holds still, then obeys again: a loose plug, a broken strand in a wire, or a bus that "
         "drops its commands.",
@@ -168,7 +168,7 @@ _ROWS: Final = (
         "binding",
         "binding",
         ("binding: draws {times:.1f} times as much for the same motion", "binding"),
-        ("BINDS since {since}, by its current ({times:.1f} times as much)", "BINDS since {since}, by its current"),
+        ("BINDS {when}, by its current ({times:.1f} times as much)", "BINDS {when}, by its current"),
         "The servo needs more current for the same motion: a hinge or gear that binds, ice, or a linkage that rubs.",
         "take the linkage off and compare its current with and without it",
         _SOON,
@@ -177,7 +177,7 @@ _ROWS: Final = (
         "bias",
         "an offset",
         ("off by {bias_deg:+.1f} deg", "off by some degrees"),
-        ("OFF BY {bias_deg:+z.1f} deg since {since}", "OFF since {since}"),
+        ("OFF BY {bias_deg:+z.1f} deg {when}", "OFF {when}"),
         "The surface follows its command with an offset: a slipped horn or linkage, a shifted sensor, or a trim that "
         "the aircraft file does not know.",
         "compare its neutral position with a ruler",
@@ -190,8 +190,8 @@ _ROWS: Final = (
         "oscillating",
         ("oscillates by ±{amplitude_deg:.1f} deg at {frequency_hz:.2f} Hz", "oscillates"),
         (
-            "OSCILLATES since {since} (±{amplitude_deg:.1f} deg at {frequency_hz:.1f} Hz)",
-            "OSCILLATES since {since}",
+            "OSCILLATES {when} (±{amplitude_deg:.1f} deg at {frequency_hz:.1f} Hz)",
+            "OSCILLATES {when}",
         ),
         "The surface swings on top of what was asked: a worn feedback potentiometer, play that the air excites, or "
         "a loop inside the servo that is about to become unstable.",
@@ -205,8 +205,8 @@ _ROWS: Final = (
         "a dead band",
         ("dead band, stiction or play of {width_deg:.1f} deg", "dead band, stiction or play"),
         (
-            "IGNORES SMALL COMMANDS since {since} (play or dead band of {width_deg:.1f} deg)",
-            "IGNORES SMALL COMMANDS since {since}",
+            "IGNORES SMALL COMMANDS {when} (play or dead band of {width_deg:.1f} deg)",
+            "IGNORES SMALL COMMANDS {when}",
         ),
         "Small commands have no effect: worn gears, play in the linkage, or friction.",
         "move it in steps of 0.5 deg and look for steps it does not follow",
@@ -229,7 +229,7 @@ _ROWS: Final = (
         "unknown",
         "something else",
         ("left the model in a way that no known fault explains",),
-        ("NOT WHERE IT SHOULD BE since {since}",),
+        ("NOT WHERE IT SHOULD BE {when}",),
         "The surface left its model, and no single fault explains how, or there was too little motion to tell which"
         " one it is.",
         severity="by size",
@@ -238,7 +238,7 @@ _ROWS: Final = (
         "healthy",
         "within tolerance",
         ("away from its model for longer than chance allows, yet within the tolerances of a working servo,",),
-        ("NOT WHERE IT SHOULD BE since {since}",),
+        ("NOT WHERE IT SHOULD BE {when}",),
         "The surface is further from its model than chance allows, yet within what a working servo may be: the "
         "model is not quite that of this servo.",
         severity="by size",

@@ -225,7 +225,7 @@ class OfFlights:
             raise TooShortError(beyond or too_short(judged_s))
         peak = np.flatnonzero(rows)[np.argmax(np.abs(flight.error_deg[rows]))]
         is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
-        where = ", in motion faster than theirs" if is_unknown else ""
+        where = ", in motion faster than there" if is_unknown else ""
         own_s = surface.model.fitted_between_s
         like = "in its good flights" if own_s is None else f"it did from {own_s[0]:.0f} to {own_s[1]:.0f} s"
         notes = []

@@ -188,7 +188,7 @@ def fit(
     flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
     begin = _delayed(records, flights.reach_deg, is_alone) if start is None else np.clip(start, _LOWS, _HIGHS)
     if is_alone:
-        begin = min((begin, as_fast_as_seen(begin, records)), key=flights.rough_misfit)
+        begin = min((begin, _as_fast_as_seen(begin, records)), key=flights.rough_misfit)
     if start is None or is_alone:  # another part of the log may have begun with a fault
         begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
     sigma = flights.sigma(begin)
@@ -211,12 +211,12 @@ def _delayed(records: Sequence[Record], reach_deg: tuple[float, float], is_alone
     problem = some.problem(_rough_sigma(some, begins[0]))
     tried = [minimum(problem, each, steps=_FIRST_STEPS, close=_CLOSE) for each in begins]
     if is_alone:
-        likely = as_fast_as_seen(begins[tried.index(_best_of(tried))], records)
+        likely = _as_fast_as_seen(begins[tried.index(_best_of(tried))], records)
         tried.append(minimum(problem, likely, steps=_FIRST_STEPS, close=_CLOSE))
     return _best_of(tried).x
 
 
-def as_fast_as_seen(theta: FloatArray, records: Sequence[Record]) -> FloatArray:
+def _as_fast_as_seen(theta: FloatArray, records: Sequence[Record]) -> FloatArray:
     """The same servo (13,) with the top speed of its positions: no slope leads to a speed that is never reached."""
     speeds = [_speeds(record) for record in records]
     fast = theta.copy()

@@ -202,9 +202,9 @@ def axes_sentence(axes: Sequence[AxisAudit], advised: Status = "no_data") -> str
 
 def _what(fault: Fault) -> str:
     values = {name: estimate.value for name, estimate in fault.parameters.items()}
-    text = filled(KINDS[fault.kind].headline, {"since": clock(fault.start_s), **values})
-    if fault.end_s is not None:
-        text = text.replace(f"since {clock(fault.start_s)}", f"from {clock(fault.start_s)} to {clock(fault.end_s)}")
+    since = clock(fault.start_s)
+    when = f"since {since}" if fault.end_s is None else f"from {since} to {clock(fault.end_s)}"
+    text = filled(KINDS[fault.kind].headline, {"since": since, "when": when, **values})
     if fault.is_of_sensor:
         return f"{text} by its position, while its current says that it moves"
     if fault.confirmed_by is None:
