@@ -45,7 +45,6 @@ _TWINS: Final = {
     "stuck": {"stuck", "floating", "hardover"},
     "floating": {"floating", "stuck"},
     "hardover": {"hardover", "stuck"},
-    "intermittent": {"unknown", "stuck", "floating", "slow", "deadband", "loss_of_effectiveness", "oscillation"},
 }
 """What is physically the same, or may be called so: a geared servo without power stays where it is."""
 Row = dict[str, Any]
@@ -57,9 +56,8 @@ calibrated on one mixed flight of four minutes; then ten healthy and 21 faulty f
 constants of servofd were chosen on aircraft of even seed, but for one rule: that a servo which keeps 69 % of its speed
 is suspect and not at fault was made after one of these aircraft; those from 27 on had never been seen. Intervals are of
 95 %. *Found* is an alarm after the onset, whatever the flight showed: in cruise and loiter some faults cannot show, and
-the verdict is then `unknown` or says what was not judgeable. `intermittent` has no name of its own. A servo without
-power that stays where it is may be called stuck, and play that the air pushes to one side an offset, if the other name
-stands beside it.
+the verdict is then `unknown` or says what was not judgeable. A servo without power that stays where it is may be called
+stuck, and play that the air pushes to one side an offset, if the other name stands beside it.
 
 """
 

@@ -161,7 +161,6 @@ def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, fl
     found = min([best[0], *usual[:_LIKELY]], key=lambda frame: _loss(record, physics, frame))
     for finer in _FINER:
         found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
-    # Half a frame later nearly the same commands are picked, where two come in a frame: that is another hill.
     turned = [(found[0], phase) for phase in _phases(found[0], _PRECISELY_S)]
     found = min([found, *turned], key=lambda frame: _loss(record, physics, frame))
     for finer in _FINER if found in turned else ():
@@ -179,12 +178,16 @@ def _phases(period_s: float, step_s: float) -> list[float]:
 def _around(
     frame: tuple[float, float], centre_s: float, window_s: float, finer: float = 1.0
 ) -> list[tuple[float, float]]:
-    """Frames nearby; they are counted from 0 s, so that another period turns the phase in mid-window as well."""
+    """Frames nearby; they are counted from 0 s, so that another period turns the phase in mid-window as well.
+
+    Half a frame later nearly the same commands are picked, where two come in a frame: that is another hill.
+    """
     period, phase = frame
+    halves = (0.0, 0.5) if finer == 1.0 else (0.0,)
     frames = []
     for step in (period**2 / window_s * _SHARE_OF_BEAT * finer * np.arange(-4, 5)).tolist():
         turned = phase - centre_s / period + centre_s / (period + step)
-        frames += [(period + step, (turned + finer * shift) % 1.0) for shift in _SHIFTS]
+        frames += [(period + step, (turned + half + finer * shift) % 1.0) for half in halves for shift in _SHIFTS]
     return frames
 
 
@@ -380,13 +383,16 @@ class Search:
                     self._fitted((*rest, other), start, enough)
 
     def _framed(self, base: Fit, fits: list[Fit]) -> list[Fit]:
-        """The base with pulse frames, if a delay or what passes for one helps it."""
-        late = [fit for fit in fits if fit.effects[-1] in _LATE]
-        if not late or base.misfit - min(fit.misfit for fit in late) < OCCAM:
+        """The base with pulse frames, if its own delay is a strange one, or what makes it late helps it.
+
+        Frames make it late by half of one: they are looked for beside a servo that is as usual.
+        """
+        late = min((fit.misfit for fit in fits if fit.effects[-1] in _LATE), default=np.inf)
+        if base.misfit - late < OCCAM and not self.fitter.strains(Delay, base):
             return []
         self.progress(PwmFrame.key())
         record = self.fitter.record
-        known = base.physics
+        known = self.fitter.starts(base)[-1]._replace(delay_s=record.plant.neutral.delay_s)
         rival = self.fitter.judged((), min(fits, key=lambda fit: fit.misfit).physics)
         sigma = float(np.sqrt(rival.run_deg2.mean()))
         likely = frames_like(record, known, rival.error_deg, sigma)

@@ -49,15 +49,16 @@ def nominal_deg(found: Explanation) -> float:
 
 @pytest.mark.nightly
 def test_hobby_servo() -> None:
-    """A linear servo leaves 30 deg on the runs that are held out, the effects at most 2.1 deg (2.05).
+    """A linear servo leaves 30 deg on the runs that are held out, a motor that is slower upwards and friction 1.92.
 
-    Its readings are counted from where each run began, anywhere within the dead band to either side; that it is dead
-    and does not stick is not told by them.
+    Its readings are counted from where each run began, anywhere within the dead band to either side; whether it is
+    dead or sticks is not known, and a pole of 55 rad/s stands for its delay.
     """
     found = explain(DATA / "bench" / "hobby_servo_encoder.csv").explanation
     assert nominal_deg(found) > 15.0
-    assert final_deg(found) <= 2.1
-    assert {"rate_limit", "delay", "deadband"} <= told(found)
+    assert final_deg(found) <= 1.98
+    assert found.selection.final.names[0] == "rate_limit"
+    assert {"deadband", "friction"} & told(found)
     rates = found.selection.steps[0].fit.values
     np.testing.assert_allclose(rates, (255.0, 276.0), rtol=0.1)
     errors = np.array([each.held_out_rms_deg for each in found.runs])
@@ -108,8 +109,8 @@ def test_smart_servo_of_low_gain(kp: str, most_deg: float, tmp_path: Path) -> No
 def test_digital_servo_whose_rate_limit_falls_with_its_load() -> None:
     """Slopes of the steps themselves: 388 deg/s without a load, 303 with 400 g."""
     found = explain(DATA / "bench" / "digital_servo_loads.csv").explanation
-    assert set(found.selection.final.names) == {"rate_limit", "supply_coupling"}
-    assert final_deg(found) <= 2.6 < 0.5 * nominal_deg(found)
+    assert found.selection.final.names == ("rate_limit",)
+    assert final_deg(found) <= 2.25 < 0.5 * nominal_deg(found)
     first = found.varying[0]
     assert (first.parameter, set(first.conditions)) == ("rate_limit_deg_s", {"load_g", "load_kgcm"})
     (_, empty_deg_s), (_, loaded_deg_s) = first.ends
