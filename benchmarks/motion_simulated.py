@@ -54,7 +54,7 @@ def motion_of_flight(flight: AirframeFlight, name: str) -> Motion:
     """A flight as its log would be read."""
     p, q, r = np.radians(flight.rates_deg_s)
     ax, ay, az = flight.accelerations_m_s2
-    series = {f"RCOU.C{number}": flight.pulses_us[:, k] for k, number in enumerate(flight.mixer.outputs)}
+    series = {f"RCOU.C{number}": flight.pulses_us[:, k] for k, number in enumerate(flight.surfaces)}
     series |= {"RCOU.C3": 1000.0 + 1000.0 * flight.throttle, "ARSP.Airspeed": flight.airspeed_m_s}
     series |= {"IMU.GyrX": p, "IMU.GyrY": q, "IMU.GyrZ": r, "IMU.AccX": ax, "IMU.AccY": ay, "IMU.AccZ": az}
     series |= {"ATT.Roll": flight.roll_deg, "ATT.Pitch": flight.pitch_deg}

@@ -42,7 +42,6 @@ _SLOW_EXAMPLES = {
     "servofd.results.audits.compare",
     "servofd.results.audits.fleet",
     "servofd.results.models.explain",
-    "servofd.servo.transfer.TransferFunction.to_control",
     "servofd.wear.trend.trend_document",
     "servofd.wear.trend.trend_logs",
 }

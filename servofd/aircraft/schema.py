@@ -23,7 +23,7 @@ from servofd.core.tolerance import Tolerance
 from servofd.core.toml_text import read_toml
 from servofd.servo.catalogue import EffectTable, effects_installed
 from servofd.servo.effects.linkage import PositionLimit
-from servofd.servo.library import Positive, Servo, find_servo, levels_in, library
+from servofd.servo.library import Positive, Servo, find_servo, library
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel, plant_of
 
@@ -309,8 +309,8 @@ class Aircraft(_Entry):
         explained = explained_in(name)
         if explained is not None:
             return self._with_servos_of(explained, name)
-        key, servo = find_servo(name)
-        change = {"servo": key, "model": ModelOrigin(), "calibrated": None, **levels_in(name)}
+        key, servo, levels = find_servo(name)
+        change = {"servo": key, "model": ModelOrigin(), "calibrated": None, **levels}
         usual = {field: Surface.model_fields[field].default for field in _LEVELS}
         # The levels of a fitted servo are no other one's.
         changed = {

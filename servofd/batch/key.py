@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, explained_in
 from servofd.batch.find import is_address
 from servofd.core.files import distinct_file_names
-from servofd.servo.library import find_servo, levels_in
+from servofd.servo.library import find_servo
 from servofd.version import __version__
 
 if TYPE_CHECKING:
@@ -51,8 +51,11 @@ class Job:
         servo: Any = self.servo
         if servo not in (None, UNKNOWN_SERVO):
             explained = explained_in(servo)
-            levels = [find_servo(servo)[1].model_dump_json(), str(levels_in(servo))] if explained is None else []
-            servo = levels or [explained and explained.model_dump_json()]
+            if explained is None:
+                _, found, levels = find_servo(servo)
+                servo = [found.model_dump_json(), str(levels)]
+            else:
+                servo = [explained.model_dump_json()]
         described = {
             "version": __version__,
             "aircraft": self.aircraft and self.aircraft.model_dump(mode="json"),

@@ -88,7 +88,7 @@ def _run_airframe(options: Options) -> int:
     duration_s = _AIRFRAME_S if options.duration is None else options.duration
     flight = fly_airframe(options.seed, mixer=options.airframe, duration_s=duration_s, faults=tuple(faults))
     write_whole(options.output, airframe_log(flight))
-    say(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.mixer.names)}, no feedback")
+    say(f"{options.output}: {flight.time_s[-1]:.0f} s at 25 Hz, {', '.join(flight.surfaces.values())}, no feedback")
     return 0
 
 

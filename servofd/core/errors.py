@@ -61,7 +61,6 @@ EXTRAS = MappingProxyType(
         "pandas": "view",
         "starlette": "serve",
         "uvicorn": "serve",
-        "control": "control",
         "h5py": "hdf5",
         "fsspec": "remote",
     }

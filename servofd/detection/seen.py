@@ -205,7 +205,7 @@ class OfFlights:
     def needs(self) -> frozenset[str]:
         """Airspeed and supply, where its flights showed what they do."""
         acting = {"airspeed_m_s": self.known.airspeed_m_s != 0.0, "servo_voltage_v": self.known.supply_v > 0.0}
-        return self.model.needs | {need for need, acts in acting.items() if acts}
+        return self.model.physics.needs | {need for need, acts in acting.items() if acts}
 
     def stream(self, pace: Pace) -> Stream:
         """See a stream beside it."""
@@ -294,7 +294,7 @@ class OfModel:
     @property
     def needs(self) -> frozenset[str]:
         """What its effects depend on."""
-        return self.model.needs
+        return self.model.physics.needs
 
     def stream(self, pace: Pace) -> Stream:
         """See a stream beside it.
@@ -358,7 +358,7 @@ _LACKING = {
 
 def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[str]:
     """What a reader has to know of the model: effects that want data, another scale, a calibration on other times."""
-    notes = [_LACKING[need] for need in sorted(model.needs - segment.context.logged)]
+    notes = [_LACKING[need] for need in sorted(model.physics.needs - segment.context.logged)]
     if surface.by_other_messages:
         notes.append("calibrated on other messages than this log has: judged within wide tolerances")
     return notes

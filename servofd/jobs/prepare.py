@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from servofd.estimate.family import EFFECTS
-from servofd.servo.generate import is_compiling, is_kept, mark_kept, path_of, wait_for
+from servofd.servo.generate import compiling, is_kept, mark_kept, path_of
 
 _ONCE = "preparing, once: compiling the servo's simulation (some six seconds)"
 _KEEP = "from servofd.jobs.prepare import keep_{0}; keep_{0}()"
@@ -19,14 +19,14 @@ def compile_ahead(say: Callable[[str], None]) -> None:
 
     `say`: shows a sentence to whoever waits.
     """
-    if is_compiling() or is_prepared():
+    if compiling or is_prepared():
         return
     say(_ONCE)
     nothing = subprocess.DEVNULL
     for what in ("stepper", "windows"):
         command = [sys.executable, "-c", _KEEP.format(what)]
         with suppress(OSError):  # then this process compiles it where it is needed
-            wait_for(subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing))  # noqa: S603 - ourselves
+            compiling.append(subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing))  # noqa: S603 - ourselves
 
 
 def is_prepared() -> bool:

@@ -31,6 +31,7 @@ from servofd.estimate.family import REACH_DEG, new_state, sensitivities, simulat
 from servofd.estimate.record import load_at
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel
+from servofd.servo.transfer import TransferFunction
 
 Setting = float | tuple[float, ...] | None
 """Of a surface in the script; None is left out."""
@@ -59,8 +60,7 @@ _PERSISTENCE = 3
 _NEVER = 1e9
 """Limit of an energy that none reaches."""
 _CENTRE_US = 1500.0
-"""Pulse of a surface in its middle, by ArduPilot's convention [us]."""
-"""Pulse width of a neutral servo, from which pulses are counted [us]."""
+"""Pulse of a surface in its middle, by ArduPilot's convention, from which pulses are counted [us]."""
 _WIDTHS = {"deadband_deg": 0.5, "insensitive_deg": 0.5, "backlash_deg": 0.5, "friction_deg": 1.0}
 _WIDTHS |= {"command_step_deg": 0.5, "output_step_deg": 0.5}
 _KNOWN = frozenset(
@@ -206,7 +206,7 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         raise ConfigError("the aircraft file names no measured channel for it")
     output = _output(surface)
     physics = model.physics
-    strange = _beyond(physics)
+    strange = [field.removesuffix("_deg") for field, _ in physics if field not in _KNOWN and field not in _WIDTHS]
     if strange:
         raise ConfigError(f"its servo has {', '.join(strange)}, which the script cannot simulate")
     known, named = surface.calibrated, None
@@ -219,15 +219,14 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     modes = _modes(model, gain)
     if sum(map(math.hypot, modes[2::_MODE_NUMBERS], modes[3::_MODE_NUMBERS])) > _MOST_CANCELLATION * abs(gain):
         raise DesignError("its servo model loses all digits of a 32-bit number: use a model of lower order")
-    limit = (
-        min(physics.follow_up_deg_s, physics.rate_up_deg_s),
-        min(physics.follow_down_deg_s, physics.rate_down_deg_s),
-    )
+    limit = model.rate_up_deg_s, model.rate_down_deg_s
+    slowest = min(limit)
     scale, offset_deg = _straight(surface)
     delay_s = physics.delay_s + physics.lag_s + physics.offset_s + 0.5 * physics.frame_s
     on_board = ServoModel(
         model.transfer, Physics(gain=gain, delay_s=delay_s, follow_up_deg_s=limit[0], follow_down_deg_s=limit[1])
     )
+    stops = physics.lower_deg, physics.upper_deg
     constant = surface.threshold == "constant"
     limits = thresholds_of(known)
     zero, slope, square, cubic = _polynomial(surface)
@@ -245,12 +244,8 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
         "delay_us": round(US_PER_S * delay_s),
         "dc_gain": gain * model.transfer.dc_gain,
         "lag": -float(np.sum(1.0 / model.transfer.poles_rad_s).real),
-        "rates": (gain * limit[0], gain * limit[1], gain * (1.0 - _SLOWER) * min(limit))
-        if math.isfinite(min(limit))
-        else None,
-        "stops": (physics.lower_deg, physics.upper_deg)
-        if math.isfinite(physics.upper_deg - physics.lower_deg)
-        else None,
+        "rates": tuple(gain * one for one in (*limit, (1.0 - _SLOWER) * slowest)) if math.isfinite(slowest) else None,
+        "stops": stops if math.isfinite(stops[1] - stops[0]) else None,
         "modes": modes,
     }
     doubt: dict[str, Setting] = {
@@ -274,11 +269,6 @@ def _output(surface: Surface) -> int:
             "SERVO_OUTPUT_RAW.servo1_raw or CSRV[0].PosCmd would)"
         )
     return output
-
-
-def _beyond(physics: Physics) -> list[str]:
-    """Effects of a servo that the script can neither simulate nor allow for."""
-    return [field.removesuffix("_deg") for field, _ in physics if field not in _KNOWN and field not in _WIDTHS]
 
 
 def _losses(aircraft: Aircraft, name: str) -> list[str]:
@@ -350,8 +340,6 @@ def _modes(model: ServoModel, gain: float) -> tuple[float, ...]:
 
     Each has four numbers: its decay and turn [rad/s], its weight, and that of its turning part.
     """
-    from servofd.servo.transfer import TransferFunction
-
     transfer = model.transfer
     poles = transfer.poles_rad_s
     order = np.argsort(poles.real)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,24 +42,15 @@ def stream_script(outputs: Sequence[int], file_name: str = "servofd.lua") -> str
     )
 
 
-@cache
-def _environment() -> Any:  # noqa: ANN401 - jinja2 is imported where it is used
+def _rendered(template: str, **values: Any) -> str:  # noqa: ANN401 - whatever the template shows
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    environment = Environment(  # noqa: S701 - Lua is no HTML
-        loader=FileSystemLoader(Path(__file__).parent / "templates"),
-        undefined=StrictUndefined,
-        keep_trailing_newline=True,
-    )
-    environment.filters["lua_entry"] = _entry
-    return environment
-
-
-def _rendered(template: str, **values: Any) -> str:  # noqa: ANN401 - whatever the template shows
     from servofd.version import __version__
 
-    text: str = _environment().get_template(template).render(version=__version__, **values)
-    return text
+    files = FileSystemLoader(Path(__file__).parent / "templates")
+    environment = Environment(loader=files, undefined=StrictUndefined, keep_trailing_newline=True)  # noqa: S701 - no HTML
+    environment.filters["lua_entry"] = _entry
+    return environment.get_template(template).render(version=__version__, **values)
 
 
 def _comment(text: str) -> str:

@@ -12,7 +12,7 @@ from logparsers.records import FlightLog
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.levels import good_levels, levels_of
 from servofd.core.toml_text import toml_key, toml_lines
-from servofd.servo.catalogue import OWN, EffectTable, table_of
+from servofd.servo.catalogue import EffectTable, effects_named, table_of
 from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import Gain
@@ -76,7 +76,7 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
 def _table(found: Explanation) -> EffectTable:
     """The effects, and what the servo's own numbers came to beside them."""
     final, known, physics = found.selection.final, found.record.plant.neutral, found.physics
-    poles = next(each for each in OWN if each.fixed["slow_place"] == final.place)
+    poles = next(each for each in effects_named("poles") if each.fixed["slow_place"] == final.place)
     if found.is_servo_of_its_own:  # its poles are written as the servo's own
         physics = physics._replace(**{p.fields[0]: p.neutral for p in poles.parameters})
     fields = {name for effect in final.effects for p in effect.parameters for name in p.fields}

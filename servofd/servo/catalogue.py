@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 
 import numpy as np
 
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect, Parameter
-from servofd.servo.effects.own import Poles, PolesAfter, PolesBefore
 from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue, everything
 
@@ -27,23 +25,9 @@ def installed(physics: Physics, effects: Sequence[type[Effect]], values: Sequenc
     return physics._replace(**changes)
 
 
-OWN: tuple[type[Effect], ...] = (Poles, PolesBefore, PolesAfter)
-"""How a servo's poles differ from those of its type, by the place of the slow one: part of a model, no effect."""
-
-
-def _own_numbers() -> tuple[type[Effect], ...]:
-    return tuple(each for each in everything() if not each.searched and each not in OWN)
-
-
 def effects_named(name: str) -> tuple[type[Effect], ...]:
-    """All forms of an effect."""
-    return tuple(effect for effect in (*catalogue(), *OWN, *_own_numbers()) if effect.name == name)
-
-
-@lru_cache(maxsize=8)
-def _varied(effects: tuple[type[Effect], ...]) -> tuple[type[Effect], ...]:
-    """Effects whose first number may go with a condition, as `run_field` counts them."""
-    return tuple(effect for effect in effects if effect.varies)
+    """All forms of an effect, or of a number of the servo's own, simple before flexible."""
+    return tuple(sorted((e for e in everything() if e.name == name), key=lambda effect: effect.rank))
 
 
 _FEWEST_RUNS = 5
@@ -77,14 +61,11 @@ def by_condition(effect: type[Effect], number: int, condition: str) -> type[Effe
     most = first.high - first.low
     grid = tuple(share * (first.typical if first.low < 0.0 else 1.0) for share in _SHARES)
     slope = Parameter(f"{first.name}_by_run", ("run_slope",), -most, most, 0.0, first.typical, grid, aside=True)
+    which = {"run_field": float(everything().index(effect)), "run_condition": float(number)}
     members = {
         "__doc__": effect.__doc__,
         "parameters": (*effect.parameters, slope),
-        "fixed": {
-            **effect.fixed,
-            "run_field": float(_varied(everything()).index(effect)),
-            "run_condition": float(number),
-        },
+        "fixed": {**effect.fixed, **which},
         "form": ", ".join(filter(None, (effect.form, f"by {condition}"))),
     }
     return _LAWS.setdefault(key, type(f"{effect.__name__}By{number}", (effect,), members))
@@ -97,19 +78,14 @@ def is_law(effect: type[Effect]) -> bool:
 
 def plain(effect: type[Effect]) -> type[Effect]:
     """The effect as it is with one size for all runs."""
-    return _varied(everything())[int(effect.fixed["run_field"])] if is_law(effect) else effect
-
-
-def law_of(physics: Physics) -> Parameter:
-    """Which number goes with a condition, of a servo of which one does."""
-    return _varied(everything())[int(physics.run_field)].parameters[0]
+    return everything()[int(effect.fixed["run_field"])] if is_law(effect) else effect
 
 
 def at_run(physics: Physics, conditions: Sequence[float]) -> Physics:
     """The servo as it is in a run."""
     if physics.run_slope == 0.0 or not conditions:
         return physics
-    parameter = law_of(physics)
+    parameter = everything()[int(physics.run_field)].parameters[0]
     value = getattr(physics, parameter.fields[0]) + physics.run_slope * conditions[int(physics.run_condition)]
     return physics._replace(**dict.fromkeys(parameter.fields, min(max(value, parameter.low), parameter.high)))
 

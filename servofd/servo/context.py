@@ -16,8 +16,22 @@ AIR_KG_M3: Final = 1.225
 """Density of the standard atmosphere at sea level."""
 
 
+_STAMPS: Final = {
+    "airspeed_m_s": "airspeed_s",
+    "servo_voltage_v": "voltage_s",
+    "servo_current_a": "current_s",
+    "servo_temperature_c": "temperature_s",
+    "servo_load": "load_s",
+}
+"""By the names of columns, where their time stamps stand."""
+
+
 def _nothing() -> FloatArray:
     return np.zeros(0)
+
+
+def _between(time_s: FloatArray, values: FloatArray, at_s: FloatArray, missing: float) -> FloatArray:
+    return np.interp(at_s, time_s, values) if time_s.size else np.full(at_s.size, missing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,37 +66,24 @@ class Context:
     @property
     def logged(self) -> frozenset[str]:
         """Which of airspeed, supply, current, temperature and load are there, by the names of their columns."""
-        sizes = {
-            "airspeed_m_s": self.airspeed_s.size,
-            "servo_voltage_v": self.voltage_s.size,
-            "servo_current_a": self.current_s.size,
-            "servo_temperature_c": self.temperature_s.size,
-            "servo_load": self.load_s.size,
-        }
-        return frozenset(name for name, size in sizes.items() if size)
+        return frozenset(column for column, stamps in _STAMPS.items() if getattr(self, stamps).size)
 
     def pressure_pa(self, at_s: FloatArray) -> FloatArray:
         """Dynamic pressure [Pa], shape (n,): held before the first and after the last sample; 0 if never logged."""
-        if not self.airspeed_s.size:
-            return np.zeros(at_s.size)
-        pressure_pa: FloatArray = 0.5 * AIR_KG_M3 * np.interp(at_s, self.airspeed_s, self.airspeed_m_s) ** 2
+        pressure_pa: FloatArray = 0.5 * AIR_KG_M3 * _between(self.airspeed_s, self.airspeed_m_s, at_s, 0.0) ** 2
         return pressure_pa
 
     def supply_v(self, at_s: FloatArray) -> FloatArray:
         """Supply of the servo [V], shape (n,), likewise; infinite, which limits no speed, if never logged."""
-        if not self.voltage_s.size:
-            return np.full(at_s.size, np.inf)
-        return np.interp(at_s, self.voltage_s, self.voltage_v)
+        return _between(self.voltage_s, self.voltage_v, at_s, np.inf)
 
     def drawn_a(self, at_s: FloatArray) -> FloatArray:
         """Current of the servo [A], shape (n,), likewise; 0 if never logged."""
-        return np.interp(at_s, self.current_s, self.current_a) if self.current_s.size else np.zeros(at_s.size)
+        return _between(self.current_s, self.current_a, at_s, 0.0)
 
     def warmth_c(self, at_s: FloatArray) -> FloatArray:
         """Temperature of the servo [°C], shape (n,), likewise; NaN if never logged."""
-        if not self.temperature_s.size:
-            return np.full(at_s.size, np.nan)
-        return np.interp(at_s, self.temperature_s, self.temperature_c)
+        return _between(self.temperature_s, self.temperature_c, at_s, np.nan)
 
     def pushed(self, at_s: FloatArray, late_s: float = 0.0) -> FloatArray:
         """Mean load since the instant before, shape (n,), if each value holds until the next; 0 if never logged.

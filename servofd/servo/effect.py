@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from servofd.core.errors import ConfigError
 from servofd.servo.loop import BEFORE, INSIDE
@@ -129,8 +129,6 @@ class Parameter:
     """True if the error has many minima in it, and must be searched instead of descended."""
     aside: bool = False
     """True for a number of no interest that the effect needs to fit; it is neither reported nor judged."""
-    travel_power: int = 0
-    """Power of the deflection that it is multiplied with: the same effect is smaller on a servo that turns further."""
     smallest: float = 0.0
     """Least deviation from neutral that may be reported: what is smaller is the difference between two servos of a
     type, or no servo's at all."""
@@ -157,11 +155,6 @@ class Parameter:
             object.__setattr__(self, "off", self.neutral)
         if not self.grid and not self.kinked:
             object.__setattr__(self, "grid", self._usual_grid())
-
-    @property
-    def limits_speed(self) -> bool:
-        """Whether it is a largest speed, of which a weak servo has less."""
-        return self.off == math.inf and "deg_s" in self.name
 
     def _usual_grid(self) -> tuple[float, ...]:
         """From a third to ten typical sizes on either side of neutral, within the bounds."""
@@ -245,6 +238,8 @@ class Effect:
     """The same behind something else that hangs on the shaft, so that it does not move with the shaft."""
     sees: ClassVar[tuple[str, ...]] = ()
     """Fields of `Physics` that `act` is given; if none is given, those of its parameters."""
+    switches: ClassVar[tuple[str, ...]]
+    """Fields of which one at least is not off where it acts."""
 
     act: ClassVar[Callable[..., Any] | None] = None
     """``act(x, now, *fields, *memory)``: what becomes of the value that passes, and then of each number of its memory.
@@ -262,25 +257,19 @@ class Effect:
         if cls.places is None:
             cls.places = (BEFORE, INSIDE) if cls.slot in _IN_LOOP else ()
         cls.spoken = cls.spoken or cls.name.replace("_", " ")
+        cls.switches = tuple(dict.fromkeys(f for p in cls.parameters if not p.aside for f in p.fields))
         if not cls.sees:
             cls.sees = tuple(dict.fromkeys(field for p in cls.parameters for field in p.fields))
 
-    def __init__(self, *values: float, **named: float) -> None:
-        names = [p.name for p in self.parameters]
-        unknown = [name for name in named if name not in names]
-        if len(values) > len(names) or unknown:
-            raise ConfigError(f"{self.name}: its parameters are {', '.join(names)}")
-        given = {**dict(zip(names, values, strict=False)), **named}
-        for p in self.parameters:
-            value = given.get(p.name, p.off)
-            if (
-                math.isnan(value)
-                or (p.low >= 0.0 and value < 0.0)
-                or (p.low > 0.0 and value == 0.0 and p.name in given)
-            ):
+    def __init__(self, *values: float) -> None:
+        if len(values) > len(self.parameters):
+            raise ConfigError(f"{self.name}: its parameters are {', '.join(p.name for p in self.parameters)}")
+        for p, value in zip(self.parameters, values, strict=False):
+            if math.isnan(value) or (p.low >= 0.0 and value < 0.0) or (p.low > 0.0 and value == 0.0):
                 bound = "positive" if p.low > 0.0 else "zero or more" if p.low == 0.0 else "a number"
                 raise ConfigError(f"{self.name}: {p.name} must be {bound}, not {value:g}")
-        self.values: tuple[float, ...] = tuple(float(given.get(p.name, p.off)) for p in self.parameters)
+        left_out = (p.off for p in self.parameters[len(values) :])
+        self.values: tuple[float, ...] = (*map(float, values), *left_out)
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -303,8 +292,3 @@ class Effect:
     def key(cls) -> str:
         """Name and form."""
         return f"{cls.name} ({cls.form})" if cls.form else cls.name
-
-    @classmethod
-    def of(cls, values: Mapping[str, float]) -> Self:
-        """The effect with values by the names of its parameters."""
-        return cls(**values)

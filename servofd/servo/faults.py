@@ -7,7 +7,7 @@ notice on the ground; no source prescribes them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar
@@ -20,7 +20,7 @@ from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.loops import play
 
 if TYPE_CHECKING:
-    from servofd.servo.motion import AnyServo, Motion
+    from servofd.servo.motion import Motion
     from servofd.servo.servo_model import ServoModel
 
 _LARGEST = 1e9
@@ -50,6 +50,8 @@ class Failure:
                 raise ConfigError(f"{self.kind}: {name} must be within {_LARGEST:g}, not {value:g}")
             if name in self.positive and not value > 0.0:
                 raise ConfigError(f"{self.kind}: {name} must be positive, not {value}")
+            if name == "seed" and (value < 0 or value != int(value)):
+                raise ConfigError(f"{self.kind}: seed must be a whole number of zero or more, not {value}")
         if not self.end_s > self.start_s:
             raise ConfigError(
                 f"{self.kind}: end_s must be later than its start at {self.start_s:g} s, not {self.end_s}"
@@ -59,11 +61,11 @@ class Failure:
         """What the servo makes of the commands given `elapsed_s` [s] into the fault [deg], (k,), after `before_deg`."""
         return command_deg
 
-    def become(self, servo: AnyServo) -> AnyServo:
+    def become(self, servo: ServoModel) -> ServoModel:
         """The servo as it is during the fault."""
         return servo
 
-    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """Where the surface is `elapsed_s` [s] into the fault, shape (k,), `deflection_deg` being the servo's way."""
         return deflection_deg
 
@@ -72,11 +74,6 @@ class Failure:
     ) -> FloatArray:
         """Deflection of a servo with this fault alone [deg], shape (m,), at the rising times `at_s` [s], shape (m,)."""
         return failing_deflection(model, [self], command_s, command_deg, at_s)
-
-
-def _check_seed(kind: str, seed: float) -> None:
-    if seed < 0 or seed != int(seed):
-        raise ConfigError(f"{kind}: seed must be a whole number of zero or more, not {seed}")
 
 
 def in_order(faults: Iterable[Failure]) -> tuple[Failure, ...]:
@@ -140,28 +137,24 @@ def as_received(
 ) -> tuple[FloatArray, FloatArray]:
     """What a servo makes of its commands while faults last: times [s] and values [deg], in order.
 
+    The command in force when a fault comes or goes is received anew.
+
     Examples
     --------
     >>> as_received([Bias(1.0, bias_deg=-2.0)], np.array([0.0, 1.0]), np.array([0.0, 5.0]))
     (array([0., 1.]), array([0., 3.]))
     """
     for fault in faults:
-        command_s, command_deg = _received(fault, command_s, command_deg)
+        for cut_s in (fault.start_s, fault.end_s):
+            k = int(np.searchsorted(command_s, cut_s))
+            if k > 0 and math.isfinite(cut_s) and cut_s not in command_s[k : k + 1]:
+                command_s = np.insert(command_s, k, cut_s)
+                command_deg = np.insert(command_deg, k, command_deg[k - 1])
+        first, last = np.searchsorted(command_s, (fault.start_s, fault.end_s))
+        elapsed_s, before_deg = command_s[first:last] - fault.start_s, float(command_deg[max(first - 1, 0)])
+        received_deg = fault.received(elapsed_s, command_deg[first:last], before_deg)
+        command_deg = np.concatenate([command_deg[:first], received_deg, command_deg[last:]])
     return command_s, command_deg
-
-
-def _received(fault: Failure, command_s: FloatArray, command_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Commands as the servo receives them; the one in force when the fault comes or goes is received anew."""
-    for cut_s in (fault.start_s, fault.end_s):
-        k = int(np.searchsorted(command_s, cut_s))
-        if k > 0 and math.isfinite(cut_s) and cut_s not in command_s[k : k + 1]:
-            command_s = np.insert(command_s, k, cut_s)
-            command_deg = np.insert(command_deg, k, command_deg[k - 1])
-    first, last = np.searchsorted(command_s, (fault.start_s, fault.end_s))
-    received_deg = command_deg.copy()
-    elapsed_s, before_deg = command_s[first:last] - fault.start_s, float(command_deg[max(first - 1, 0)])
-    received_deg[first:last] = fault.received(elapsed_s, command_deg[first:last], before_deg)
-    return command_s, received_deg
 
 
 _STOP_DEG = 25.0
@@ -193,7 +186,7 @@ class Stuck(Failure):
         """The position it goes to, if one is given."""
         return command_deg if self.position_deg is None else np.full(command_deg.size, self.position_deg)
 
-    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """Not at all, unless it is on its way to a given position."""
         return np.full(elapsed_s.size, deflection_deg[0]) if self.position_deg is None else deflection_deg
 
@@ -226,7 +219,7 @@ class HardOver(Failure):
     kind: ClassVar[str] = "hardover"
     position_deg: float | None = None
 
-    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
         """At the rate limit to the stop, from wherever it was."""
         stop_deg = servo.upper_deg if math.isfinite(servo.upper_deg) else _STOP_DEG
         goal_deg = stop_deg if self.position_deg is None else self.position_deg
@@ -254,11 +247,7 @@ class Floating(Failure):
     mean_deg: float = 0.0
     seed: float = 0
 
-    def __post_init__(self) -> None:
-        Failure.__post_init__(self)
-        _check_seed(self.kind, self.seed)
-
-    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """As the wind wants it."""
         rng = np.random.default_rng(int(self.seed))
         tones_hz = self.bandwidth_hz * (np.arange(_TONES) + rng.random(_TONES)) / _TONES
@@ -286,7 +275,7 @@ class Oscillation(Failure):
         if self.replaces not in (0, 1):
             raise ConfigError(f"oscillation: replaces must be 0 (on top of the motion) or 1, not {self.replaces}")
 
-    def moved(self, servo: AnyServo, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
         """A sine that begins at its zero."""
         about_deg = deflection_deg[0] if self.replaces else deflection_deg
         moved_deg: FloatArray = about_deg + self.amplitude_deg * np.sin(2.0 * np.pi * self.frequency_hz * elapsed_s)
@@ -328,7 +317,7 @@ class Slow(Failure):
             if getattr(self, name) > 1.0:
                 raise ConfigError(f"slow: {name} must be at most 1, not {getattr(self, name)}")
 
-    def become(self, servo: AnyServo) -> AnyServo:
+    def become(self, servo: ServoModel) -> ServoModel:
         """The same servo, slower."""
         return servo.slower(self.bandwidth_scale or 1.0).weaker(1.0 - self.rate_scale)
 
@@ -363,10 +352,6 @@ class Intermittent(Failure):
     apart_s: float = 4.0
     seed: float = 0
 
-    def __post_init__(self) -> None:
-        Failure.__post_init__(self)
-        _check_seed(self.kind, self.seed)
-
     def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
         """The command, held in outages."""
         rng = np.random.default_rng(int(self.seed))
@@ -381,5 +366,5 @@ class Intermittent(Failure):
 
 
 _KINDS = (Stuck, Bias, HardOver, Floating, Oscillation, DeadBand, Slow, LossOfEffectiveness, Intermittent)
-FAULTS: dict[str, Callable[..., Failure]] = {fault.kind: fault for fault in _KINDS}
+FAULTS: dict[str, type[Failure]] = {fault.kind: fault for fault in _KINDS}
 """Faults that a user can ask for by name."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import importlib.util
 import inspect
 import math
 import os
@@ -22,8 +21,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -38,14 +38,9 @@ STEPPED = (Slot.COMMAND, Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED, Slot.STOP
 """Slots whose effects are compiled, in their order."""
 INSIDE_LOOP = STEPPED[:6]
 """Slots in which an effect changes what drives the loop, so that steps must be short."""
-_BY_STATES = ("advance", "departs")
-"""Functions that are there for three states, and in another form for any number."""
-_COMPILED = {
-    "nudge": "inlined", "advance": "inlined", "advance_any": "inner", "departs": "inlined", "departs_any": "inner",
-    "run": "outer",
-}  # fmt: skip
 _BEGIN, _END = "# Slots begin here.\n", "# Slots end here.\n"
-_SEEN_FROM_OUTSIDE = "GAIN = BIAS = -1"
+_STATES = "x.shape[1] // 3"
+"""How the stepper counts the states of a servo."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,16 +58,13 @@ class Act:
 class Stepper:
     """The stepper for some effects, and the layout of its arrays."""
 
-    fields: tuple[str, ...]
+    fields: Mapping[str, int]
+    """Place of each field among the sizes."""
     off: FloatArray
     """Size of each field of a servo without effects, shape (fields,)."""
     acts: tuple[Act, ...]
     memory: int
     run: Callable[..., int]
-
-    def index(self, field: str) -> int:
-        """Place of a field among the sizes."""
-        return self.fields.index(field)
 
 
 def _acts_of(effects: Sequence[type[Effect]]) -> tuple[tuple[Act, ...], int]:
@@ -85,9 +77,7 @@ def _acts_of(effects: Sequence[type[Effect]]) -> tuple[tuple[Act, ...], int]:
             by_function.setdefault(effect.act, []).append(effect)
     acts, first = [], 1
     for forms in by_function.values():
-        switches = dict.fromkeys(
-            f for form in forms for p in form.parameters if not p.aside for f in p.fields if f in forms[0].sees
-        )
+        switches = dict.fromkeys(f for form in forms for f in form.switches if f in forms[0].sees)
         acts.append(Act(forms[0], tuple(switches), first))
         first += forms[0].memory
     return tuple(acts), first
@@ -104,11 +94,10 @@ def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is
     """
     off = fields_of(effects)
     acts, memory = _acts_of(effects)
-    fields = tuple(off)
     with _ONE_AT_A_TIME:
         text = text_of(acts, off, any_order=any_order)
         module = _module(text) if is_compiled else _executed(text)
-    return Stepper(fields, np.array([off[f] for f in fields]), acts, memory, module.run)
+    return Stepper({field: k for k, field in enumerate(off)}, np.array(list(off.values())), acts, memory, module.run)
 
 
 def check(effect: type[Effect]) -> None:
@@ -135,7 +124,7 @@ def check(effect: type[Effect]) -> None:
         space: dict[str, Any] = {"math": math}
         now = Now(1e-3, 1.0, 1.0, 0.05, 1.0, 0.0, 300.0, 5.0, 1.0, 0.1, 0.0, 1e-3, 1.0)
         try:
-            exec(source.function, space)  # noqa: S102 - the user asked for this effect
+            exec(_text((*source.called, source.tree)), space)  # noqa: S102 - the user asked for this effect
             result = space["act_0"](1.0, now, *(sizes[f] for f in effect.sees), *([0.0] * effect.memory))
         except Exception as error:
             raise ConfigError(f"effect {effect.name}: act: {type(error).__name__}: {error}") from None
@@ -150,7 +139,6 @@ class _Source:
     """What an effect does, as text."""
 
     act: Act
-    number: int
     tree: ast.FunctionDef
     """Its names are those of no other effect."""
     called: tuple[ast.FunctionDef, ...]
@@ -164,22 +152,16 @@ class _Source:
             expected = ", ".join(["x", "now", *act.effect.sees, *["memory"] * act.effect.memory])
             raise ConfigError(f"effect {name}: act is called with ({expected})")
         own = {n.id: given.get(n.id) for n in ast.walk(define) if isinstance(n, ast.Name)}
-        own = {each: value for each, value in own.items() if isinstance(value, FunctionType)}
-        names = {each: f"{each}_{number}" for each in own}
-        called = [_parsed(each, name) for each in own.values()]
-        for each in called:
-            each.name = names[each.name]
-            _rename(each, number, given, name, {})
-        define.name = f"act_{number}"
+        called = [_parsed(each, name) for each in own.values() if isinstance(each, FunctionType)]
+        names = {each.name: f"{each.name}_{number}" for each in called}
         # The value that passes and the step keep their names in every slot.
         passes = dict(zip([argument.arg for argument in define.args.args], ("x", "now"), strict=False))
-        _rename(define, number, given, name, names | passes)
-        return cls(act, number, define, tuple(called))
-
-    @property
-    def function(self) -> str:
-        """Source of the step as a function of its own."""
-        return "\n".join(ast.unparse(each) for each in (*self.called, self.tree)) + "\n"
+        for each, known in (*((each, {}) for each in called), (define, names | passes)):
+            each.name = names.get(each.name, f"act_{number}")
+            local = {n.id for n in ast.walk(each) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+            local |= {argument.arg for argument in each.args.args}
+            _Renamed({**{name: f"{name}_{number}" for name in local}, **known}, given, name).visit(each)
+        return cls(act, define, tuple(called))
 
     @property
     def is_plain(self) -> bool:
@@ -195,17 +177,16 @@ class _Source:
         given = ["x", "now", *(f"p[v, {fields.index(f)}]" for f in effect.sees), *kept]
         into = ", ".join(["x", *kept])
         if not self.is_plain:
-            return [f"    if {where}:", f"        {into} = act_{self.number}({', '.join(given)})"]
+            return [f"    if {where}:", f"        {into} = {self.tree.name}({', '.join(given)})"]
         names = [argument.arg for argument in self.tree.args.args]
         taken = [f"{name} = {value}" for name, value in zip(names, given, strict=True) if name != value]
-        body = [ast.unparse(line) for line in self.tree.body[:-1]]
-        last = self.tree.body[-1]
-        result = ast.unparse(last.value) if isinstance(last, ast.Return) and last.value is not None else "x"
-        inside = textwrap.indent("\n".join([*taken, *body, f"{into} = {result}"]), 8 * " ")
+        result = _text(self.tree.body).removesuffix("\n").rpartition("return ")
+        inside = textwrap.indent("\n".join([*taken, f"{result[0]}{into} = {result[2]}"]), 8 * " ")
         return [f"    if {where}:", inside]
 
 
-_BUILT_IN = ("math", "abs", "min", "max", "int", "float", "bool", "range", "round")
+def _text(nodes: Sequence[ast.stmt]) -> str:
+    return "".join(ast.unparse(each) + "\n" for each in nodes)
 
 
 def _parsed(function: Any, effect: str) -> ast.FunctionDef:  # noqa: ANN401 - what a user wrote
@@ -217,75 +198,57 @@ def _parsed(function: Any, effect: str) -> ast.FunctionDef:  # noqa: ANN401 - wh
     if not isinstance(define, ast.FunctionDef):
         raise ConfigError(f"effect {effect}: act must be a function, a static method of its class")
     define.decorator_list, define.returns = [], None
+    for argument in define.args.args:
+        argument.annotation = None
     if ast.get_docstring(define) is not None:
         del define.body[0]
     return define
 
 
-def _rename(
-    define: ast.FunctionDef, number: int, given: Mapping[str, Any], effect: str, known: Mapping[str, str]
-) -> None:
-    """Give the names of a function a number of its own, but for known ones, and put in numbers of its module."""
-    arguments = define.args.args
-    local = {n.id for n in ast.walk(define) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
-    local |= {argument.arg for argument in arguments}
-    new = {**{name: f"{name}_{number}" for name in local}, **known}
-    for argument in arguments:
-        argument.annotation, argument.arg = None, new[argument.arg]
-    for node in ast.walk(define):
-        for name, value in ast.iter_fields(node):
-            if isinstance(value, list):
-                setattr(node, name, [_constant(v, new, given, effect) for v in value])
-            elif isinstance(value, ast.AST):
-                setattr(node, name, _constant(value, new, given, effect))
+_BUILT_IN = ("math", "abs", "min", "max", "int", "float", "bool", "range", "round")
 
 
-def _constant(node: Any, new: Mapping[str, str], given: Mapping[str, Any], effect: str) -> Any:  # noqa: ANN401
-    """A name as it is called now, or the number that it stands for."""
-    if not isinstance(node, ast.Name) or node.id in _BUILT_IN or node.id in new.values():
+class _Renamed(ast.NodeTransformer):
+    """Give the names of a function others, and put in the numbers of its module."""
+
+    def __init__(self, names: Mapping[str, str], given: Mapping[str, Any], effect: str) -> None:
+        self._names, self._given, self._effect = names, given, effect
+
+    def visit_arg(self, node: ast.arg) -> ast.arg:
+        node.arg = self._names[node.arg]
         return node
-    if node.id in new:
-        return ast.copy_location(ast.Name(new[node.id], node.ctx), node)
-    value = given.get(node.id)
-    if not isinstance(value, int | float):
-        raise ConfigError(f"effect {effect}: act may use math, numbers and functions of its module, not {node.id}")
-    return ast.copy_location(ast.Constant(value), node)
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if node.id in self._names:
+            return ast.Name(self._names[node.id], node.ctx)
+        value = self._given.get(node.id)
+        if node.id in _BUILT_IN:
+            return node
+        if not isinstance(value, int | float):
+            what = "math, numbers and functions of its module"
+            raise ConfigError(f"effect {self._effect}: act may use {what}, not {node.id}")
+        return ast.Constant(value)
 
 
 def text_of(acts: Sequence[Act], off: Mapping[str, float], *, any_order: bool = False) -> str:
-    """Source of the stepper with the functions of its slots; for servos of three states, or of any number.
-
-    Examples
-    --------
-    >>> "def run(" in text_of((), {})
-    True
-    """
-    source = resources.files("servofd.servo").joinpath("stepper.py").read_text(encoding="utf-8")
-    before, rest = source.split(_BEGIN)
-    _, after = rest.split(_END)
+    """Source of the stepper with the functions of its slots; for servos of three states, or of any number."""
+    text = resources.files("servofd.servo").joinpath("stepper.py").read_text(encoding="utf-8")
+    before, _, rest = text.partition(_BEGIN)
+    after = rest.partition(_END)[2]
+    if not any_order:
+        after = after.replace(_STATES, "3")
     fields = list(off)
-    where = {
-        name: fields.index(field) if field in fields else -1 for name, field in (("GAIN", "gain"), ("BIAS", "bias_deg"))
-    }
-    before = before.replace(_SEEN_FROM_OUTSIDE, "\n".join(f"{name} = {k}" for name, k in where.items()))
-    before = before.replace(
-        "from servofd.core.types", "from logparsers.compiled import compile_steps\nfrom servofd.core.types"
-    )
+    seen = [
+        f"{name} = {fields.index(field) if field in fields else -1}\n"
+        for name, field in (("GAIN", "gain"), ("BIAS", "bias_deg"))
+    ]
     sources = [_Source.of(act, number) for number, act in enumerate(acts)]
-    functions = [ast.unparse(called) + "\n" for each in sources for called in each.called]
-    functions += [ast.unparse(each.tree) + "\n" for each in sources if not each.is_plain]
+    functions = [_text([called]) for each in sources for called in each.called]
+    functions += [_text([each.tree]) for each in sources if not each.is_plain]
     functions += [_slot(slot, sources, off) for slot in STEPPED]
     functions.append(_rest(sources, off))
     slots = "\n\n".join(f"@compile_steps(kind='inlined')\n{each}" for each in functions)
-    for name in _BY_STATES:
-        unused = name if any_order else f"{name}_any"
-        begin = after.index(f"def {unused}(")
-        after = after[:begin] + after[after.index("\ndef ", begin) + 1 :]
-        if any_order:
-            after = after.replace(f" {name}(x, v,", f" {name}_any(x, v,")
-    for name, kind in _COMPILED.items():
-        after = after.replace(f"\ndef {name}(", f"\n@compile_steps(kind={kind!r})\ndef {name}(")
-    return f"{before}{slots}\n{after}"
+    return f"{before}{''.join(seen)}\n\n{slots}\n{after}"
 
 
 def _number(value: float) -> str:
@@ -310,25 +273,19 @@ def _rest(sources: Sequence[_Source], off: Mapping[str, float]) -> str:
     return "\n".join([*lines, "    m[v, 0] = x", ""])
 
 
-def _executed(text: str) -> Any:  # noqa: ANN401 - a module
+def _executed(text: str) -> ModuleType:
     """The text as plain Python."""
-    module = type(sys)("servofd_stepper")
-    plain = text.replace("from logparsers.compiled import compile_steps\n", "")
-    lines = [line for line in plain.split("\n") if not line.startswith("@compile_steps")]
+    module = ModuleType("servofd_stepper")
+    lines = [line for line in text.split("\n") if "compile_steps" not in line]
     exec(compile("\n".join(lines), "<stepper>", "exec"), module.__dict__)  # noqa: S102 - our own text
     return module
-
-
-def _named(text: str) -> str:
-    return f"servofd_stepper_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
 def path_of(effects: tuple[type[Effect], ...]) -> Path | None:
     """File of the stepper for some effects; None where nothing is compiled."""
     if not compiler.has_compiler():
         return None
-    text = text_of(_acts_of(effects)[0], fields_of(effects))
-    return _written(compiler.cache_folder(), _named(text), text)
+    return _written(text_of(_acts_of(effects)[0], fields_of(effects)))
 
 
 def is_kept(path: Path) -> bool:
@@ -345,41 +302,29 @@ def mark_kept(path: Path) -> None:
         path.with_suffix(".kept").write_text(compiler.made_by(), encoding="utf-8")
 
 
-_compiling: list[subprocess.Popen[bytes]] = []
+compiling: list[subprocess.Popen[bytes]] = []
+"""Processes that compile ahead; the first that needs the stepper waits for them."""
 _ONE_AT_A_TIME = threading.Lock()
 """Surfaces are judged in threads of their own, and more than one may be the first to need a stepper; Python 3.11 cannot
 parse the source of effects in two threads at once (SystemError: AST constructor recursion depth mismatch)."""
 
 
-def is_compiling() -> bool:
-    """Whether processes were started that compile it."""
-    return bool(_compiling)
-
-
-def wait_for(process: subprocess.Popen[bytes]) -> None:
-    """Have the first that needs the stepper wait for a process that compiles ahead."""
-    _compiling.append(process)
-
-
-def _module(text: str) -> Any:  # noqa: ANN401 - a module
+def _module(text: str) -> ModuleType:
     """The text as a module in the cache folder, beside which the compiler keeps what it made."""
-    for process in _compiling:
+    for process in compiling:
         process.wait()
-    name = _named(text)
-    if name in sys.modules:
-        return sys.modules[name]
-    path = _written(compiler.cache_folder(), name, text)
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        return _executed(text)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    sys.modules[name] = module
-    return module
+    path = _written(text)
+    if path.stem not in sys.modules:
+        module = ModuleType(path.stem)
+        SourceFileLoader(path.stem, str(path)).exec_module(module)
+        sys.modules[path.stem] = module
+    return sys.modules[path.stem]
 
 
-def _written(folder: Path, name: str, text: str) -> Path:
+def _written(text: str) -> Path:
     """The file of a module, in the cache folder or, where nothing can be written there, in one that goes."""
+    name = f"servofd_stepper_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    folder = compiler.cache_folder()
     for place in (folder, Path(tempfile.gettempdir()) / f"servofd-{os.getuid() if hasattr(os, 'getuid') else 0}"):
         path = place / f"{name}.py"
         try:

@@ -59,12 +59,8 @@ class Servo(BaseModel):
 
     @model_validator(mode="after")
     def _complete_and_stable(self) -> Self:
-        polynomial = (self.numerator is not None, self.denominator is not None)
-        second_order = (self.bandwidth_hz is not None, self.damping is not None)
-        if (all(polynomial), any(polynomial), all(second_order), any(second_order)) not in (
-            (True, True, False, False),
-            (False, False, True, True),
-        ):
+        given = (self.numerator, self.denominator, self.bandwidth_hz, self.damping)
+        if [one is not None for one in given] not in ([True, True, False, False], [False, False, True, True]):
             raise ValueError("give either numerator and denominator, or bandwidth_hz and damping")
         if (self.hold == "none") != (self.hold_period_s is not None):
             raise ValueError('hold_period_s belongs to hold = "none", and to that alone')
@@ -142,39 +138,28 @@ def servo_named(name: str) -> Servo:
     return servos[name]
 
 
-def find_servo(name: str) -> tuple[str, Servo]:
-    """Servo of the library, or the one of a servo file, with its name.
+def find_servo(name: str) -> tuple[str, Servo, dict[str, Any]]:
+    """Servo of the library, or the one of a servo file: its name, the servo, and how its surfaces are judged.
 
     `name`: name in the library, or path of a TOML file with one entry ``[servos.NAME]``, such as ``servofd identify
-    --save`` writes.
+    --save`` writes. How they are judged is empty if the file says nothing.
 
     Examples
     --------
-    >>> find_servo("s3151")[0]
-    's3151'
+    >>> key, _, levels = find_servo("s3151")
+    >>> key, levels
+    ('s3151', {})
     """
     if not name.endswith(".toml"):
-        return name, servo_named(name)
-    entries = read_toml(Path(name), name, "servo file").get("servos", {})
+        return name, servo_named(name), {}
+    file = read_toml(Path(name), name, "servo file")
+    entries = file.get("servos", {})
     if not isinstance(entries, dict) or len(entries) != 1:
         raise ConfigError(f"{name}: a servo file has one entry [servos.NAME]; 'servofd identify --save' writes one")
     ((key, entry),) = entries.items()
-    return key, _checked(Servo, entry, name, ("servos", key))
-
-
-def levels_in(name: str) -> dict[str, Any]:
-    """How surfaces are judged that a servo turns, as its file says; empty if it says nothing, or is in the library.
-
-    Examples
-    --------
-    >>> levels_in("s3151")
-    {}
-    """
-    if not name.endswith(".toml"):
-        return {}
-    entry = read_toml(Path(name), name, "servo file").get("surface", {})
-    levels = _checked(_Levels, entry, name, ("surface",))
-    return {key: getattr(levels, key) for key in levels.model_fields_set}
+    servo = _checked(Servo, entry, name, ("servos", key))
+    levels = _checked(_Levels, file.get("surface", {}), name, ("surface",))
+    return key, servo, {each: getattr(levels, each) for each in levels.model_fields_set}
 
 
 class _Levels(BaseModel):

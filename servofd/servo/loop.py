@@ -48,9 +48,6 @@ class Loop(NamedTuple):
     """Derivatives of the states over the states, shape (n * n,), row by row."""
     b: FloatArray
     """The same over command, push and pull, shape (n * 3,)."""
-    steps: FloatArray
-    """States after 0..k steps of the grid, shape (k + 1, n * (n + 4)), from states, command, slope, push and pull."""
-    grid_s: float
     rest: FloatArray
     """States of a shaft at rest at 1, shape (n,)."""
     gain: float
@@ -69,6 +66,9 @@ class Loop(NamedTuple):
     """Of the loop: how fast what acts on it matters."""
     is_physical: bool
     """Whether effects can act inside."""
+    grid_s: float = 0.0
+    steps: FloatArray = np.zeros((0, 0))
+    """States after 0..k steps of the grid, shape (k + 1, n * (n + 4)), from states, command, slope, push and pull."""
 
 
 class Scales(NamedTuple):
@@ -179,81 +179,67 @@ def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSES
     order = len(transfer.denominator) - 1
     is_physical = len(transfer.numerator) == 1 and 1 <= order <= _PHYSICAL
     poles = _poles(transfer.denominator, scales) if is_physical else None
-    fastest = poles.fastest if poles else float(np.abs(scaled(transfer, scales).poles_rad_s).max())
+    loop = _physical(order, transfer.dc_gain, poles, scales) if poles else _canonical(scaled(transfer, scales))
+    fastest = poles.fastest if poles else loop.natural_rad_s
     # Halved until it is fine enough, so that servos whose poles differ a little share one grid.
     grid_s *= 0.5 ** max(math.ceil(math.log2(grid_s * fastest / _FASTEST_TIMES_GRID)), 0)
-    rest: FloatArray
-    if poles:
-        a, b, facts = _physical(order, poles, scales)
-        rest = np.array([1.0, 0.0, float(facts.leaves == 2 or facts.filters)])
-    else:
-        a, b, facts = _canonical(scaled(transfer, scales))
-        # The companion's states at rest: each is what the one before it and the command leave of the balance.
-        rest = np.asarray(-np.linalg.solve(a, b[:, 0]) / transfer.dc_gain, dtype=float)
-        b = b / transfer.dc_gain
     count = min(round(_LONGEST_S / grid_s), _MOST)
-    return Loop(
-        a.ravel(), b.ravel(), _steps(a, b, grid_s, count), grid_s, rest,
-        transfer.dc_gain, facts.error_s / transfer.dc_gain,
-        facts.per_error, facts.leaves, facts.filters, facts.stretch, facts.natural_rad_s, is_physical,
-    )  # fmt: skip
+    return loop._replace(grid_s=grid_s, steps=_steps(loop.a, loop.b, loop.rest.size, grid_s, count))
 
 
-class _Facts(NamedTuple):
-    error_s: float
-    per_error: float
-    leaves: int
-    filters: bool
-    stretch: FloatArray
-    natural_rad_s: float
-
-
-def _physical(order: int, poles: _Poles, scales: Scales) -> tuple[FloatArray, FloatArray, _Facts]:
+def _physical(order: int, gain: float, poles: _Poles, scales: Scales) -> Loop:
     """Derivatives of shaft, speed and third state."""
     a, b, monic = np.zeros((3, 3)), np.zeros((3, 3)), _monic(order, poles)
     stiffness, error_s = float(monic[-1]), float(monic[-2] / monic[-1])
+    per_error, natural_rad_s, leaves, filters = stiffness, poles.fastest, 0, False
     stretch: FloatArray = np.array([0.0, 1.0, 0.0])
     if order == 1:
         a[0, 0], b[0] = -stiffness, (stiffness, stiffness, 1.0)
-        return a, b, _Facts(1.0 / stiffness, stiffness, 0, False, stretch, stiffness)
-    a[0, 1] = 1.0
-    if order == 2 or scales.place != INSIDE:
+        natural_rad_s = stiffness
+    elif order == 2 or scales.place != INSIDE:
         slow, damping, stiffness = poles.in_order()
+        a[0, 1] = 1.0
         a[1, :2], b[1] = (-stiffness, -damping), (stiffness, stiffness, 1.0)
         filters = order == _PHYSICAL and scales.place == BEFORE
         if filters:
             a[1, 2], b[1, 0], a[2, 2], b[2, 0] = stiffness, 0.0, -slow, slow
         elif order == _PHYSICAL:
-            a[2, 0], a[2, 2] = slow, -slow
-        leaves = 2 if order == _PHYSICAL and not filters else 0
-        return a, b, _Facts(damping / stiffness, stiffness, leaves, filters, stretch, math.sqrt(stiffness))
-    q = scales.torque_share * float(monic[1])
-    p = float(monic[1]) - q
-    a[1, 1:], a[2] = (-p, 1.0), (-stiffness, -(float(monic[2]) - p * q), -q)
-    b[1, 2], b[2, :2] = 1.0, stiffness
-    return a, b, _Facts(error_s, stiffness / q, 0, False, np.array([0.0, 1.0, 2.0]), poles.fastest)
+            a[2, 0], a[2, 2], leaves = slow, -slow, 2
+        error_s, per_error, natural_rad_s = damping / stiffness, stiffness, math.sqrt(stiffness)
+    else:
+        q = scales.torque_share * float(monic[1])
+        p = float(monic[1]) - q
+        a[0, 1] = 1.0
+        a[1, 1:], a[2] = (-p, 1.0), (-stiffness, -(float(monic[2]) - p * q), -q)
+        b[1, 2], b[2, :2] = 1.0, stiffness
+        per_error, stretch = stiffness / q, np.array([0.0, 1.0, 2.0])
+    rest: FloatArray = np.array([1.0, 0.0, float(leaves == 2 or filters)])
+    error_s /= gain
+    return Loop(a.ravel(), b.ravel(), rest, gain, error_s, per_error, leaves, filters, stretch, natural_rad_s, True)
 
 
-def _canonical(transfer: TransferFunction) -> tuple[FloatArray, FloatArray, _Facts]:
+def _canonical(transfer: TransferFunction) -> Loop:
     """Derivatives of a chain of integrators whose first state is the deflection."""
-    bottom = np.array(transfer.denominator) / transfer.denominator[0]
+    bottom, gain = np.array(transfer.denominator) / transfer.denominator[0], transfer.dc_gain
     n = bottom.size - 1
     top = np.zeros(n)
     top[n - len(transfer.numerator) :] = np.array(transfer.numerator) / transfer.denominator[0]
     a: FloatArray = np.eye(n, k=1)
     a[:, 0] = -bottom[1:]
     b = np.zeros((n, 3))
-    b[:, 0] = top
+    b[:, 0] = top / gain
+    # The companion's states at rest: each is what the one before it and the command leave of the balance.
+    rest = np.asarray(-np.linalg.solve(a, top) / gain, dtype=float)
     fastest = float(np.abs(transfer.poles_rad_s).max())
     stretch: FloatArray = np.arange(n, dtype=float)
-    return a, b, _Facts(float(bottom[-2] / bottom[-1]), float(bottom[-1]), 0, False, stretch, fastest)
+    error_s, per_error = float(bottom[-2] / bottom[-1]) / gain, float(bottom[-1])
+    return Loop(a.ravel(), b.ravel(), rest, gain, error_s, per_error, 0, False, stretch, fastest, False)
 
 
-def _steps(a: FloatArray, b: FloatArray, grid_s: float, count: int) -> FloatArray:
+def _steps(a: FloatArray, b: FloatArray, n: int, grid_s: float, count: int) -> FloatArray:
     """States after 0..count steps of the grid, from states and inputs: Taylor's series of a small step, then powers."""
-    n = a.shape[0]
-    whole = np.zeros((n + 4, n + 4))
-    whole[:n, :n], whole[:n, n], whole[:n, n + 2 :] = a, b[:, 0], b[:, 1:]
+    whole, inputs = np.zeros((n + 4, n + 4)), b.reshape(n, 3)
+    whole[:n, :n], whole[:n, n], whole[:n, n + 2 :] = a.reshape(n, n), inputs[:, 0], inputs[:, 1:]
     whole[n, n + 1] = 1.0  # the command runs on at its slope
     one, term = np.eye(n + 4), np.eye(n + 4)
     for k in range(1, _TERMS):

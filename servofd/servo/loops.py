@@ -14,7 +14,6 @@ from servofd.core.types import FloatArray
 Kind = TypeVar("Kind", np.float64, np.int8, np.bool_)
 
 compiled = partial(compiler.compiled, error_model="numpy", fastmath={"contract"}, _nrt=False)
-inlined = partial(compiler.compiled, error_model="numpy", fastmath={"contract"}, _nrt=False, inline="always")
 inner = partial(compiled, no_cpython_wrapper=True)
 """No reference counting inside: nothing here allocates, and it would take 9/10 of the time (measured). What only other
 compiled functions call needs no door for Python, which takes as long to compile as the function."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +18,15 @@ from servofd.core.errors import DesignError
 from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.effect import Effect, Slot
-from servofd.servo.effects.commands import Commands
-from servofd.servo.generate import INSIDE_LOOP, STEPPED, Act, Stepper, stepper_of
+from servofd.servo.effects.commands import Commands, in_frames
+from servofd.servo.generate import INSIDE_LOOP, STEPPED, Stepper, stepper_of
 from servofd.servo.loop import Loop, loop_of
-from servofd.servo.physics import Physics, rate_fields
+from servofd.servo.physics import Physics
 from servofd.servo.registry import everything
 from servofd.servo.transfer import TransferFunction
+
+if TYPE_CHECKING:
+    from servofd.servo.servo_model import ServoModel
 
 _FASTEST_TIMES_STEP = 0.6
 """Of the loop's natural frequency: longest step while something acts on it (as exact as `Effect.longest_s`)."""
@@ -51,11 +55,6 @@ class Machine:
     longest_s: float
     _arrays: tuple[FloatArray, ...]
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether no step must be shorter than from event to event."""
-        return not self.acts[-1]
-
     def new_state(self) -> State:
         """Before the first instant."""
         count, states = len(self.loops), self.loops[0].rest.size
@@ -72,7 +71,7 @@ class Machine:
         anew: BoolArray = _NEVER,
         measured_deg: FloatArray = _NOWHERE,
         around: FloatArray = _NO_SURROUNDINGS,
-        speed_deg_s: FloatArray | None = None,
+        speed_deg_s: FloatArray = _NOWHERE,
     ) -> tuple[FloatArray, int]:
         """Readings at the next instants [deg], shape (n, V), and how many of the commands have reached the servo.
 
@@ -84,7 +83,7 @@ class Machine:
             self.sizes, self.acts, facts, a, b, steps, rest, self.loops[0].grid_s, self.longest_s,
             _plain(commands[0]), _plain(commands[1]), _plain(commands[2]), _plain(at_s),
             anew if anew.flags.carray else np.array(anew), _plain(measured_deg), around,
-            state.clock, state.states, state.memory, read_deg, _NOWHERE if speed_deg_s is None else speed_deg_s,
+            state.clock, state.states, state.memory, read_deg, speed_deg_s,
         )  # fmt: skip
         return read_deg, int(used)
 
@@ -138,14 +137,14 @@ def _machine(
         loop if loop.grid_s == grid_s else loop_of(transfer, v.scales, grid_s)
         for loop, v in zip(loops, variants, strict=True)
     ]
-    sizes, where = np.array([stepper.off] * len(variants)), _where(stepper)
+    sizes = np.array([stepper.off] * len(variants))
     for row, each in zip(sizes, variants, strict=True):
         for name, value in each:
-            if name in where:
-                row[where[name]] = value
+            if name in stepper.fields:
+                row[stepper.fields[name]] = value
     acts, longest_s = np.zeros(len(STEPPED) + 1, dtype=bool), math.inf
-    switched = _switched(stepper)
-    for act in {act: None for name in acting for act in switched.get(name, ())}:
+    active = [act for act in stepper.acts if not acting.isdisjoint(act.switches)]
+    for act in active:
         if act.effect.slot in INSIDE_LOOP and not loops[0].is_physical:
             raise DesignError(
                 f"a servo of order {order} with {len(transfer.numerator) - 1} zeros has no {act.effect.name}: "
@@ -154,7 +153,7 @@ def _machine(
         acts[STEPPED.index(act.effect.slot)] = True
         if act.effect.slot in INSIDE_LOOP or act.effect.memory:
             acts[-1], longest_s = True, min(longest_s, act.effect.longest_s)
-    on_shaft = {act.effect for name in acting for act in switched.get(name, ()) if act.effect.slot is Slot.OUTPUT}
+    on_shaft = [act.effect for act in active if act.effect.slot is Slot.OUTPUT]
     if len(on_shaft) > 1:
         longest_s = min(longest_s, *(effect.apart_s for effect in on_shaft))
     if acts[-1]:
@@ -164,18 +163,6 @@ def _machine(
     each_of = ([getattr(o, name) for o in loops] for name in ("a", "b", "steps", "rest"))
     stacked = (np.array(one) if len(one) > 1 else one[0][None] for one in each_of)  # of one servo they are not copied
     return Machine(stepper, tuple(loops), sizes, acts, min(longest_s, 1.0) / finer, (facts, *stacked))
-
-
-@lru_cache(maxsize=8)
-def _switched(stepper: Stepper) -> dict[str, list[Act]]:
-    """What acts where a field is not off."""
-    return {name: [act for act in stepper.acts if name in act.switches] for name in stepper.fields}
-
-
-@lru_cache(maxsize=8)
-def _where(stepper: Stepper) -> dict[str, int]:
-    """Place of each field among the sizes."""
-    return {field: k for k, field in enumerate(stepper.fields)}
 
 
 def _of_first_order(physics: Physics, dc_gain: float) -> Physics:
@@ -188,142 +175,49 @@ def _of_first_order(physics: Physics, dc_gain: float) -> Physics:
     )  # fmt: skip
 
 
-def around(context: Context, at_s: FloatArray, physics: Physics, power: FloatArray | None = None) -> FloatArray:
-    """What acts on a servo until each of some instants, shape (n, 5), as the stepper takes it.
-
-    Dynamic pressure [Pa], supply [V], supply over the usual one (1 if it is not given), current [A], load.
-    """
-    return np.column_stack(
-        [
-            context.pressure_pa(at_s),
-            context.supply_v(at_s),
-            np.ones(at_s.size) if power is None else power,
-            context.drawn_a(at_s),
-            context.pushed(at_s, physics.load_late_s),
-        ]
-    )
-
-
 def received(physics: Physics, commands: Commands) -> Commands:
     """Commands as they reach a servo: delayed, in steps, in pulse frames; by every effect on them, in their order."""
     acting = {name for name, _ in physics}
-    for effect, switches in _on_commands(everything()):
-        if effect.act is not None and not acting.isdisjoint(switches):
+    for effect in everything():
+        if effect.slot is Slot.EVENTS and effect.act is not None and not acting.isdisjoint(effect.switches):
             commands = effect.act(commands, *(getattr(physics, name) for name in effect.sees))
     return commands
 
 
-@lru_cache(maxsize=8)
-def _on_commands(effects: tuple[type[Effect], ...]) -> tuple[tuple[type[Effect], frozenset[str]], ...]:
-    """Effects on the commands, each with the sizes of which one at least is not off where it acts."""
-    return tuple(
-        (effect, frozenset(f for p in effect.parameters if not p.aside for f in p.fields))
-        for effect in effects
-        if effect.slot is Slot.EVENTS
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AnyServo:
-    """A servo that is simulated: its linear loop, the sizes of its effects, and what is around it.
-
-    Its delay is left to whoever delays the commands.
-    """
-
-    transfer: TransferFunction
-    physics: Physics
-    context: Context = NO_CONTEXT
-
-    def slower(self, bandwidth_scale: float) -> AnyServo:
-        """The servo with every pole scaled."""
-        scale = bandwidth_scale * self.physics.bandwidth_scale
-        return replace(self, physics=self.physics._replace(bandwidth_scale=scale))
-
-    def limited(self, rate_deg_s: float) -> AnyServo:
-        """The servo with a lower rate limit [deg/s], of the kind that it has."""
-        motor = ("rate_up_deg_s", "rate_down_deg_s")
-        kind = motor if self.physics.rate_up_deg_s < math.inf else ("follow_up_deg_s", "follow_down_deg_s")
-        lower = {name: min(rate_deg_s, getattr(self.physics, name)) for name in kind}
-        return replace(self, physics=self.physics._replace(**lower))
-
-    def weaker(self, share: float) -> AnyServo:
-        """The servo with every rate limit lower by a share."""
-        return replace(self, physics=weaker(self.physics, share))
-
-    @property
-    def rate_up_deg_s(self) -> float:
-        """Fastest motion upwards [deg/s]; infinite if nothing limits it."""
-        return min(self.physics.rate_up_deg_s, self.physics.follow_up_deg_s, self.physics.set_point_deg_s)
-
-    @property
-    def rate_down_deg_s(self) -> float:
-        """Fastest motion downwards [deg/s]."""
-        return min(self.physics.rate_down_deg_s, self.physics.follow_down_deg_s, self.physics.set_point_deg_s)
-
-    @property
-    def lower_deg(self) -> float:
-        """Lowest position of the surface: a stop of the linkage or of the servo [deg]."""
-        return max(self.physics.lower_deg, self.physics.gain * self.physics.stop_lower_deg)
-
-    @property
-    def upper_deg(self) -> float:
-        """Highest position [deg]."""
-        return min(self.physics.upper_deg, self.physics.gain * self.physics.stop_upper_deg)
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether nothing acts inside its loop or is loose, so that its motion scales with its command."""
-        beside = {"follow_up_deg_s", "follow_down_deg_s", "lower_deg", "upper_deg"}
-        return {name for name, _ in self.physics} <= beside
-
-
-def weaker(physics: Physics, share: float) -> Physics:
-    """The same with every rate limit lower by a share.
-
-    Examples
-    --------
-    >>> weaker(Physics(follow_up_deg_s=100.0), 0.2).follow_up_deg_s
-    80.0
-    """
-    return physics._replace(**{name: (1.0 - share) * getattr(physics, name) for name in rate_fields()})
-
-
 def started_anew(
-    servo: AnyServo, commands: Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
+    servo: ServoModel, commands: Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
 ) -> FloatArray:
-    """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked."""
+    """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked.
+
+    `servo`: as in `Motion`.
+    """
     if not at_s.size:
         return np.zeros(0)
     machine = machine_of(servo.transfer, (servo.physics,))
     commands = received(servo.physics, commands) if commands[0].size else commands
-    beside = _around(servo, machine, at_s)
-    return machine.run(machine.new_state(), commands, at_s, anew=anew, measured_deg=measured_deg, around=beside)[0][
-        :, 0
-    ]
+    beside = _around(servo.context, servo.physics, machine, at_s)
+    read_deg, _ = machine.run(machine.new_state(), commands, at_s, anew=anew, measured_deg=measured_deg, around=beside)
+    return read_deg[:, 0]
 
 
-def _around(servo: AnyServo, machine: Machine, at_s: FloatArray) -> FloatArray:
-    """What acts on a servo; nothing where nothing was logged, or it depends on nothing."""
-    if servo.context is NO_CONTEXT or not machine.acts.any():
+def _around(context: Context, physics: Physics, machine: Machine, at_s: FloatArray) -> FloatArray:
+    """What acts on a servo until each of some instants; nothing where nothing was logged, or it depends on nothing."""
+    if context is NO_CONTEXT or not machine.acts.any():
         return _NO_SURROUNDINGS
-    return around(servo.context, at_s, servo.physics)
-
-
-def swung(servo: AnyServo, commands: Commands, at_s: FloatArray) -> FloatArray:
-    """Deflection at some instants after the first command [deg], from rest at that."""
-    from_first_s = np.concatenate([commands[0][:1], at_s])
-    return started_anew(servo, commands, from_first_s, _NOWHERE, _NEVER)[1:]
+    supply_v, load = context.supply_v(at_s), context.pushed(at_s, physics.load_late_s)
+    return np.column_stack([context.pressure_pa(at_s), supply_v, np.ones(at_s.size), context.drawn_a(at_s), load])
 
 
 @dataclass(slots=True, eq=False)
 class Motion:
     """Where a servo is, from one instant to the next, under commands that come in as time goes on.
 
-    `servo`: the servo; with what is around it, which a monitor in flight replaces as it learns more. `start_deg`: where
-    the surface was measured at the first instant [deg]; NaN: where its first command wants it.
+    `servo`: its delay left to whoever delays the commands (`ServoModel.servo`); with what is around it, which a monitor
+    in flight replaces as it learns more. `start_deg`: where the surface was measured at the first instant [deg]; NaN:
+    where its first command wants it.
     """
 
-    servo: AnyServo
+    servo: ServoModel
     start_deg: float = math.nan
     context: Context = field(init=False)
     _machine: Machine = field(init=False)
@@ -360,18 +254,18 @@ class Motion:
         self._moved(np.array([now_s]), np.ones(1, dtype=bool), np.array([deflection_deg]))
 
     def _moved(self, at_s: FloatArray, anew: BoolArray, measured_deg: FloatArray) -> FloatArray:
-        servo = self.servo if self.context is self.servo.context else replace(self.servo, context=self.context)
-        framed = servo.physics.frame_s > 0.0
+        physics = self.servo.physics
+        framed = physics.frame_s > 0.0
         commands = self._framed(float(at_s[-1])) if framed else self._waiting
+        beside = _around(self.context, physics, self._machine, at_s)
         read_deg, used = self._machine.run(
-            self._state, commands, at_s, anew=anew, measured_deg=measured_deg,
-            around=_around(servo, self._machine, at_s),
-        )  # fmt: skip
+            self._state, commands, at_s, anew=anew, measured_deg=measured_deg, around=beside
+        )
         if not framed:
             self._waiting = (self._waiting[0][used:], self._waiting[1][used:], self._waiting[2][used:])
         return read_deg[:, 0]
 
-    def become(self, servo: AnyServo) -> None:
+    def become(self, servo: ServoModel) -> None:
         """Go on as another servo, from where it is; a slower one, as if time had been stretched."""
         if servo is self.servo:
             return
@@ -381,12 +275,6 @@ class Motion:
         loop = machine.loops[0]
         scale = servo.physics.bandwidth_scale / self.servo.physics.bandwidth_scale
         self._state.states[:, : loop.rest.size] *= scale**loop.stretch
-        memory = machine.new_state().memory
-        if memory.shape == self._state.memory.shape:
-            memory = self._state.memory
-        elif not math.isnan(self._state.clock[0]):  # effects that it had not: all of them where the shaft is
-            memory[:] = self._state.states[0, loop.leaves] * loop.gain
-        self._state = State(self._state.clock, self._state.states, memory)
         self.servo, self._machine = servo, machine
 
     def _framed(self, until_s: float) -> Commands:
@@ -396,13 +284,10 @@ class Motion:
             return self._waiting
         if self._next_frame is None:
             self._next_frame = math.ceil(self._waiting[0][0] / period_s - phase)
-        last = math.floor(until_s / period_s - phase)
-        begin_s = (np.arange(self._next_frame, last + 1) + phase) * period_s
-        self._next_frame = max(self._next_frame, last + 1)
-        held = np.maximum(np.searchsorted(self._waiting[0], begin_s, side="right") - 1, 0)
-        since_s = np.maximum(begin_s - self._waiting[0][held], 0.0)
-        deg = self._waiting[1][held] + self._waiting[2][held] * since_s
+        after = math.floor(until_s / period_s - phase) + 1
+        carried = in_frames(self._waiting, np.arange(float(self._next_frame), after), period_s, phase)
+        self._next_frame = max(self._next_frame, after)
         # The last command before now may be carried by frames to come.
         done = max(int(np.searchsorted(self._waiting[0], until_s, side="right")) - 1, 0)
         self._waiting = (self._waiting[0][done:], self._waiting[1][done:], self._waiting[2][done:])
-        return begin_s, deg, np.zeros(begin_s.size)
+        return carried

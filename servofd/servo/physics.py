@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,6 +28,7 @@ def _unknown(field: str) -> AttributeError:
     return AttributeError(f"no effect has a size {field!r}")
 
 
+@dataclass(init=False, repr=False, frozen=True)
 class Physics:
     """Sizes of the effects of a servo by their fields; those that are not given are as of a servo without.
 
@@ -39,7 +41,6 @@ class Physics:
     True
     """
 
-    __slots__ = ("_sizes",)
     _sizes: dict[str, float]
 
     def __init__(self, **sizes: float) -> None:
@@ -58,18 +59,6 @@ class Physics:
         if field not in off:
             raise _unknown(field)
         return off[field]
-
-    def __setattr__(self, field: str, value: float) -> None:
-        raise AttributeError(f"{field} of a servo cannot be changed; _replace makes another one")
-
-    def __reduce__(self) -> tuple[type[Physics], tuple[()], tuple[None, dict[str, dict[str, float]]]]:
-        return Physics, (), (None, {"_sizes": self._sizes})
-
-    def __setstate__(self, state: tuple[None, dict[str, dict[str, float]]]) -> None:
-        object.__setattr__(self, "_sizes", state[1]["_sizes"])
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Physics) and self._sizes == other._sizes
 
     def __hash__(self) -> int:
         return hash(frozenset(self._sizes.items()))
@@ -100,38 +89,18 @@ class Physics:
     @property
     def needs(self) -> frozenset[str]:
         """What of the servo's surroundings its effects depend on."""
-        return _needs(frozenset(self._sizes), everything())
-
-
-@lru_cache(maxsize=512)
-def _needs(acting: frozenset[str], effects: tuple[type[Effect], ...]) -> frozenset[str]:
-    return frozenset(
-        need
-        for e in effects
-        for need in e.needs
-        if any(acting.intersection(p.fields) for p in e.parameters if not p.aside)
-    )
+        return frozenset(n for e in everything() if e.needs and self._sizes.keys() & e.switches for n in e.needs)
 
 
 def rate_fields() -> tuple[str, ...]:
-    """Sizes that limit a speed."""
-    return tuple(dict.fromkeys(f for e in everything() for p in e.parameters if p.limits_speed for f in p.fields))
+    """Sizes that are a largest speed, of which a weak servo has less."""
+    limits = (p for e in everything() for p in e.parameters if p.off == math.inf and "deg_s" in p.name)
+    return tuple(dict.fromkeys(field for p in limits for field in p.fields))
 
 
 def loose_shares() -> Mapping[str, float]:
-    """Sizes within which a surface rests anywhere, and the share of each that it may be off to either side.
-
-    Examples
-    --------
-    >>> loose_shares()["backlash_deg"]
-    0.5
-    """
-    return _loose_shares(everything())
-
-
-@lru_cache(maxsize=8)
-def _loose_shares(effects: tuple[type[Effect], ...]) -> Mapping[str, float]:
-    return {field: p.loose for e in effects for p in e.parameters if p.loose > 0.0 for field in p.fields}
+    """Sizes within which a surface rests anywhere, and the share of each that it may be off to either side."""
+    return {field: p.loose for e in everything() for p in e.parameters if p.loose > 0.0 for field in p.fields}
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,13 +88,7 @@ def including(effect: type[Effect]) -> Iterator[None]:
 
 @lru_cache(maxsize=8)
 def fields_of(effects: tuple[type[Effect], ...]) -> Mapping[str, float]:
-    """Sizes that effects have, each with the one at which nothing is bent.
-
-    Examples
-    --------
-    >>> fields_of(everything())["gain"]
-    1.0
-    """
+    """Sizes that effects have, each with the one at which nothing is bent."""
     off: dict[str, float] = {}
     for effect in effects:
         for p in effect.parameters:

@@ -14,8 +14,8 @@ from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.loop import scaled
-from servofd.servo.motion import AnyServo, Motion, weaker
-from servofd.servo.physics import Physics, Plant
+from servofd.servo.motion import Motion
+from servofd.servo.physics import Physics, Plant, rate_fields
 from servofd.servo.transfer import TransferFunction
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ class ServoModel:
         The linear servo (thesis Eq. 3.1).
     physics : Physics
         Sizes of its effects, its delay among them.
+    context : Context
+        What is around it.
 
     Examples
     --------
@@ -45,6 +47,7 @@ class ServoModel:
 
     transfer: TransferFunction
     physics: Physics = field(default_factory=Physics)
+    context: Context = field(default=NO_CONTEXT, repr=False, compare=False)
 
     @classmethod
     def of(cls, servo: Servo) -> ServoModel:
@@ -69,21 +72,49 @@ class ServoModel:
         """Only the delay and the linear dynamics, without limits."""
         return ServoModel(self.transfer, Physics(delay_s=self.delay_s))
 
+    def slower(self, bandwidth_scale: float) -> ServoModel:
+        """The servo with every pole scaled."""
+        scale = bandwidth_scale * self.physics.bandwidth_scale
+        return replace(self, physics=self.physics._replace(bandwidth_scale=scale))
+
     def weaker(self, share: float) -> ServoModel:
-        """The servo with every rate limit lower by a share; the same if it has none."""
-        return replace(self, physics=weaker(self.physics, share))
+        """The servo with every rate limit lower by a share.
+
+        Examples
+        --------
+        >>> from servofd.servo.library import servo_named
+        >>> ServoModel.of(servo_named("s3151")).weaker(0.2).rate_up_deg_s
+        212.0
+        """
+        lower = {name: (1.0 - share) * getattr(self.physics, name) for name in rate_fields()}
+        return replace(self, physics=self.physics._replace(**lower))
 
     @property
-    def needs(self) -> frozenset[str]:
-        """What of the servo's surroundings its effects depend on."""
-        return self.physics.needs
+    def rate_up_deg_s(self) -> float:
+        """Fastest motion upwards [deg/s]; infinite if nothing limits it."""
+        return min(self.physics.rate_up_deg_s, self.physics.follow_up_deg_s, self.physics.set_point_deg_s)
 
-    def servo(self, context: Context = NO_CONTEXT) -> AnyServo:
+    @property
+    def rate_down_deg_s(self) -> float:
+        """Fastest motion downwards [deg/s]."""
+        return min(self.physics.rate_down_deg_s, self.physics.follow_down_deg_s, self.physics.set_point_deg_s)
+
+    @property
+    def lower_deg(self) -> float:
+        """Lowest position of the surface: a stop of the linkage or of the servo [deg]."""
+        return max(self.physics.lower_deg, self.physics.gain * self.physics.stop_lower_deg)
+
+    @property
+    def upper_deg(self) -> float:
+        """Highest position [deg]."""
+        return min(self.physics.upper_deg, self.physics.gain * self.physics.stop_upper_deg)
+
+    def servo(self, context: Context = NO_CONTEXT) -> ServoModel:
         """What is simulated, for commands that are delayed already."""
         physics = self.physics
         # Frames begin when they begin, and are received a delay later.
         phase = physics.frame_phase + (physics.delay_s / physics.frame_s if physics.frame_s > 0.0 else 0.0)
-        return AnyServo(self.transfer, physics._replace(delay_s=0.0, frame_phase=phase), context)
+        return ServoModel(self.transfer, physics._replace(delay_s=0.0, frame_phase=phase), context)
 
     def simulate(self, command_s: FloatArray, command_deg: FloatArray, at_s: FloatArray) -> FloatArray:
         """Deflection at given times under a held command, exactly, whatever the spacing of the samples.

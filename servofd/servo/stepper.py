@@ -5,23 +5,24 @@ any step. Where an effect bends it, steps are short: what drives the loop beside
 it (`pull`) are taken in the middle of a step and held; friction is the deceleration that would stop the shaft by the
 end of the step, as far as its strength goes (docs/explain.md, E5 to E7).
 
-This text is compiled as it is for linear servos. `servofd.servo.generate` replaces the functions of the slots, which
-here do nothing, by those of all effects. Names of arrays: `p` (V, sizes) are the sizes of V servos, `m` (V, memory) is
-what their effects remember; the first column of `m` is what left each servo last.
+`servofd.servo.generate` replaces the functions of the slots, which here do nothing, by those of all effects. Names of
+arrays: `p` (V, sizes) are the sizes of V servos, `m` (V, memory) is what their effects remember; the first column of
+`m` is what left each servo last.
 """
 
 from __future__ import annotations
 
 import math
 
+from logparsers.compiled import compile_steps
 from servofd.core.types import BoolArray, FloatArray
 from servofd.servo.effect import Now
 
+# Slots begin here.
 GAIN = BIAS = -1
 """Where in `p` gain and zero of the reading stand; nowhere."""
 
 
-# Slots begin here.
 def command(x: float, now: Now, p: FloatArray, v: int, m: FloatArray) -> float:
     """What passes a slot; without effects, unchanged."""
     return x
@@ -52,6 +53,16 @@ _FAR_DEG = 2e6
 """An overbalanced surface that its servo no longer holds goes no further."""
 
 
+@compile_steps(kind="inlined")
+def departs(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: float) -> float:
+    """Speed of one of the n states of the servo v."""
+    n, total = x.shape[1] // 3, b[v, 3 * out] * u
+    for j in range(n):
+        total += a[v, n * out + j] * x[v, j]
+    return float(total)
+
+
+@compile_steps(kind="inlined")
 def nudge(
     x: FloatArray,
     v: int,
@@ -64,97 +75,62 @@ def nudge(
     pull: float,
     terms: int,
 ) -> None:
-    """Move the servo v of three states on by a small h: Taylor's series of its states."""
-    rate, by = a[v], b[v]
-    y, w, z = x[v, 0], x[v, 1], x[v, 2]
-    d0 = rate[0] * y + rate[1] * w + rate[2] * z + by[0] * u + by[1] * push + by[2] * pull
-    d1 = rate[3] * y + rate[4] * w + rate[5] * z + by[3] * u + by[4] * push + by[5] * pull
-    d2 = rate[6] * y + rate[7] * w + rate[8] * z + by[6] * u + by[7] * push + by[8] * pull
-    y, w, z, part = y + h * d0, w + h * d1, z + h * d2, h
-    e0, e1, e2 = by[0] * s, by[3] * s, by[6] * s
+    """Move the servo v on by a small h: Taylor's series of its n states, in the other 2 n columns of `x`."""
+    n, part, rate, by = x.shape[1] // 3, h, a[v], b[v]
+    for i in range(n):
+        x[v, n + i] = departs(x, v, a, b, i, u) + by[3 * i + 1] * push + by[3 * i + 2] * pull
+    for i in range(n):
+        x[v, i] += h * x[v, n + i]
     for k in range(2, terms if abs(h) > _TINY_S else 2):
-        f0 = rate[0] * d0 + rate[1] * d1 + rate[2] * d2 + e0
-        f1 = rate[3] * d0 + rate[4] * d1 + rate[5] * d2 + e1
-        f2 = rate[6] * d0 + rate[7] * d1 + rate[8] * d2 + e2
-        e0 = e1 = e2 = 0.0
-        d0, d1, d2 = f0, f1, f2
         part *= h / k
-        y, w, z = y + part * d0, w + part * d1, z + part * d2
-    x[v, 0], x[v, 1], x[v, 2] = y, w, z
+        for i in range(n):
+            total = by[3 * i] * s if k == 2 else 0.0
+            for j in range(n):
+                total += rate[n * i + j] * x[v, n + j]
+            x[v, 2 * n + i] = total
+        for i in range(n):
+            x[v, n + i] = x[v, 2 * n + i]
+            x[v, i] += part * x[v, n + i]
 
 
+@compile_steps(kind="inlined")
 def advance(
-    x: FloatArray, v: int, a: FloatArray, b: FloatArray, steps: FloatArray, grid_s: float, h: float, u: float, s: float
+    x: FloatArray,
+    v: int,
+    a: FloatArray,
+    b: FloatArray,
+    steps: FloatArray,
+    grid_s: float,
+    h: float,
+    u: float,
+    s: float,
+    push: float,
+    pull: float,
+    terms: int,
 ) -> None:
-    """Move the linear servo v of three states on by h, under a command u that runs on at s."""
-    last = steps.shape[1] - 1
-    while h > 0.0:
-        k = min(int(h / grid_s + 0.5), last)
-        left = h - k * grid_s
-        y, w, z, row = x[v, 0], x[v, 1], x[v, 2], steps[v, k]
-        x[v, 0] = (row[0] * y + row[1] * w) + (row[2] * z + (row[3] * u + row[4] * s))
-        x[v, 1] = (row[7] * y + row[8] * w) + (row[9] * z + (row[10] * u + row[11] * s))
-        x[v, 2] = (row[14] * y + row[15] * w) + (row[16] * z + (row[17] * u + row[18] * s))
-        u += k * grid_s * s
-        if left > 0.5 * grid_s:
-            h = left
-            continue
-        if abs(left) > _SAME_S:
-            nudge(x, v, a, b, left, u, s, 0.0, 0.0, _TERMS)
-        h = 0.0
-
-
-def advance_any(
-    x: FloatArray, v: int, a: FloatArray, b: FloatArray, steps: FloatArray, grid_s: float, h: float, u: float, s: float
-) -> None:
-    """Move a linear servo of n states on by h; the other 2 n columns of `x` are for what is on its way."""
+    """Move the servo v on by h, under a command u that runs on at s, and what pushes and pulls it meanwhile."""
     n, last = x.shape[1] // 3, steps.shape[1] - 1
     while h > 0.0:
         k = min(int(h / grid_s + 0.5), last)
         left, row = h - k * grid_s, steps[v, k]
         for i in range(n):
-            x[v, n + i] = x[v, i]
-        for i in range(n):
-            total = row[(n + 4) * i + n] * u + row[(n + 4) * i + n + 1] * s
+            total, first = 0.0, (n + 4) * i
             for j in range(n):
-                total += row[(n + 4) * i + j] * x[v, n + j]
-            x[v, i] = total
+                total += row[first + j] * x[v, j]
+            total += row[first + n] * u + row[first + n + 1] * s
+            x[v, n + i] = total + row[first + n + 2] * push + row[first + n + 3] * pull
+        for i in range(n):
+            x[v, i] = x[v, n + i]
         u += k * grid_s * s
-        h = left if left > 0.5 * grid_s else 0.0
-        part = left if h == 0.0 else 0.0
-        for i in range(n):
-            total = b[v, 3 * i] * u
-            for j in range(n):
-                total += a[v, n * i + j] * x[v, j]
-            x[v, n + i] = total
-        for i in range(n):
-            x[v, i] += part * x[v, n + i]
-        for k in range(2, _TERMS):
-            for i in range(n):
-                total = b[v, 3 * i] * s if k == 2 else 0.0
-                for j in range(n):
-                    total += a[v, n * i + j] * x[v, n + j]
-                x[v, 2 * n + i] = total
-            part *= left / k
-            for i in range(n):
-                x[v, n + i] = x[v, 2 * n + i]
-                x[v, i] += part * x[v, n + i]
+        if left > 0.5 * grid_s:
+            h = left
+            continue
+        if abs(left) > _SAME_S:
+            nudge(x, v, a, b, left, u, s, push, pull, terms)
+        h = 0.0
 
 
-def departs(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: float) -> float:
-    """Speed of one of three states of the servo v."""
-    row = 3 * out
-    return float(a[v, row] * x[v, 0] + a[v, row + 1] * x[v, 1] + (a[v, row + 2] * x[v, 2] + b[v, row] * u))
-
-
-def departs_any(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: float) -> float:
-    """Speed of one of n states."""
-    n, total = x.shape[1] // 3, b[v, 3 * out] * u
-    for j in range(n):
-        total += a[v, n * out + j] * x[v, j]
-    return float(total)
-
-
+@compile_steps(kind="outer")
 def run(
     p: FloatArray,
     acts: BoolArray,
@@ -218,7 +194,7 @@ def run(
     pressure, supply, power, current, external = 0.0, math.inf, 1.0, 0.0, 0.0
     # The last step of an interval is up to half as long again, and none is longer than those that are kept.
     whole = max(min(int(longest_s / grid_s + 1e-9), (2 * (steps.shape[1] - 1)) // 3), 1)
-    whole_s, per_s, per_whole = whole * grid_s, 1.0 / grid_s, 1.0 / (whole * grid_s)
+    whole_s, per_whole = whole * grid_s, 1.0 / (whole * grid_s)
     c, k = 0, 0
     while k < instants:
         if math.isnan(now_s) or (k < anew.size and anew[k]):
@@ -262,8 +238,7 @@ def run(
             last = left - (many - 1) * whole_s
             for n in range(many):
                 h = whole_s if n < many - 1 else last
-                q = int(h * per_s + 0.5)
-                over = h - q * grid_s
+                q = int(h / grid_s + 0.5)
                 come = u + s * n * whole_s
                 for v in range(count):
                     gain, error_s, per_error = facts[v, 0], facts[v, 1], facts[v, 2]
@@ -271,7 +246,7 @@ def run(
                     if hangs:
                         was, parted = x[v, out], departs(x, v, a, b, out, come)
                     if not inside:
-                        advance(x, v, a, b, steps, grid_s, h, come, s)
+                        advance(x, v, a, b, steps, grid_s, h, come, s, 0.0, 0.0, _TERMS)
                         shaft = x[v, out]
                     else:
                         y, fast, w = x[v, 0], x[v, 1], x[v, 2]
@@ -296,25 +271,15 @@ def run(
                         if loaded:
                             away = load(0.0, now, p, v, m)
                             pull = -per_error * away / gain
-                        y1 = (row[0] * y + row[1] * fast) + (row[2] * w + (row[3] * wanted + row[4] * slope))
-                        v1 = (row[7] * y + row[8] * fast) + (row[9] * w + (row[10] * wanted + row[11] * slope))
-                        w1 = (row[14] * y + row[15] * fast) + (row[16] * w + (row[17] * wanted + row[18] * slope))
-                        y1, v1, w1 = (
-                            y1 + row[5] * push + row[6] * pull,
-                            v1 + row[12] * push + row[13] * pull,
-                            w1 + row[19] * push + row[20] * pull,
-                        )
-                        by_y, by_v, by_w = row[6], row[13], row[20]
-                        if abs(over) > NO_STEP_S:
-                            x[v, 0], x[v, 1], x[v, 2] = y1, v1, w1
-                            nudge(x, v, a, b, over, wanted + slope * q * grid_s, slope, push, pull, _BENT_TERMS)
-                            y1, v1, w1 = x[v, 0], x[v, 1], x[v, 2]
+                        advance(x, v, a, b, steps, grid_s, h, wanted, slope, push, pull, _BENT_TERMS)
+                        y1, v1, w1 = x[v, 0], x[v, 1], x[v, 2]
+                        if has_friction:
+                            by_y, by_v, by_w, over = row[6], row[13], row[20], h - q * grid_s
                             by_y, by_v, by_w = (
                                 by_y + over * (rate[0] * by_y + rate[1] * by_v + rate[2] * by_w + by[2]),
                                 by_v + over * (rate[3] * by_y + rate[4] * by_v + rate[5] * by_w + by[5]),
                                 by_w + over * (rate[6] * by_y + rate[7] * by_v + rate[8] * by_w + by[8]),
                             )
-                        if has_friction:
                             effort = abs(bent) if rate[5] != 1.0 else 0.5 * abs(w + w1) / per_error
                             slips = Now(
                                 h, middle * gain, fast * gain, error_s, effort * gain, away,
@@ -358,15 +323,12 @@ def run(
             continue
         if logged:
             current = around[k, 3]
+        still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external, 0.0, 0.0)
         for v in range(count):
             seen = x[v, int(facts[v, 3])] * facts[v, 0]
-            if hangs and bends:
-                seen = m[v, 0]
-            elif hangs or reads:
-                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external, 0.0, 0.0)
-                seen = output(seen, still, p, v, m)
+            if hangs:
+                seen = m[v, 0] if bends else output(seen, still, p, v, m)
             if reads:
-                still = Now(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, pressure, supply, power, current, external, 0.0, 0.0)
                 seen = reading(seen, still, p, v, m)
             read_deg[k, v] = seen
         if k < speed_deg_s.size:

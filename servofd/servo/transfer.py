@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,26 +79,6 @@ class TransferFunction:
             if leading and not largest / _LARGEST_RATIO < abs(leading):
                 raise DesignError(f"{name}: the first coefficient, {leading:g}, is nothing beside {largest:g}")
 
-    @classmethod
-    def from_control(cls, system: Any) -> TransferFunction:  # noqa: ANN401 - python-control is untyped
-        """Take a single-input single-output system of python-control; its delay must be given apart."""
-        import control
-
-        transfer = control.tf(system)
-        return cls(tuple(transfer.num[0][0]), tuple(transfer.den[0][0]))
-
-    def to_control(self) -> Any:  # noqa: ANN401 - python-control is untyped
-        """Return the same system for python-control.
-
-        Examples
-        --------
-        >>> float(TransferFunction((2.0,), (1.0, 4.0)).to_control().dcgain())
-        0.5
-        """
-        import control
-
-        return control.tf(list(self.numerator), list(self.denominator))
-
     @property
     def poles_rad_s(self) -> ComplexArray:
         """Roots of the denominator [rad/s], shape (n,), real ones first, then by size."""
@@ -150,6 +130,7 @@ class TransferFunction:
         values: ComplexArray = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
         return values
 
+    @functools.lru_cache(maxsize=512)  # noqa: B019 - a residual asks three times, a fit for its grid once a surface
     def modes(self) -> Modes:
         """Split into first-order modes (partial fractions).
 
@@ -161,7 +142,24 @@ class TransferFunction:
         DesignError
             If the system is unstable or not strictly proper: no servo jumps, and none runs away.
         """
-        return _modes(self)
+        if len(self.numerator) >= len(self.denominator):
+            raise DesignError("a servo's transfer function must have more poles than zeros")
+        poles = self.poles_rad_s
+        if not all(pole.real < 0.0 for pole in poles.tolist()):
+            raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
+        if any(abs(pole) < _SLOWEST_RAD_S or abs(pole.imag) > _FASTEST_RAD_S for pole in poles.tolist()):
+            raise DesignError(
+                f"a servo moves within {1.0 / _SLOWEST_RAD_S:g} s and swings no faster than {_FASTEST_RAD_S:g} rad/s, "
+                f"with these poles it would not: {poles}"
+            )
+        poles = _separated(poles)
+        upper = poles[poles.imag >= 0.0]
+        # Number by number: of so few, arrays would take most of the time of a fit, which asks a thousand times.
+        residues = [_at(self.numerator, pole) / (self.denominator[0] * _apart(pole, poles)) for pole in upper]
+        shares = [residue / pole for residue, pole in zip(residues, upper, strict=True)]
+        if not sum(map(abs, shares)) <= _LARGEST_CANCELLATION:
+            raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
+        return Modes(-upper, np.where(upper.imag > 0.0, -2.0, -1.0) * np.array(shares))
 
 
 def _pair(square: float, linear: float, constant: float) -> ComplexArray:
@@ -172,29 +170,6 @@ def _pair(square: float, linear: float, constant: float) -> ComplexArray:
         return np.array([complex(half, -math.sqrt(-spread)), complex(half, math.sqrt(-spread))])
     large = half + math.copysign(math.sqrt(spread), half)  # the other would lose digits
     return np.array([product / large if large else 0.0, large], dtype=complex)
-
-
-@functools.lru_cache(maxsize=512)
-def _modes(transfer: TransferFunction) -> Modes:
-    """Modes of a servo; a residual asks for them three times, a fit for those of its grid once a surface."""
-    if len(transfer.numerator) >= len(transfer.denominator):
-        raise DesignError("a servo's transfer function must have more poles than zeros")
-    poles = transfer.poles_rad_s
-    if not all(pole.real < 0.0 for pole in poles.tolist()):
-        raise DesignError(f"a servo's poles must have negative real parts, not {poles}")
-    if any(abs(pole) < _SLOWEST_RAD_S or abs(pole.imag) > _FASTEST_RAD_S for pole in poles.tolist()):
-        raise DesignError(
-            f"a servo moves within {1.0 / _SLOWEST_RAD_S:g} s and swings no faster than {_FASTEST_RAD_S:g} rad/s, "
-            f"with these poles it would not: {poles}"
-        )
-    poles = _separated(poles)
-    upper = poles[poles.imag >= 0.0]
-    # Number by number: of so few, arrays would take most of the time of a fit, which asks for modes a thousand times.
-    residues = [_at(transfer.numerator, pole) / (transfer.denominator[0] * _apart(pole, poles)) for pole in upper]
-    shares = [residue / pole for residue, pole in zip(residues, upper, strict=True)]
-    if not sum(map(abs, shares)) <= _LARGEST_CANCELLATION:
-        raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
-    return Modes(-upper, np.where(upper.imag > 0.0, -2.0, -1.0) * np.array(shares))
 
 
 def _at(coefficients: tuple[float, ...], s: complex) -> complex:

@@ -21,7 +21,7 @@ from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.types import FloatArray
 from servofd.servo.context import AIR_KG_M3
-from servofd.simulation.ardupilot import banner
+from servofd.simulation.ardupilot import banner, output_parameters
 from servofd.simulation.dataflash_writer import pulses, rows, words
 from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
 
@@ -43,25 +43,13 @@ _GUST_M, _GUST_M_S = 20.0, 1.5
 """Flight over which gusts are correlated [m], and their deviation in moderate turbulence [m/s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Mixer:
-    """Outputs of an airframe: by their number the name, and what roll, pitch and yaw ask of it."""
-
-    outputs: Mapping[int, tuple[str, tuple[float, float, float]]]
-
-    @property
-    def names(self) -> list[str]:
-        """Of its surfaces, in the order of the outputs."""
-        return [name for name, _ in self.outputs.values()]
-
-
 _LEFT, _RIGHT = (("aileron_left", (1.0, 0.0, 0.0)), ("aileron_right", (1.0, 0.0, 0.0)))
-MIXERS: Final[Mapping[str, Mixer]] = {
-    "plain": Mixer({1: _LEFT, 2: ("elevator", (0.0, 1.0, 0.0)), 4: ("rudder", (0.0, 0.0, 1.0)), 5: _RIGHT}),
-    "elevon": Mixer({1: ("elevon_left", (-1.0, 1.0, 0.0)), 2: ("elevon_right", (1.0, 1.0, 0.0))}),
-    "vtail": Mixer({1: _LEFT, 2: ("vtail_left", (0.0, 1.0, -1.0)), 4: ("vtail_right", (0.0, 1.0, 1.0)), 5: _RIGHT}),
+MIXERS: Final[Mapping[str, Mapping[int, tuple[str, tuple[float, float, float]]]]] = {
+    "plain": {1: _LEFT, 2: ("elevator", (0.0, 1.0, 0.0)), 4: ("rudder", (0.0, 0.0, 1.0)), 5: _RIGHT},
+    "elevon": {1: ("elevon_left", (-1.0, 1.0, 0.0)), 2: ("elevon_right", (1.0, 1.0, 0.0))},
+    "vtail": {1: _LEFT, 2: ("vtail_left", (0.0, 1.0, -1.0)), 4: ("vtail_right", (0.0, 1.0, 1.0)), 5: _RIGHT},
 }
-"""By name."""
+"""Outputs of airframes: by their number the name of the surface, and what roll, pitch and yaw ask of it."""
 
 _KINDS: Final = ("stuck", "loss_of_effectiveness", "slow", "bias")
 
@@ -83,7 +71,8 @@ class AirframeFault:
 class AirframeFlight:
     """What a log holds; shape (n,) unless said."""
 
-    mixer: Mixer
+    surfaces: Mapping[int, str]
+    """By the numbers of their outputs."""
     time_s: FloatArray
     pulses_us: FloatArray
     """Shape (n, surfaces)."""
@@ -121,10 +110,11 @@ def fly_airframe(
         raise UnknownName(suggest("mixer", mixer, MIXERS))
     if not 10.0 <= duration_s <= 36_000.0:
         raise ConfigError(f"{duration_s:g} s: a flight lasts from 10 s to 10 h")
-    wing = MIXERS[mixer]
+    surfaces = {number: name for number, (name, _) in MIXERS[mixer].items()}
+    names = list(surfaces.values())
     for fault in faults:
-        if fault.surface not in wing.names:
-            raise UnknownName(suggest("surface", fault.surface, wing.names))
+        if fault.surface not in names:
+            raise UnknownName(suggest("surface", fault.surface, names))
         if fault.kind not in _KINDS:
             raise UnknownName(suggest("fault of an airframe", fault.kind, _KINDS))
     rng = np.random.default_rng([seed, 23])
@@ -132,27 +122,18 @@ def fly_airframe(
     load = 1.0 + 0.03 * of_day.standard_normal(6)
     trims_us = 6.0 * of_day.standard_normal(3)
     steps = round(duration_s / _STEP_S)
-    mix = np.array([weights for _, weights in wing.outputs.values()])
-    table = np.array([[np.inf, 0.0, 0.0, np.inf]] * len(wing.names))
+    mix = np.array([weights for _, weights in MIXERS[mixer].values()])
+    table = np.array([[np.inf, 0.0, 0.0, np.inf]] * len(names))
     for fault in faults:
-        table[wing.names.index(fault.surface)] = (fault.start_s, _KINDS.index(fault.kind), fault.value, fault.end_s)
-    states = _flown(
-        steps,
-        rng.standard_normal((steps, 3)),
-        _targets(rng, steps, manoeuvres),
-        mix,
-        table,
-        load,
-        trims_us,
-        turbulence,
-        engine_cut_s,
-    )
+        table[names.index(fault.surface)] = (fault.start_s, _KINDS.index(fault.kind), fault.value, fault.end_s)
+    shocks, wanted = rng.standard_normal((steps, 3)), _targets(rng, steps, manoeuvres)
+    states = _flown(steps, shocks, wanted, mix, table, load, trims_us, turbulence, engine_cut_s)
     every = max(1, round(1.0 / rate_hz / _STEP_S))
     states = states[::every]
-    n, s = states.shape[0], len(wing.names)
+    n, s = states.shape[0], len(names)
     noise = rng.standard_normal
     return AirframeFlight(
-        wing,
+        surfaces,
         np.arange(n) * every * _STEP_S,
         np.round(1500.0 + states[:, 9 : 9 + s]),
         states[:, 8],
@@ -273,18 +254,13 @@ _VERSION: Final = "4.6.0"
 
 def airframe_parameters(flight: AirframeFlight) -> dict[str, float]:
     """What the autopilot knows of its outputs."""
-    functions = functions_of(flight.mixer.names)
-    turned: dict[int, int] = {number: functions[name] for number, (name, _) in flight.mixer.outputs.items()}
-    found: dict[str, float] = {}
+    functions = functions_of(flight.surfaces.values())
+    turned = {number: functions[name] for number, name in flight.surfaces.items()}
+    outputs: dict[int, dict[str, float]] = {}
     for number, function in sorted((turned | {THROTTLE: THROTTLE_FUNCTION}).items()):
         low, high = (1000.0, 2000.0) if number == THROTTLE else (1050.0, 1950.0)
-        found |= {
-            f"SERVO{number}_FUNCTION": float(function),
-            f"SERVO{number}_TRIM": 1500.0,
-            f"SERVO{number}_REVERSED": 0.0,
-        }
-        found |= {f"SERVO{number}_MIN": low, f"SERVO{number}_MAX": high}
-    return found
+        outputs[number] = {"FUNCTION": function, "TRIM": 1500.0, "REVERSED": 0.0, "MIN": low, "MAX": high}
+    return output_parameters(outputs)
 
 
 def airframe_log(flight: AirframeFlight) -> bytes:
@@ -296,7 +272,7 @@ def airframe_log(flight: AirframeFlight) -> bytes:
     'a395'
     """
     stamps = np.round(US_PER_S * (flight.time_s + 5.0)).astype(np.int64)
-    sent = dict(zip(flight.mixer.outputs, flight.pulses_us.T, strict=True))
+    sent = dict(zip(flight.surfaces, flight.pulses_us.T, strict=True))
     p, q, r = np.radians(flight.rates_deg_s)
     ax, ay, az = flight.accelerations_m_s2
     pressure_pa = 0.5 * AIR_KG_M3 * flight.airspeed_m_s**2

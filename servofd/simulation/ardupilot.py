@@ -1,8 +1,12 @@
-"""What ArduPlane says about itself in every kind of log: its parameters and its name."""
+"""What ArduPlane says about itself in every kind of log: its parameters and its name.
+
+The flight time 0 of a simulated flight is when its autopilot was booted.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import Aircraft
@@ -11,6 +15,7 @@ from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION
 
 if TYPE_CHECKING:
     from servofd.simulation.flight import SimulatedFlight
+    from servofd.simulation.pulses import Output
 
 
 def banner(version: str) -> str:
@@ -18,10 +23,14 @@ def banner(version: str) -> str:
     return f"ArduPlane V{version} (simulated by servofd)"
 
 
-def outputs_needed(flight: SimulatedFlight) -> None:
-    """Refuse a flight without pulses."""
+def reporting(flight: SimulatedFlight, aircraft: Aircraft) -> list[tuple[int, Output]]:
+    """Outputs whose servos report where they are, with their place in the flight: surfaces with a measured channel.
+
+    Raises `ConfigError` for a flight without pulses, which no autopilot can have logged.
+    """
     if not flight.outputs:
         raise ConfigError("this flight has no pulses to log: simulate it with outputs=outputs_of(aircraft)")
+    return [(i, o) for i, o in enumerate(flight.outputs) if aircraft.surfaces[o.surface].measured is not None]
 
 
 def rate_hz(flight: SimulatedFlight) -> float:
@@ -39,8 +48,7 @@ def parameters(flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> di
         "LOG_BACKEND_TYPE": 1.0, "LOG_BITMASK": 65535.0, "LOG_DISARMED": 0.0, "LOG_FILE_RATEMAX": 0.0,
         "LOG_REPLAY": 0.0, "SCHED_LOOP_RATE": loop_hz, "SERVO_AUTO_TRIM": 0.0, "SERVO_RATE": loop_hz,
     }  # fmt: skip
-    reporting = [o for o in flight.outputs if aircraft.surfaces[o.surface].measured is not None]
-    mask = float(sum(1 << (o.number - 1) for o in reporting))
+    mask = float(sum(1 << (output.number - 1) for _, output in reporting(flight, aircraft)))
     if feedback == "volz":
         range_deg = 2.0 * max(o.travel_deg for o in flight.outputs)
         known |= {"SERIAL4_PROTOCOL": 14.0, "SERVO_VOLZ_MASK": mask, "SERVO_VOLZ_RANGE": range_deg}
@@ -50,7 +58,10 @@ def parameters(flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> di
         known |= {"SCR_ENABLE": 1.0}
     rows = {o.number: (o.function, o.min_us, o.max_us, o.trim_us, int(o.reversed)) for o in flight.outputs}
     rows.setdefault(THROTTLE, (THROTTLE_FUNCTION, 1100, 1900, 1100, 0))
-    for number in sorted(rows):
-        values = zip(("FUNCTION", "MIN", "MAX", "TRIM", "REVERSED"), rows[number], strict=True)
-        known |= {f"SERVO{number}_{key}": float(value) for key, value in values}
-    return known
+    keys = ("FUNCTION", "MIN", "MAX", "TRIM", "REVERSED")
+    return known | output_parameters({n: dict(zip(keys, rows[n], strict=True)) for n in sorted(rows)})
+
+
+def output_parameters(outputs: Mapping[int, Mapping[str, float]]) -> dict[str, float]:
+    """Parameters SERVOn_* of outputs, by their numbers."""
+    return {f"SERVO{number}_{key}": float(value) for number, one in outputs.items() for key, value in one.items()}

@@ -13,7 +13,7 @@ from logparsers.dataflash.encode import Message, encode
 from servofd.aircraft.schema import Aircraft
 from servofd.core.types import IntArray
 from servofd.servo.context import AIR_KG_M3
-from servofd.simulation.ardupilot import banner, outputs_needed, parameters
+from servofd.simulation.ardupilot import banner, parameters, reporting
 from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, servo_state, sparse, surroundings
 
@@ -92,12 +92,9 @@ def dataflash_messages(
 ) -> list[Message]:
     """Rows of each message, in the units a reader shall see.
 
-    `flight`: with outputs; flight time 0 is when the autopilot was booted. `aircraft`: a surface without a measured
-    channel has a servo that reports nothing. `generation`: one of `GENERATIONS`. `settings`: the vehicle's parameters;
-    those of `servofd.simulation.pulses.parameters` if left out. Result: RCOU and one CSRV row per reporting servo
-    at the rate of the flight; ARSP, ATT, POWR and GPS more seldom.
+    `flight`: with outputs. `settings`: the vehicle's parameters, if others than the usual ones. Result: RCOU and one
+    CSRV row per reporting servo at the rate of the flight; ARSP, ATT, POWR and GPS more seldom.
     """
-    outputs_needed(flight)
     known = parameters(flight, aircraft, generation.name) if settings is None else settings
     stamps_us = microseconds(flight.time_s)
     sent = {THROTTLE: THROTTLE_US} | {o.number: flight.pulse_us[:, i] for i, o in enumerate(flight.outputs)}
@@ -132,10 +129,7 @@ def pulses(stamps_us: IntArray, pulses_us: Mapping[int, ArrayLike]) -> Message:
 def _csrv(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation) -> list[Message]:
     """One message per servo: rows of equal time stay in the order of the outputs."""
     found = []
-    for i in sorted(range(len(flight.outputs)), key=lambda i: flight.outputs[i].number):
-        output = flight.outputs[i]
-        if aircraft.surfaces[output.surface].measured is None:
-            continue
+    for i, output in sorted(reporting(flight, aircraft), key=lambda each: each[1].number):
         rng = np.random.default_rng([flight.seed, i, 1001])
         state = servo_state(flight.time_s, flight.received_deg[:, i], flight.measured_deg[:, i], rng)
         arm_deg = output.arm_deg(flight.measured_deg[:, i])

@@ -117,7 +117,7 @@ def simulate_flight(
     for name, further in (effects or {}).items():
         for effect in further:
             models[name] = models[name] + effect
-    needs = frozenset().union(*(model.needs for model in models.values()))
+    needs = frozenset().union(*(model.physics.needs for model in models.values()))
     context = acting(time_s, pushed="servo_load" in needs) if needs else NO_CONTEXT
     commanded, received, moved, noise, pulses = [], [], [], [], []
     for index, (name, surface) in enumerate(aircraft.surfaces.items()):
@@ -163,7 +163,7 @@ def _with_current(
     context: Context, models: Mapping[str, ServoModel], time_s: FloatArray, deflection_deg: FloatArray, seed: int
 ) -> Context:
     """With what all servos draw together, if a reading depends on it: they share one supply."""
-    if not any("servo_current_a" in model.needs for model in models.values()):
+    if not any("servo_current_a" in model.physics.needs for model in models.values()):
         return context
     rng = np.random.default_rng([seed, 1002])
     drawn_a = [current_a(np.gradient(each, time_s), rng) for each in deflection_deg.T]

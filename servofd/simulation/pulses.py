@@ -135,16 +135,9 @@ def _output(name: str, number: int, function: int, command: Calibration) -> Outp
     trim_us, slope = 1500, FULL_TRAVEL_DEG / _HALF_RANGE_US
     if isinstance(command, PulseCalibration) and command.slope_deg_per_us is not None:
         trim_us, slope = round(command.trim_us), command.slope_deg_per_us
-    return Output(
-        surface=name,
-        number=number,
-        function=function,
-        min_us=trim_us - _HALF_RANGE_US,
-        trim_us=trim_us,
-        max_us=trim_us + _HALF_RANGE_US,
-        travel_deg=abs(slope) * _HALF_RANGE_US,
-        reversed=slope * command.sign < 0.0,
-    )
+    min_us, max_us = trim_us - _HALF_RANGE_US, trim_us + _HALF_RANGE_US
+    travel_deg, is_reversed = abs(slope) * _HALF_RANGE_US, slope * command.sign < 0.0
+    return Output(name, number, function, min_us, trim_us, max_us, travel_deg, is_reversed)
 
 
 def _number(command: Calibration) -> int | None:

@@ -12,7 +12,7 @@ from logparsers.protocol import Autopilot, Kind, ParameterType, State
 from logparsers.telemetry.encode import Message, encode
 from servofd.aircraft.schema import Aircraft
 from servofd.core.types import IntArray
-from servofd.simulation.ardupilot import banner, outputs_needed, parameters
+from servofd.simulation.ardupilot import banner, parameters, reporting
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
@@ -47,13 +47,11 @@ def telemetry_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
 def telemetry_messages(flight: SimulatedFlight, aircraft: Aircraft) -> list[Message]:
     """Frames of each message, with the times at which a ground station received them.
 
-    `flight`: with outputs; flight time 0 is when the autopilot was booted. Its clocks overflow after 71.6 minutes
-    (``time_usec``) and 49.7 days (``time_boot_ms``), as those of the real one do. `aircraft`: a surface without a
-    measured channel has a servo that reports nothing. Result: ``SERVO_OUTPUT_RAW``, and ``NAMED_VALUE_FLOAT`` named
-    ``SRVP<n>`` for the arm of the servo on output n [deg], at the rate of the flight; HEARTBEAT, SYSTEM_TIME, ATTITUDE
-    and VFR_HUD more seldom; parameters and words at the beginning.
+    `flight`: with outputs. Its clocks overflow after 71.6 minutes (``time_usec``) and 49.7 days (``time_boot_ms``), as
+    those of the real one do. Result: ``SERVO_OUTPUT_RAW``, and ``NAMED_VALUE_FLOAT`` named ``SRVP<n>`` for the arm of
+    the servo on output n [deg], at the rate of the flight; HEARTBEAT, SYSTEM_TIME, ATTITUDE and VFR_HUD more seldom;
+    parameters and words at the beginning.
     """
-    outputs_needed(flight)
     beat, time = beats(flight)
     sent = [beat, *_words(flight, aircraft), time, *servo_rows(flight, aircraft), *air_rows(flight)]
     arrivals = _arrivals([made_us for _, made_us, _ in sent], np.random.default_rng([flight.seed, 1002]))
@@ -90,17 +88,17 @@ def _words(flight: SimulatedFlight, aircraft: Aircraft) -> list[Sent]:
 def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "named") -> list[Sent]:
     """Pulses and positions of all outputs.
 
-    `aircraft`: a surface without a measured channel has a servo that reports nothing. `feedback`: how the position of
-    the servo on output n is sent: ``"named"``, NAMED_VALUE_FLOAT ``SRVP<n>``, angle of the arm [deg]; ``"array"``, the
-    same in element n - 1 of a DEBUG_FLOAT_ARRAY named ``SRVP``; or ``"port"``, the pulse that would ask for it [us],
-    rounded, as ``servo<n>_raw`` of a SERVO_OUTPUT_RAW with port 2 (port 1 is the outputs from 17 on).
+    `feedback`: how the position of the servo on output n is sent: ``"named"``, NAMED_VALUE_FLOAT ``SRVP<n>``, angle of
+    the arm [deg]; ``"array"``, the same in element n - 1 of a DEBUG_FLOAT_ARRAY named ``SRVP``; or ``"port"``, the
+    pulse that would ask for it [us], rounded, as ``servo<n>_raw`` of a SERVO_OUTPUT_RAW with port 2 (port 1 is the
+    outputs from 17 on).
     """
     made_us = microseconds(flight.time_s)
     stamp = {"time_usec": made_us % _WRAP}
     pulses: dict[str, ArrayLike] = {f"servo{o.number}_raw": flight.pulse_us[:, i] for i, o in enumerate(flight.outputs)}
     pulses.setdefault(f"servo{THROTTLE}_raw", np.full(made_us.size, THROTTLE_US))
     sent: list[Sent] = [("SERVO_OUTPUT_RAW", made_us, {**stamp, **pulses})]
-    measured = [(i, o) for i, o in enumerate(flight.outputs) if aircraft.surfaces[o.surface].measured is not None]
+    measured = reporting(flight, aircraft)
     arms_deg = {o.number: o.arm_deg(flight.measured_deg[:, i]) for i, o in measured}
     if feedback == "port" and measured:
         raw = {f"servo{o.number}_raw": o.nearest_us(flight.measured_deg[:, i]) for i, o in measured}
@@ -114,12 +112,8 @@ def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "nam
         sent.append(("DEBUG_FLOAT_ARRAY", made_us, {**array, "data": data}))
     elif feedback == "named":
         for number, arm_deg in arms_deg.items():
-            position: dict[str, ArrayLike] = {
-                "time_boot_ms": _boot_ms(made_us),
-                "name": [f"SRVP{number}"] * made_us.size,
-                "value": arm_deg,
-            }
-            sent.append(("NAMED_VALUE_FLOAT", made_us, position))
+            position: dict[str, ArrayLike] = {"time_boot_ms": _boot_ms(made_us), "value": arm_deg}
+            sent.append(("NAMED_VALUE_FLOAT", made_us, position | {"name": [f"SRVP{number}"] * made_us.size}))
     return sent
 
 

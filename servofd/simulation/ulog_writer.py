@@ -13,7 +13,7 @@ from logparsers.ulog.encode import Topic, encode
 from servofd.aircraft.outputs import PX4_TYPES, SURFACE_FUNCTIONS
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
-from servofd.simulation.ardupilot import outputs_needed
+from servofd.simulation.ardupilot import reporting
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US, Output
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
@@ -46,13 +46,12 @@ def ulog_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
 def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
     """Samples of each topic.
 
-    `flight`: with outputs; flight time 0 is when the autopilot was booted. `aircraft`: a surface without a measured
-    channel has a servo that reports nothing. Result: ``actuator_servos`` (``control[k]``: -1 to 1 is the whole travel
-    of servo k + 1, the surfaces in order) and ``debug_array`` named SRVP (``data[k]``: arm of the same servo [deg];
-    NaN: it reports nothing) at the rate of the flight; ``actuator_outputs`` (pulses [us] by output), ``airspeed``,
-    ``system_power`` and ``vehicle_gps_position`` more seldom.
+    `flight`: with outputs. Result: ``actuator_servos`` (``control[k]``: -1 to 1 is the whole travel of servo k + 1, the
+    surfaces in order) and ``debug_array`` named SRVP (``data[k]``: arm of the same servo [deg]; NaN: it reports
+    nothing) at the rate of the flight; ``actuator_outputs`` (pulses [us] by output), ``airspeed``, ``system_power`` and
+    ``vehicle_gps_position`` more seldom.
     """
-    outputs_needed(flight)
+    measured = reporting(flight, aircraft)
     if len(flight.outputs) > MOST_SERVOS:
         raise ConfigError(f"{len(flight.outputs)} surfaces: a PX4 log has room for {MOST_SERVOS}; write a .bin instead")
     stamps = microseconds(flight.time_s).astype(np.uint64)
@@ -60,8 +59,8 @@ def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
     data = np.full((stamps.size, _DEBUG_SLOTS), np.nan, np.float32)
     for k, output in enumerate(flight.outputs):
         control[:, k] = flight.command_deg[:, k] / output.travel_deg
-        if aircraft.surfaces[output.surface].measured is not None:
-            data[:, k] = output.arm_deg(flight.measured_deg[:, k])
+    for k, output in measured:
+        data[:, k] = output.arm_deg(flight.measured_deg[:, k])
     positions: Columns = {
         "timestamp": stamps,
         "data": data,

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Sequence
 
 from servofd.core.errors import ConfigError, ServofdError, UnknownName, suggest
 from servofd.servo.catalogue import effect_of
 from servofd.servo.effect import Effect
 from servofd.servo.faults import FAULTS, Failure, in_order
-
-_Made = TypeVar("_Made")
 
 
 def effects_of(texts: Sequence[str]) -> dict[str, list[Effect]]:
@@ -25,8 +22,19 @@ def effects_of(texts: Sequence[str]) -> dict[str, list[Effect]]:
     """
     effects: dict[str, list[Effect]] = {}
     for text in texts:
-        surface, effect = _effect(text)
-        effects.setdefault(surface, []).append(effect)
+        where = f"--effect {text}"
+        surface, _, rest = text.partition(":")
+        name, *pairs = rest.split(":")
+        if not (surface and name):
+            raise ConfigError(f"{where}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
+        forms = [pair for pair in pairs if pair.startswith("form=")]
+        values: dict[str, float | str] = dict(numbers_of(where, [pair for pair in pairs if pair not in forms]))
+        if forms:
+            values["form"] = forms[-1].removeprefix("form=")
+        try:
+            effects.setdefault(surface, []).append(effect_of(name, values))
+        except ServofdError as error:
+            raise ConfigError(f"{where}: {error}") from None
     return effects
 
 
@@ -64,25 +72,13 @@ def _fault(text: str) -> tuple[str, Failure]:
     if any(pair.startswith("start_s=") for pair in pairs):
         raise ConfigError(f"--fault {text}: the time stands after the @, not in start_s")
     values = numbers_of(f"--fault {text}", [f"start_s={start}", *pairs])
-    fault: Failure = _made(FAULTS[kind], values, f"--fault {text}")
-    return surface, fault
-
-
-def _effect(text: str) -> tuple[str, Effect]:
-    """Read ``surface:effect:key=value``."""
-    where = f"--effect {text}"
-    surface, _, rest = text.partition(":")
-    name, *pairs = rest.split(":")
-    if not (surface and name):
-        raise ConfigError(f"{where}: write SURFACE:EFFECT:KEY=VALUE, e.g. elevator:delay:delay_s=0.02")
-    forms = [pair for pair in pairs if pair.startswith("form=")]
-    values: dict[str, float | str] = dict(numbers_of(where, [pair for pair in pairs if pair not in forms]))
-    if forms:
-        values["form"] = forms[-1].removeprefix("form=")
+    known = [field.name for field in dataclasses.fields(FAULTS[kind])]
+    if unknown := sorted(set(values) - set(known)):
+        raise ConfigError(f"--fault {text}: does not know {unknown[0]!r}; takes {', '.join(known)}")
     try:
-        return surface, effect_of(name, values)
-    except ServofdError as error:
-        raise ConfigError(f"{where}: {error}") from None
+        return surface, FAULTS[kind](**values)
+    except ConfigError as error:
+        raise ConfigError(f"--fault {text}: {error}") from None
 
 
 def numbers_of(where: str, pairs: Sequence[str]) -> dict[str, float]:
@@ -97,17 +93,3 @@ def numbers_of(where: str, pairs: Sequence[str]) -> dict[str, float]:
         if not math.isfinite(values[key]):
             raise ConfigError(f"{where}: {pair!r} is not finite")
     return values
-
-
-def _made(kind: Callable[..., _Made], values: dict[str, float], where: str) -> _Made:
-    """Instance of a small dataclass from its numbers."""
-    fields = {f.name: f for f in dataclasses.fields(kind) if f.init}  # type: ignore[arg-type]
-    required = {n for n, f in fields.items() if f.default is dataclasses.MISSING}
-    if unknown := sorted(set(values) - set(fields)):
-        raise ConfigError(f"{where}: does not know {unknown[0]!r}; takes {', '.join(fields)}")
-    if missing := sorted(required - set(values)):
-        raise ConfigError(f"{where}: {', '.join(missing)} must be given; takes {', '.join(fields)}")
-    try:
-        return kind(**values)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None

@@ -83,7 +83,7 @@ def test_every_output_and_the_servo_file_in_an_audit(tmp_path: Path, capsys: pyt
     assert main(["identify", str(chirp), str(large), *options]) == 0
     assert "rate limit up" in capsys.readouterr().out
 
-    name, servo = find_servo(str(saved))
+    name, servo, _ = find_servo(str(saved))
     assert name == "mine"
     assert servo.rate_limit_deg_s == pytest.approx(370.0, rel=0.005)
     assert servo.transfer.bandwidth_rad_s == pytest.approx(28.49, rel=0.02)

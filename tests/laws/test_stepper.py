@@ -27,7 +27,7 @@ from servofd.servo.effects.linkage import Backlash, RateLimit
 from servofd.servo.generate import STEPPED, stepper_of
 from servofd.servo.library import library, servo_named
 from servofd.servo.loop import AFTER, BEFORE
-from servofd.servo.motion import AnyServo, Machine, Motion, machine_of, received, started_anew, swung
+from servofd.servo.motion import Machine, Motion, machine_of, received, started_anew
 from servofd.servo.physics import Physics
 from servofd.servo.registry import everything, fields_of, including
 from servofd.servo.servo_model import ServoModel
@@ -327,7 +327,7 @@ def test_commands_that_come_in_by_and_by_are_those_that_come_at_once(effect: typ
         airspeed_s=AT_S, airspeed_m_s=18.0 + AROUND[:, 1], voltage_s=AT_S, voltage_v=AROUND[:, 1],
         current_s=AT_S, current_a=AROUND[:, 3], load_s=AT_S, load=AROUND[:, 4],
     )  # fmt: skip
-    servo = AnyServo(
+    servo = ServoModel(
         EQ31, of_size(effect)._replace(load_late_s=0.0), context if effect.name != "external_load" else Context()
     )
     at_once, by_and_by = Motion(servo, 1.0), Motion(servo, 1.0)
@@ -434,7 +434,7 @@ def check_no_jump(effect: type[Effect], order: int) -> None:
         physics = physics._replace(slow_place=0.0)
     if effect.slot in (Slot.EVENTS, Slot.READING) and effect.form in ("position",):
         return  # read in steps
-    servo = AnyServo(transfer, physics)
+    servo = ServoModel(transfer, physics)
     motion = Motion(servo, 1.0)
     motion.receive(*COMMANDS)
     (before_deg,) = motion.at(AT_S[:14])[-1:]
@@ -527,7 +527,6 @@ def test_logs_with_next_to_nothing_in_them(model: ServoModel) -> None:
     held_deg = started_anew(servo, (nothing, nothing, nothing), T, np.full(T.size, 3.0), anew)
     np.testing.assert_allclose(held_deg, 3.0, atol=1e-9)
     assert started_anew(servo, (T, STEP, 0.0 * T), nothing, nothing, anew).size == 0
-    assert swung(servo, (T, STEP, 0.0 * T), nothing).size == 0
 
 
 @pytest.mark.parametrize("model", MODELS)

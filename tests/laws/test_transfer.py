@@ -13,7 +13,7 @@ from servofd.servo.effect import Slot
 from servofd.servo.faults import Floating
 from servofd.servo.library import library, servo_named
 from servofd.servo.loop import AFTER, BEFORE, INSIDE, Scales, loop_of, scaled
-from servofd.servo.motion import AnyServo, Motion, machine_of
+from servofd.servo.motion import Motion, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.registry import everything
 from servofd.servo.servo_model import ServoModel, plant_of
@@ -174,10 +174,10 @@ def test_damping_acts_on_the_fastest_pair_and_on_nothing_of_one_pole() -> None:
 def test_only_a_servo_on_which_something_acts_needs_short_steps() -> None:
     plain = Physics()
     assert (plain.delay_s, plain.frame_s, plain.command_step_deg, plain.offset_s, plain.output_step_deg) == (0.0,) * 5
-    assert machine_of(SECOND, [plain]).is_linear
+    assert not machine_of(SECOND, [plain]).acts[-1]
     for name in ("friction_deg", "load_friction", "droop_deg", "airload_per_pa", "insensitive_deg", "lag_s"):
-        assert not machine_of(SECOND, [Physics(**{name: 0.1})]).is_linear
-    assert machine_of(SECOND, [Physics(offset_s=1.0, bias_deg=2.0, output_step_deg=0.1, gain=0.9)]).is_linear
+        assert machine_of(SECOND, [Physics(**{name: 0.1})]).acts[-1]
+    assert not machine_of(SECOND, [Physics(offset_s=1.0, bias_deg=2.0, output_step_deg=0.1, gain=0.9)]).acts[-1]
     too_many, with_zero = unit(-1.0, -2.0, -3.0, -4.0), TransferFunction((1.0, 2.0), (1.0, 3.0, 2.0))
     for transfer, reason in ((too_many, "a servo of order 4 with 0 zeros"), (with_zero, "of order 2 with 1 zeros")):
         with pytest.raises(DesignError, match=reason):
@@ -195,7 +195,7 @@ def test_effects_act_in_the_order_of_the_way_from_command_to_reading() -> None:
 
 
 def test_frames_in_pieces_are_frames_in_one_go() -> None:
-    servo = AnyServo(KNOWN.transfer, Physics(frame_s=0.03, frame_phase=0.4))
+    servo = ServoModel(KNOWN.transfer, Physics(frame_s=0.03, frame_phase=0.4))
     at_s = 5.0 + np.arange(60) / 100.0
     commands = (np.arange(5.0, 5.6, 0.04), np.random.default_rng(1).uniform(-9.0, 9.0, 15), np.zeros(15))
     whole, pieces = Motion(servo, 1.0), Motion(servo, 1.0)
@@ -214,7 +214,7 @@ def test_a_command_in_steps_is_the_nearest_of_them_and_positions_may_be_stamped_
         (Physics(command_step_deg=0.5), 0.0, (1.0, 4.5)),
         (Physics(offset_s=0.03), 0.03, (1.1, 4.7)),
     ):
-        motion, plain = (Motion(AnyServo(KNOWN.transfer, one), 1.0) for one in (physics, Physics()))
+        motion, plain = (Motion(ServoModel(KNOWN.transfer, one), 1.0) for one in (physics, Physics()))
         motion.receive(*commands)
         plain.receive(commands[0], np.array(deg), commands[2])
         found.append(np.abs(motion.at(at_s) - plain.at(at_s - late_s)).max())
@@ -227,6 +227,6 @@ def test_the_wind_of_a_seed_is_the_same_in_every_version() -> None:
 
 
 def test_a_servo_with_effects_begins_where_the_latest_of_its_commands_wants_it() -> None:
-    motion = Motion(AnyServo(KNOWN.transfer, Physics(backlash_deg=0.1)))
+    motion = Motion(ServoModel(KNOWN.transfer, Physics(backlash_deg=0.1)))
     motion.receive(np.array([0.0, 0.5, 2.0]), np.array([6.0, 9.0, -3.0]), np.zeros(3))
     assert motion.at(np.array([1.0]))[0] == pytest.approx(9.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from servofd.servo.context import Context
 from servofd.servo.faults import Bias, Failure, HardOver, LossOfEffectiveness, Slow, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.loop import Scales, loop_of, scaled
-from servofd.servo.motion import AnyServo, Motion, machine_of
+from servofd.servo.motion import Motion, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue
 from servofd.servo.servo_model import ServoModel, plant_of
@@ -111,7 +110,7 @@ def test_a_run_in_pieces_is_the_run_in_one_go(name: str, size: dict[str, float |
 class TestNumbersOfAServoWithEffects:
     """By hand."""
 
-    servo = AnyServo(
+    servo = ServoModel(
         KNOWN.transfer,
         Physics(
             rate_up_deg_s=90.0,
@@ -136,18 +135,14 @@ class TestNumbersOfAServoWithEffects:
     def test_play_is_half_of_every_full_width_and_all_of_the_friction(self) -> None:
         assert self.servo.physics.loose_deg == pytest.approx(0.3 + 0.2 + 0.1)
 
-    def test_slower_weaker_and_limited_change_what_they_say(self) -> None:
+    def test_slower_and_weaker_change_what_they_say(self) -> None:
         assert self.servo.slower(0.5).physics == self.servo.physics._replace(bandwidth_scale=0.4)
         weak = self.servo.weaker(0.1).physics
         assert (weak.rate_up_deg_s, weak.rate_down_deg_s, weak.set_point_deg_s) == pytest.approx((81.0, 72.0, 76.5))
         assert weak.follow_up_deg_s == np.inf
-        assert self.servo.limited(50.0).physics == self.servo.physics._replace(rate_up_deg_s=50.0, rate_down_deg_s=50.0)
-        assert self.servo.limited(85.0).physics == self.servo.physics._replace(rate_up_deg_s=85.0)
-        following = replace(self.servo, physics=Physics(follow_up_deg_s=100.0, follow_down_deg_s=60.0))
-        assert following.limited(70.0).physics == Physics(follow_up_deg_s=70.0, follow_down_deg_s=60.0)
 
     def test_it_begins_where_its_command_wants_it_or_where_it_was_measured(self) -> None:
-        calm = AnyServo(KNOWN.transfer, Physics(gain=0.5, bias_deg=1.0))
+        calm = ServoModel(KNOWN.transfer, Physics(gain=0.5, bias_deg=1.0))
         for start_deg, expected_deg in ((np.nan, 0.5 * 6.0 + 1.0), (-2.0, -2.0)):
             motion = Motion(calm, start_deg)
             motion.receive(np.array([0.0, 0.5]), np.array([6.0, 9.0]), np.zeros(2))
@@ -156,7 +151,7 @@ class TestNumbersOfAServoWithEffects:
 
     def test_an_output_follows_no_faster_than_its_two_rates(self) -> None:
         physics = Physics(follow_up_deg_s=100.0, follow_down_deg_s=50.0)
-        motion = Motion(AnyServo(KNOWN.transfer, physics), 0.0)
+        motion = Motion(ServoModel(KNOWN.transfer, physics), 0.0)
         motion.receive(np.array([0.0, 1.0]), np.array([20.0, 0.0]), np.zeros(2))
         position_deg = motion.at(np.arange(251) / 100.0)
         rates_deg_s = np.diff(position_deg) * 100.0
@@ -165,9 +160,9 @@ class TestNumbersOfAServoWithEffects:
 
     def test_frames_carry_the_command_in_force_when_they_begin(self) -> None:
         """Frames at 0.1, 0.3, 0.5 s: a ramp of 10 deg/s is heard as 1, 3 and 5 deg."""
-        framed = Motion(AnyServo(KNOWN.transfer, Physics(frame_s=0.2, frame_phase=0.5)), 0.0)
+        framed = Motion(ServoModel(KNOWN.transfer, Physics(frame_s=0.2, frame_phase=0.5)), 0.0)
         framed.receive(np.zeros(1), np.zeros(1), np.full(1, 10.0))
-        held = Motion(AnyServo(KNOWN.transfer, Physics()), 0.0)
+        held = Motion(ServoModel(KNOWN.transfer, Physics()), 0.0)
         held.receive(np.array([0.1, 0.3, 0.5]), np.array([1.0, 3.0, 5.0]), np.zeros(3))
         at_s = np.arange(0.0, 0.7, 0.01)
         np.testing.assert_allclose(framed.at(at_s), held.at(at_s), atol=1e-9)
@@ -196,7 +191,7 @@ def test_the_loop_has_the_poles_of_its_servo() -> None:
 
 def test_what_is_linear_needs_no_substeps() -> None:
     def is_linear(physics: Physics) -> bool:
-        return machine_of(KNOWN.transfer, (physics,)).is_linear
+        return not machine_of(KNOWN.transfer, (physics,)).acts[-1]
 
     linear = (Physics(), Physics(bandwidth_scale=0.5, delay_s=0.1), Physics(bias_deg=1.0, lower_deg=-3.0))
     assert all(map(is_linear, linear))
@@ -207,7 +202,7 @@ def test_what_is_linear_needs_no_substeps() -> None:
 
 
 def test_a_model_says_which_context_its_effects_depend_on() -> None:
-    needs = {name: extended(name, size).needs for name, size in SIZES.items()}
+    needs = {name: extended(name, size).physics.needs for name, size in SIZES.items()}
     assert {name for name, need in needs.items() if need} == {
         "airload",
         "voltage_rate",

@@ -13,7 +13,7 @@ from servofd.servo.catalogue import effects_installed
 from servofd.servo.context import Context
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import servo_named
-from servofd.servo.motion import AnyServo, Motion
+from servofd.servo.motion import Motion
 from servofd.servo.physics import Physics
 from servofd.servo.servo_model import ServoModel, plant_of
 from servofd.servo.transfer import TransferFunction
@@ -35,7 +35,7 @@ SETTLED = 50
 def moved(physics: Physics, airspeed_m_s: Any, supply_v: Any) -> Any:
     constant = np.ones(TIME_S.size)
     context = Context(TIME_S, airspeed_m_s * constant, TIME_S, supply_v * constant)
-    motion = Motion(AnyServo(KNOWN.transfer, physics, context), 0.0)
+    motion = Motion(ServoModel(KNOWN.transfer, physics, context), 0.0)
     motion.receive(TIME_S, COMMAND_DEG, np.zeros(TIME_S.size))
     return motion.at(TIME_S)
 
@@ -149,7 +149,7 @@ def test_a_gain_of_the_servo_scales_its_motion_and_what_is_told_in_its_degrees(d
         physics = Physics(
             friction_deg=0.5 * gain, deadband_deg=0.4, rate_up_deg_s=40.0 * gain, stop_upper_deg=5.0 * gain
         )
-        motion = Motion(AnyServo(transfer, physics), 2.0 * gain)
+        motion = Motion(ServoModel(transfer, physics), 2.0 * gain)
         motion.receive(TIME_S, COMMAND_DEG, np.zeros(TIME_S.size))
         found_deg.append(motion.at(TIME_S) / gain)
     assert found_deg[0][0] == pytest.approx(2.0)

@@ -11,6 +11,9 @@ RATES_DEG_S = (20.0, 30.0, 45.0, 60.0, 80.0, 105.0, 140.0, 180.0, 240.0, 320.0, 
 """Largest speeds from which a search starts: of hobby and industrial servos, each a third above the one before."""
 STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
 """Steps of converters from which a search starts: of 10 and 12 bits a turn, and round numbers."""
+_DELAYS_S = (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)
+_OFFSETS_S = (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2)
+"""Lags of commands, and of stamps, from which a search starts."""
 Commands = tuple[FloatArray, FloatArray, FloatArray]
 """When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; each of shape (n,)."""
 
@@ -39,13 +42,17 @@ class PwmFrame(Effect):
 
     @staticmethod
     def act(commands: Commands, period_s: float, phase: float) -> Commands:
-        sent_s, command_deg, slope_deg_s = commands
-        first = np.ceil(sent_s[0] / period_s - phase)
-        count = max(int(np.floor(sent_s[-1] / period_s - phase) - first) + 2, 1)
-        frame_s = (first + np.arange(count) + phase) * period_s
-        held = np.maximum(np.searchsorted(sent_s, frame_s, side="right") - 1, 0)
-        since_s = np.maximum(frame_s - sent_s[held], 0.0)
-        return frame_s, command_deg[held] + slope_deg_s[held] * since_s, np.zeros(count)
+        first, last = np.ceil(commands[0][0] / period_s - phase), np.floor(commands[0][-1] / period_s - phase) + 1.0
+        return in_frames(commands, np.arange(first, max(last, first) + 1.0), period_s, phase)
+
+
+def in_frames(commands: Commands, frames: FloatArray, period_s: float, phase: float) -> Commands:
+    """What pulse frames of some numbers carry: the command in force when each begins."""
+    sent_s, command_deg, slope_deg_s = commands
+    frame_s = (frames + phase) * period_s
+    held = np.maximum(np.searchsorted(sent_s, frame_s, side="right") - 1, 0)
+    since_s = np.maximum(frame_s - sent_s[held], 0.0)
+    return frame_s, command_deg[held] + slope_deg_s[held] * since_s, np.zeros(frames.size)
 
 
 class Delay(Effect):
@@ -54,18 +61,7 @@ class Delay(Effect):
     name, slot, family, rank = "delay", Slot.EVENTS, "lag", 3
     spoken = "a longer delay"
     varies = True
-    parameters = (
-        Parameter(
-            "delay_s",
-            ("delay_s",),
-            0.0,
-            0.5,
-            0.0,
-            0.003,
-            (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25),
-            smallest=0.004,
-        ),
-    )
+    parameters = (Parameter("delay_s", ("delay_s",), 0.0, 0.5, 0.0, 0.003, _DELAYS_S, smallest=0.004),)
 
     @staticmethod
     def act(commands: Commands, delay_s: float) -> Commands:
@@ -78,22 +74,8 @@ class ClockOffset(Effect):
     name, slot, family, rank = "clock_offset", Slot.EVENTS, "lag", 4
     spoken = "positions stamped late"
     surprise, instead = 4.0, ("delay",)
-    parameters = (
-        Parameter(
-            "offset_s",
-            ("offset_s",),
-            -0.5,
-            0.5,
-            0.0,
-            0.003,
-            (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2),
-            smallest=0.004,
-        ),
-    )
-
-    @staticmethod
-    def act(commands: Commands, offset_s: float) -> Commands:
-        return commands[0] + offset_s, commands[1], commands[2]
+    parameters = (Parameter("offset_s", ("offset_s",), -0.5, 0.5, 0.0, 0.003, _OFFSETS_S, smallest=0.004),)
+    act = Delay.act
 
 
 class CommandGain(Effect):

@@ -14,6 +14,8 @@ _PUSH_PER_PA_S = 25.0 / 300.0
 """How fast the air pushes a surface through its play: in 0.04 s at 300 Pa (22 m/s)."""
 _SURE_PER_DEG = 10.0
 """A load of a tenth of a degree decides to which side of its play the air pushes a surface."""
+_TIPS_HZ = (3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.5, 16.0, 20.0, 26.0, 34.0)
+"""Frequencies of a flexible linkage from which a search starts."""
 _MOST_TURNS, _HALVINGS = 4, 40
 """How often in one step an output may fall behind and catch up, and how exactly it is known when."""
 
@@ -141,16 +143,7 @@ class Resonance(Effect):
     spoken = "a flexible linkage"
     longest_s, apart_s, surprise = 5e-3, 5e-4, 8.0
     parameters = (
-        Parameter(
-            "frequency_hz",
-            ("resonance_hz",),
-            1.0,
-            80.0,
-            80.0,
-            30.0,
-            (3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.5, 16.0, 20.0, 26.0, 34.0),
-            off=0.0,
-        ),
+        Parameter("frequency_hz", ("resonance_hz",), 1.0, 80.0, 80.0, 30.0, _TIPS_HZ, off=0.0),
         Parameter("damping_ratio", ("resonance_damping",), 5e-3, 0.5, 0.05, 0.05, (0.03, 0.15)),
     )
 
@@ -208,8 +201,8 @@ class LinkageNonlinearity(Effect):
     spoken = "a crooked linkage"
     surprise, instead = 12.0, ("gravity_load",)
     parameters = (
-        Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3), travel_power=1),
-        Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4), travel_power=2),
+        Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3)),
+        Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4)),
     )
 
     @staticmethod
@@ -217,13 +210,12 @@ class LinkageNonlinearity(Effect):
         return x * (1.0 + x * (quadratic + x * cubic))
 
 
-class UpperGain(Effect):
+class UpperGain(LinkageNonlinearity):
     """Another ratio above zero than below: a horn that is set askew, or a sensor whose scale differs up and down."""
 
-    name, slot, form, rank = "linkage_nonlinearity", Slot.OUTPUT, "up and down", 34
-    spoken = "another gain up than down"
-    surprise, instead = 12.0, ("gravity_load",)
+    form, rank, spoken = "up and down", 34, "another gain up than down"
     parameters = (Parameter("upper_gain", ("upper_gain",), 0.5, 2.0, 1.0, 0.03, (0.9, 0.95, 1.05, 1.1), smallest=0.01),)
+    sees = ("upper_gain",)
 
     @staticmethod
     def act(x: float, now: Now, upper_gain: float) -> float:

@@ -32,16 +32,15 @@ class DeadBand(Effect):
         return max(x - 0.5 * width_deg, 0.0) + min(x + 0.5 * width_deg, 0.0)
 
 
-class InsensitiveBand(Effect):
+class InsensitiveBand(DeadBand):
     """Position error below which the motor is off, and above which it sees all of it."""
 
-    name, slot, form, family, rank = "deadband", Slot.ERROR, "whole error", "hysteresis", 13
-    spoken = "a dead band"
-    sound, advice = 0.4, "check the servo's electronics and its dead band setting"
-    longest_s, at_rest = 1e-3, 5
+    form, rank, longest_s, at_rest = "whole error", 13, 1e-3, 5
+    places, varies = (BEFORE, INSIDE), False
     parameters = (
         Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),
     )
+    sees = ("insensitive_deg",)
 
     @staticmethod
     def act(x: float, now: Now, width_deg: float) -> float:
@@ -84,16 +83,14 @@ class MotorRate(Effect):
         return min(max(x, -down_deg_s * now.error_s), up_deg_s * now.error_s)
 
 
-class AsymmetricRate(Effect):
+class AsymmetricRate(MotorRate):
     """Largest speed of the motor, different in the two directions: a load that pulls one way."""
 
-    name, slot, form, fixed, rank = "rate_limit", Slot.ERROR, "motor, asymmetric", UNFOLLOWED, 31
-    spoken = "a rate limit"
+    form, rank, places, varies = "motor, asymmetric", 31, (BEFORE, INSIDE), False
     parameters = (
         Parameter("rate_up_deg_s", ("rate_up_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
         Parameter("rate_down_deg_s", ("rate_down_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
     )
-    act = MotorRate.act
 
 
 class VoltageRate(Effect):

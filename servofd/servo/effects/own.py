@@ -8,24 +8,16 @@ from typing import ClassVar
 from servofd.servo.effect import Effect, Parameter, Slot
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
+_SCALES = (0.3, 0.45, 0.6, 0.75, 0.9, 1.15, 1.5)
+"""Of all poles, from which a search starts."""
+
 
 class SlowDynamics(Effect):
     """All poles scaled: a weak battery, a heavy surface."""
 
     name, slot, rank = "slow_dynamics", Slot.OWN, 5
     spoken = "slower dynamics"
-    parameters = (
-        Parameter(
-            "bandwidth_scale",
-            ("bandwidth_scale",),
-            0.1,
-            4.0,
-            1.0,
-            0.1,
-            (0.3, 0.45, 0.6, 0.75, 0.9, 1.15, 1.5),
-            smallest=0.08,
-        ),
-    )
+    parameters = (Parameter("bandwidth_scale", ("bandwidth_scale",), 0.1, 4.0, 1.0, 0.1, _SCALES, smallest=0.08),)
 
 
 class Damping(Effect):
@@ -39,30 +31,25 @@ class Damping(Effect):
     )
 
 
-_POLES = (
-    Parameter("slow_scale", ("slow_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
-    Parameter("pair_scale", ("pair_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
-    Parameter("damping_scale", ("damping_scale",), 0.02, 50.0, 1.0, 0.06, (1.0,)),
-)
-"""Scales of the poles; of a servo of its type all are 1."""
-
-
 class Poles(Effect):
     """How a servo's poles differ from those of its type, the slow one in the loop: part of a model, no effect."""
 
-    name, slot, form, searched, parameters = "poles", Slot.OWN, "inside", False, _POLES
+    name, slot, searched, form = "poles", Slot.OWN, False, "inside"
     fixed: ClassVar[Mapping[str, float]] = {"slow_place": INSIDE}
+    parameters = (
+        Parameter("slow_scale", ("slow_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
+        Parameter("pair_scale", ("pair_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
+        Parameter("damping_scale", ("damping_scale",), 0.02, 50.0, 1.0, 0.06, (1.0,)),
+    )
 
 
-class PolesBefore(Effect):
+class PolesBefore(Poles):
     """The same of a servo whose slow pole filters the command."""
 
-    name, slot, form, searched, parameters = "poles", Slot.OWN, "before", False, _POLES
-    fixed: ClassVar[Mapping[str, float]] = {"slow_place": BEFORE}
+    form, fixed = "before", {"slow_place": BEFORE}
 
 
-class PolesAfter(Effect):
+class PolesAfter(Poles):
     """The same of a servo whose slow pole filters what the loop moves."""
 
-    name, slot, form, searched, parameters = "poles", Slot.OWN, "after", False, _POLES
-    fixed: ClassVar[Mapping[str, float]] = {"slow_place": AFTER}
+    form, fixed = "after", {"slow_place": AFTER}

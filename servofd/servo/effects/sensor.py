@@ -8,6 +8,9 @@ from servofd.servo.effect import Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import STEPS_DEG
 from servofd.servo.effects.linkage import speed_over
 
+_LAGS_S = (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25)
+"""Lags of a sensor from which a search starts."""
+
 
 class SensorLag(Effect):
     """First-order filter of the position sensor."""
@@ -15,18 +18,7 @@ class SensorLag(Effect):
     name, slot, rank, memory = "sensor_lag", Slot.OUTPUT, 17, 2
     spoken = "a sensor that lags"
     longest_s, apart_s = 5e-3, 1e-3
-    parameters = (
-        Parameter(
-            "time_constant_s",
-            ("lag_s",),
-            0.0,
-            1.0,
-            0.0,
-            0.01,
-            (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25),
-            smallest=0.004,
-        ),
-    )
+    parameters = (Parameter("time_constant_s", ("lag_s",), 0.0, 1.0, 0.0, 0.01, _LAGS_S, smallest=0.004),)
 
     @staticmethod
     def act(x: float, now: Now, constant_s: float, at: float, ahead: float) -> tuple[float, float, float]:

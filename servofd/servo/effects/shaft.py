@@ -6,7 +6,7 @@ import math
 
 from servofd.servo.effect import Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import RATES_DEG_S
-from servofd.servo.effects.motor import RATES_DEG_S_PER_V, UNFOLLOWED
+from servofd.servo.effects.motor import RATES_DEG_S_PER_V, UNFOLLOWED, VoltageRate
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
@@ -69,18 +69,15 @@ class GravityLoad(Effect):
         return x + droop_deg * math.sin((now.position_deg - hangs_deg) * _RAD_PER_DEG)
 
 
-class TiltedLoad(Effect):
+class TiltedLoad(GravityLoad):
     """Weight on the horn of a servo whose angles are counted from elsewhere: the joint of an arm."""
 
-    name, slot, form, rank = "gravity_load", Slot.LOAD, "hanging elsewhere", 27
-    spoken = "a load that hangs on it"
-    sees = ("droop_deg", "hangs_deg")
+    form, rank, varies = "hanging elsewhere", 27, False
     parameters = (
         Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (1.0, 3.0, 8.0, 20.0), smallest=0.1),
         Parameter("hangs_deg", ("hangs_deg",), -360.0, 360.0, 0.0, 30.0, (-150.0, -90.0, -30.0, 30.0, 90.0, 150.0)),
         SPLIT,
     )
-    act = GravityLoad.act
 
 
 class ExternalLoad(Effect):
@@ -120,19 +117,14 @@ class Friction(Effect):
         return x + friction_deg * (1.0 + stribeck * math.exp(-slip * slip) if stribeck > 0.0 else 1.0)
 
 
-class StribeckFriction(Effect):
+class StribeckFriction(Friction):
     """Friction that is larger at rest than at speed (Stribeck): usual of grease and bushings."""
 
-    name, slot, form, family, rank = "friction", Slot.GRIP, "Stribeck", "hysteresis", 16
-    spoken = "friction"
-    sound, advice = 0.3, "check for binding, and the gear"
-    longest_s, places, varies = 2e-3, (BEFORE, INSIDE, AFTER), True
-    sees = ("friction_deg", "stribeck")
+    form, rank, at_rest = "Stribeck", 16, 0
     parameters = (
-        Parameter("friction_deg", ("friction_deg",), 0.0, 10.0, 0.0, 0.15, _FRICTION_DEG, loose=1.0, smallest=0.08),
+        Friction.parameters[0],
         Parameter("stribeck", ("stribeck",), 0.0, 1.0, 0.0, 0.3, (0.3,), aside=True),
     )
-    act = Friction.act
 
 
 class LoadFriction(Effect):
@@ -169,13 +161,11 @@ class ShaftSpeed(Effect):
         return min(max(x, -down_deg_s), up_deg_s)
 
 
-class ShaftSpeedBySupply(Effect):
+class ShaftSpeedBySupply(VoltageRate):
     """Largest speed of the shaft in proportion to the supply."""
 
-    name, slot, form, fixed, rank = "voltage_rate", Slot.SPEED, "shaft", UNFOLLOWED, 20
-    spoken = "a rate limit that falls with the supply"
-    longest_s, places, instead = 1.25e-3, (BEFORE, AFTER, INSIDE), ("rate_limit",)
-    needs = ("servo_voltage_v",)
+    slot, form, rank, longest_s = Slot.SPEED, "shaft", 20, 1.25e-3
+    places, sees = (BEFORE, AFTER, INSIDE), ("speed_deg_s_per_v",)
     parameters = (
         Parameter("deg_s_per_v", ("speed_deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from logparsers.units import S_PER_US, US_PER_S
@@ -31,18 +32,6 @@ class Leg(NamedTuple):
     begun_s: float
     """Since the beginning of the flight [s]."""
     vehicle: Vehicle
-
-
-@dataclass(slots=True)
-class Flown:
-    """How a flight went."""
-
-    turns: int = 0
-    """Turns of the main loop."""
-    sent: int = 0
-    """Messages."""
-    received: int = 0
-    """Messages."""
 
 
 def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tuple[Leg, ...]:
@@ -77,27 +66,27 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
     return tuple(found)
 
 
-def fly(
-    vehicle: Vehicle | tuple[Leg, ...], link: Link, codec: Codec, *, wait: bool = False, air: Air | None = None
-) -> Flown:
+def fly(flown: tuple[Leg, ...], link: Link, codec: Codec, *, wait: bool, air: Air) -> Flown:
     """Fly until the flight ends, or Ctrl-C ends it.
 
     `link`: where it is received; left open. `air`: what is between it and the link.
     """
-    flown = vehicle if isinstance(vehicle, tuple) else (Leg(0.0, vehicle),)
-    session = _Session(flown, link, codec, air or Air())
-    try:
+    flight = Flown(flown, link, codec, air)
+    with suppress(KeyboardInterrupt):
         if wait:
-            session.wait()
-        session.fly()
-    except KeyboardInterrupt:
-        pass
-    return session.flown
+            flight.wait()
+        flight.fly()
+    return flight
 
 
-class _Session:
+class Flown:
+    """A flight, and how it went."""
+
     def __init__(self, flown: tuple[Leg, ...], link: Link, codec: Codec, air: Air) -> None:
-        self.flown = Flown()
+        self.turns = 0
+        """Of the main loop."""
+        self.sent = self.received = 0
+        """Messages."""
         self._legs, self._link, self._codec, self._air = flown, link, codec, air
         self._vehicle, self._speed = flown[0].vehicle, flown[0].vehicle.speed
         self._at_s = 0.0
@@ -105,11 +94,12 @@ class _Session:
     def wait(self) -> None:
         """Say that it is there, and stand still."""
         now_us = int(self._vehicle.time_us[0])
-        while not self.flown.received:
+        while not self.received:
             self._send([self._vehicle.heartbeat()])
             self._listen(_BEAT_S, now_us)
 
     def fly(self) -> None:
+        """Fly to its end."""
         takeoff_s = time.monotonic()
         for leg in self._legs:
             self._vehicle = leg.vehicle
@@ -123,7 +113,7 @@ class _Session:
                     if not self._listen(left_s, now_us) and time.monotonic() >= due_s:
                         break
                 self._send(leg.vehicle.turn(index))
-                self.flown.turns += 1
+                self.turns += 1
         while not self._air.empty:
             time.sleep(_TICK_S / self._speed)
             self._at_s += _TICK_S
@@ -135,7 +125,7 @@ class _Session:
         if not self._air.passes(self._at_s):
             return bool(data)
         for message in self._codec.decode(data):
-            self.flown.received += 1
+            self.received += 1
             self._send(self._vehicle.receive(message, now_us))
         return bool(data)
 
@@ -144,4 +134,4 @@ class _Session:
         frames = [self._codec.encode(name, fields) for name, fields in messages]
         for frame in self._air.through(self._at_s, frames):
             self._link.send(frame)
-            self.flown.sent += 1
+            self.sent += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +18,7 @@ from logparsers.units import US_PER_S
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError, suggest
 from servofd.core.types import IntArray
-from servofd.simulation.ardupilot import banner, outputs_needed, parameters, rate_hz
+from servofd.simulation.ardupilot import banner, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
 from servofd.simulation.surroundings import microseconds
 from servofd.simulation.telemetry_writer import FEEDBACK, VERSION, air_rows, beats, servo_rows
@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 _4_7_0_DEV: Final = 0x04070000
 """Version 4.7.0, development, as AUTOPILOT_VERSION packs it."""
 _POSITIONS: Final = ("NAMED_VALUE_FLOAT", "DEBUG_FLOAT_ARRAY")
-_GROUPS: Final[Mapping[int, tuple[str, ...]]] = {
-    3: ("SERVO_OUTPUT_RAW",),  # MAV_DATA_STREAM_RC_CHANNELS
-    10: ("ATTITUDE",),
-    11: ("VFR_HUD",),
-    12: ("SYSTEM_TIME",),
-}
+_GROUPS: Final = {3: "SERVO_OUTPUT_RAW", 10: "ATTITUDE", 11: "VFR_HUD", 12: "SYSTEM_TIME"}
+"""Message of a data stream (MAVLink, MAV_DATA_STREAM; 3 is RC_CHANNELS)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +68,10 @@ class Settings:
 class Vehicle:
     """A simulated flight that is sent as it happens.
 
-    `flight`: with outputs; each sample is one turn of the autopilot's main loop. `aircraft`: a surface without a
-    measured channel has a servo that reports nothing. `settings`: how it speaks.
+    `flight`: with outputs; each sample is one turn of the autopilot's main loop.
     """
 
     def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, settings: Settings | None = None) -> None:
-        outputs_needed(flight)
         settings = settings or Settings()
         begun_us = int(microseconds(flight.time_s[:1])[0])
         loop_hz = rate_hz(flight)
@@ -92,28 +86,15 @@ class Vehicle:
         self._telemetry = Telemetry(flight, aircraft, settings.feedback)
         self._schedule = _schedule(self._telemetry.names, loop_hz, settings)
         rows = encode_rows(dataflash_messages(flight, aircraft, VOLZ, settings=known))
-        self._log = RemoteLog(
-            rows, settings.speed, [_span_us(t, begun_us) for t in settings.troubles if isinstance(t, Stall)]
-        )
-        self._edits = sorted(
-            (
-                (begun_us + round(US_PER_S * t.start_s), t.name, t.value)
-                for t in settings.troubles
-                if isinstance(t, Edit)
-            ),
-        )
-        self._answers: dict[str, Callable[[Received, int], list[Send]]] = {
-            "COMMAND_LONG": self._command,
-            "COMMAND_INT": self._command,
-            "REQUEST_DATA_STREAM": self._data_stream,
-            "PARAM_REQUEST_LIST": self._list_parameters,
-            "PARAM_REQUEST_READ": self._read_parameter,
-            "PARAM_SET": self._read_parameter,
-            "TIMESYNC": self._time_sync,
-            "AUTOPILOT_VERSION_REQUEST": lambda message, now_us: [self._version()],  # noqa: ARG005
-            "MISSION_REQUEST_LIST": self._no_mission,
-            "REMOTE_LOG_BLOCK_STATUS": self._log_status,
-        }
+
+        def at_us(elapsed_s: float) -> int:
+            return begun_us + round(US_PER_S * elapsed_s)
+
+        stalls = (t for t in settings.troubles if isinstance(t, Stall))
+        stalls_us = [(at_us(t.start_s), at_us(t.start_s + t.for_s)) for t in stalls]
+        self._log = RemoteLog(rows, settings.speed, stalls_us)
+        edits = (t for t in settings.troubles if isinstance(t, Edit))
+        self._edits = sorted((at_us(t.start_s), t.name, t.value) for t in edits)
 
     @property
     def dropped_rows(self) -> int:
@@ -140,11 +121,33 @@ class Vehicle:
 
         The component that is meant does not matter: ArduPilot itself takes what it cannot forward to another link.
         """
-        answer = self._answers.get(message.name)
+        given = message.fields
+        answer: list[Send] = []
         is_own = message.system == self.system and message.component == Component.AUTOPILOT1
-        if answer is None or is_own or message.fields.get("target_system", 0) not in (0, self.system):
+        if is_own or given.get("target_system", 0) not in (0, self.system):
             return []
-        return answer(message, now_us)
+        match message.name:
+            case "COMMAND_LONG" | "COMMAND_INT":
+                answer = self._command(message, now_us)
+            case "REQUEST_DATA_STREAM":
+                for group, name in _GROUPS.items():
+                    if given["req_stream_id"] in (0, group):
+                        self._schedule.ask_rate(name, given["req_message_rate"] if given["start_stop"] else 0)
+            case "PARAM_REQUEST_LIST":
+                self._parameters.list_all()
+            case "PARAM_REQUEST_READ" | "PARAM_SET":
+                answer = self._parameters.read(given["param_id"], given.get("param_index", -1))
+            case "TIMESYNC" if given["tc1"] == 0:
+                answer = [Send("TIMESYNC", {"tc1": 1000 * now_us, "ts1": given["ts1"], **_to(message)})]
+            case "AUTOPILOT_VERSION_REQUEST":
+                answer = [self._version()]
+            case "MISSION_REQUEST_LIST":
+                none = {**_to(message), "mission_type": given.get("mission_type", 0)}
+                answer = [Send("MISSION_COUNT", none)]
+            case "REMOTE_LOG_BLOCK_STATUS":
+                client = message.system, message.component
+                self._log.receive(client, given["seqno"], arrived=given["status"] == 1, now_us=now_us)
+        return answer
 
     def _command(self, message: Received, now_us: int) -> list[Send]:
         given = message.fields
@@ -155,7 +158,8 @@ class Vehicle:
         if command == Command.SET_MESSAGE_INTERVAL:
             return self._set_interval(message, name, int(value))
         if command == Command.REQUEST_MESSAGE:
-            asked = [self._version()] if name == "AUTOPILOT_VERSION" else self._once(name, now_us)
+            newest = self._telemetry.newest(name, now_us, again=True)
+            asked = [self._version()] if name == "AUTOPILOT_VERSION" else newest
             return [_result(message, Result.ACCEPTED if asked else Result.DENIED), *asked]
         if command == Command.GET_MESSAGE_INTERVAL:
             interval_us = self._schedule.interval_us(name)
@@ -171,46 +175,11 @@ class Vehicle:
             return [*_chunks(f"No ap_message for mavlink id ({number})"), _result(message, Result.DENIED)]
         if name not in self._telemetry.names or interval_us < -1:
             return [_result(message, Result.DENIED)]
-        try:
-            self._schedule.ask(name, interval_us)
-        except TooFastError:
+        if not self._schedule.ask(name, interval_us):
             number = int(message.fields["param1"])
             words = f"Requested rate for message ID {number} too fast. Increase SCHED_LOOP_RATE"
             return [*_chunks(words), _result(message, Result.DENIED)]
         return [_result(message, Result.ACCEPTED)]
-
-    def _once(self, name: str, now_us: int) -> list[Send]:
-        return self._telemetry.newest(name, now_us, again=True) if name in self._telemetry.names else []
-
-    def _data_stream(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002 - all answers share a form
-        given = message.fields
-        names = [n for group in _GROUPS.values() for n in group] if given["req_stream_id"] == 0 else []
-        for name in (*names, *_GROUPS.get(given["req_stream_id"], ())):
-            self._schedule.ask_rate(name, given["req_message_rate"] if given["start_stop"] else 0)
-        return []
-
-    def _list_parameters(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002
-        self._parameters.list_all()
-        return []
-
-    def _read_parameter(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002
-        return self._parameters.read(message.fields["param_id"], message.fields.get("param_index", -1))
-
-    def _time_sync(self, message: Received, now_us: int) -> list[Send]:
-        if message.fields["tc1"] != 0:
-            return []
-        to = {"target_system": message.system, "target_component": message.component}
-        return [Send("TIMESYNC", {"tc1": 1000 * now_us, "ts1": message.fields["ts1"], **to})]
-
-    def _no_mission(self, message: Received, now_us: int) -> list[Send]:  # noqa: ARG002
-        to = {"target_system": message.system, "target_component": message.component}
-        return [Send("MISSION_COUNT", {**to, "mission_type": message.fields.get("mission_type", 0)})]
-
-    def _log_status(self, message: Received, now_us: int) -> list[Send]:
-        given = message.fields
-        client = (message.system, message.component)
-        self._log.receive(client, given["seqno"], arrived=given["status"] == 1, now_us=now_us)
-        return []
 
     def _version(self) -> Send:
         fields: dict[str, Any] = {
@@ -230,14 +199,13 @@ def _schedule(names: tuple[str, ...], loop_hz: float, settings: Settings) -> Sch
     return Schedule({n: usual_ms[n] for n in names}, loop_us=round(1e6 / loop_hz), any_rate=settings.any_rate)
 
 
+def _to(message: Received) -> dict[str, int]:
+    """Whom an answer is for."""
+    return {"target_system": message.system, "target_component": message.component}
+
+
 def _result(message: Received, result: int) -> Send:
-    to = {"target_system": message.system, "target_component": message.component}
-    return Send("COMMAND_ACK", {"command": message.fields["command"], "result": result, **to})
-
-
-def _span_us(stall: Stall, begun_us: int) -> tuple[int, int]:
-    """When it begins and ends [us]."""
-    return begun_us + round(US_PER_S * stall.start_s), begun_us + round(US_PER_S * (stall.start_s + stall.for_s))
+    return Send("COMMAND_ACK", {"command": message.fields["command"], "result": result, **_to(message)})
 
 
 def _chunks(words: str) -> list[Send]:
@@ -250,11 +218,7 @@ def _chunks(words: str) -> list[Send]:
 
 
 class Telemetry:
-    """Rows of a flight, in the numbers that its ``.tlog`` would hold.
-
-    `flight`: with outputs. `aircraft`: tells which servos report their positions. `feedback`: how, as in
-    `servofd.simulation.telemetry_writer.servo_rows`.
-    """
+    """Rows of a flight, in the numbers that its ``.tlog`` would hold; `feedback` as in `servo_rows`."""
 
     def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> None:
         self._series: dict[str, list[_Series]] = defaultdict(list)
@@ -271,23 +235,23 @@ class Telemetry:
 
         `again`: also if it was given before. Result: None that is yet to be made.
         """
-        return [Send(name, row) for series in self._series[name] if (row := series.row(now_us, again)) is not None]
+        found = []
+        for series in self._series.get(name, ()):
+            at = int(np.searchsorted(series.made_us, now_us, side="right")) - 1
+            if at >= 0 and (again or at != series.last):
+                series.last = at
+                found.append(Send(name, {key: column[at].tolist() for key, column in series.columns.items()}))
+        return found
 
 
+@dataclass(slots=True, eq=False)
 class _Series:
     """One source of a message."""
 
-    def __init__(self, made_us: IntArray, columns: dict[str, NDArray[Any]]) -> None:
-        self._made_us = made_us
-        self._columns = columns
-        self._last = -1
-
-    def row(self, now_us: int, again: bool) -> dict[str, Any] | None:
-        at = int(np.searchsorted(self._made_us, now_us, side="right")) - 1
-        if at < 0 or (at == self._last and not again):
-            return None
-        self._last = at
-        return {key: column[at].tolist() for key, column in self._columns.items()}
+    made_us: IntArray
+    columns: dict[str, NDArray[Any]]
+    last: int = -1
+    """Row that was given last."""
 
 
 _PER_TURN: Final = 5
@@ -350,10 +314,6 @@ _LONGEST_MS: Final = 60_000
 _NOW: Final = -1
 
 
-class TooFastError(Exception):
-    """The main loop does not turn often enough."""
-
-
 class Schedule:
     """Intervals of messages, and when each is due.
 
@@ -371,16 +331,20 @@ class Schedule:
         self._loop_us = loop_us
         self._any_rate = any_rate
 
-    def ask(self, name: str, interval_us: int) -> None:
-        """Ask for another interval: in whole milliseconds up to a minute; 0 for the usual one, -1 for none."""
+    def ask(self, name: str, interval_us: int) -> bool:
+        """Ask for another interval: in whole milliseconds up to a minute; 0 for the usual one, -1 for none.
+
+        It is granted unless the main loop does not turn often enough.
+        """
         if interval_us <= 0:
             self._interval_ms[name] = self._usual_ms[name] if interval_us == 0 else OFF
-            return
+            return True
         interval_ms = min(max(interval_us // 1000, 1), _LONGEST_MS)
-        if not self._any_rate and interval_ms * 800 < self._loop_us:
-            raise TooFastError
-        self._interval_ms[name] = interval_ms
-        self._next_us[name] = _NOW
+        granted = self._any_rate or interval_ms * 800 >= self._loop_us
+        if granted:
+            self._interval_ms[name] = interval_ms
+            self._next_us[name] = _NOW
+        return granted
 
     def ask_rate(self, name: str, rate_hz: int) -> None:
         """Ask for a rate, as REQUEST_DATA_STREAM does [Hz]: the fastest if it is too fast, 0 for none."""
