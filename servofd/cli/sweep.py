@@ -34,14 +34,14 @@ _MEMORY_S = 1.0
 def run(options: Options) -> int:
     """Check, then write or print."""
     known = known_aircraft(options.config)
-    logs, documents = list(one_log(options.log, known).by_boots()), []
+    logs, documents = one_log(options.log, known).by_boots(), list[dict[str, Any]]()
     for log in logs:
         aircraft = flown_aircraft(log, known)
         aircraft.check_names(options.surface, log.label)
         audit = audit_log(log, aircraft, surfaces=tuple(options.surface))
         surfaces = {one.surface: _checked(one, aircraft.surfaces[one.surface]) for one in audit.surfaces}
-        about = {"schema": "servofd.sweep/1", "path": str(log.source), "duration_s": log.duration_s}
-        documents.append(about | {"surfaces": surfaces})
+        about: dict[str, Any] = {"path": str(log.source), "duration_s": log.duration_s}
+        documents.append({"schema": "servofd.sweep/1", **about, "surfaces": surfaces})
     *earlier, last = documents
     if not give_json(options.json, last | {"earlier_boots": earlier} if earlier else last):
         for log, document in zip(logs, documents, strict=True):

@@ -44,13 +44,13 @@ def judge_log(source: LogSource, job: Job) -> JudgedLog:
         with fetched(source.path) as local:
             for found in judged(local, job, threads=1):  # the logs run side by side already
                 if isinstance(found, FailedLog):
-                    result = replace(found, path=source.path, error=found.error.replace(local, source.path))
-                    why, is_shown = result.error, result.flight is not None
+                    why, is_shown = found.error.replace(local, source.path), found.flight is not None
+                    found = replace(found, path=source.path, error=why)  # noqa: PLW2901 - under its own name
                 else:
-                    label, result, is_shown = found.log.label.replace(local, source.path), found, True
+                    label, is_shown = found.log.label.replace(local, source.path), True
                     why = found.not_judged and f"{label}: {found.not_judged}"
-                shown += [result] * (job.pages and is_shown)
-                rows.append(_row(source, content, result, why))
+                shown += [found] * (job.pages and is_shown)
+                rows.append(_row(source, content, found, why))
             # Its page leads back to that of all.
             page = html_page(replace(audit_report(shown), links=[("All flights", FLEET_PAGE)])) if shown else ""
             return JudgedLog(source, content, tuple(rows), page)

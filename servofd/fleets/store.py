@@ -157,7 +157,7 @@ class FleetStore:
         """Whether a log with these bytes has been judged; read only if there is one of the same size."""
         known = self._sizes.get(source.size_bytes)
         with suppress(OSError):
-            return bool(known) and content_key(source.path) in known
+            return content_key(source.path) in known if known else False
         return False
 
     def add(self, judged: JudgedLog) -> bool:

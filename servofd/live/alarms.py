@@ -194,5 +194,5 @@ class Alarms:
         alarm.severity = severity_of(event.kind, event.fault, event.residual_deg, travel)
 
     def _published(self, event: Event, alarm: str, severity: Severity, what: EventKind | None = None) -> Event:
-        known = {"id": alarm, "severity": severity, "vehicle": self.vehicle, "boot": self.boot}
-        return replace(event, event=what or event.event, **known)
+        whose = replace(event, id=alarm, severity=severity, vehicle=self.vehicle, boot=self.boot)
+        return whose if what is None else replace(whose, event=what)
