@@ -39,7 +39,7 @@ from servofd.simulation.writers import write_flight
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from servofd.live.alarms import Published
+    from servofd.detection.event import Event
 
 NOISE_DEG = 0.1
 _WRAP = 2**32
@@ -80,7 +80,7 @@ class Hours:
         self.resident_mb: list[int] = []
         self._next_s = float("-inf")
 
-    def events(self, events: list[Published]) -> None:
+    def events(self, events: list[Event]) -> None:
         """Note them."""
         self.told += [f"{e.time_s:.1f} s: {e.event} {e.kind} {e.text}".strip() for e in events]
 

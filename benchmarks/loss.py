@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servofd.aircraft.schema import Aircraft
-    from servofd.live.alarms import Published
+    from servofd.detection.event import Event
 
     Frames = list[tuple[float, bytes]]
     """Arrival times [s] and frames."""
@@ -88,10 +88,10 @@ def worse(frames: Frames, loss: float, pattern: str, seed: int) -> Frames:
     return [(each_s, frames[k][1]) for each_s, k in zip(arrival_s.tolist(), came.tolist(), strict=True)]
 
 
-def told(aircraft: Aircraft, frames: Frames) -> list[Published]:
+def told(aircraft: Aircraft, frames: Frames) -> list[Event]:
     """What the monitor says of a link."""
     session, stepped_s, now_s = Session(Codec(0, 191), {0: aircraft}), -np.inf, 0.0
-    events: list[Published] = []
+    events: list[Event] = []
     for now_s, frame in frames:
         events += session.take(now_s, frame)
         if now_s - stepped_s >= (_CALM_STEP_S if session.rests(_CALM_STEP_S) else _STEP_S):
@@ -121,7 +121,7 @@ class Truth(NamedTuple):
     end_s: float
 
 
-def alarms_of(events: Sequence[Published], fault: Truth) -> list[Published]:
+def alarms_of(events: Sequence[Event], fault: Truth) -> list[Event]:
     """Alarms that tell a fault."""
     until_s = min(fault.begin_s + _LATE_S, fault.end_s + _JITTER_S)
     return [
@@ -130,14 +130,14 @@ def alarms_of(events: Sequence[Published], fault: Truth) -> list[Published]:
     ]  # fmt: skip
 
 
-def scored(events: Sequence[Published], truth: Sequence[Truth], clean: Sequence[Published]) -> Score:
+def scored(events: Sequence[Event], truth: Sequence[Truth], clean: Sequence[Event]) -> Score:
     """Faults that were found, those of a surface that was said not to be judged, those missed, and other alarms.
 
     `clean`: what the monitor says of the link that loses nothing.
     """
     score: Counter[str] = Counter()
     alarms = [event for event in events if event.event == "alarm"]
-    mine: list[Published] = []
+    mine: list[Event] = []
     later_s: list[float] = []
     for fault in truth:
         until_s = min(fault.begin_s + _LATE_S, fault.end_s + _JITTER_S)

@@ -38,7 +38,7 @@ from servofd.simulation.pulses import MOST_OUTPUTS, outputs_of
 from servofd.simulation.telemetry_writer import telemetry_log
 
 if TYPE_CHECKING:
-    from servofd.live.alarms import Published
+    from servofd.detection.event import Event
 
 _STARTED_S = 10.0
 _BATCH = 100
@@ -115,7 +115,7 @@ class Noted:
         self.alarms: list[tuple[float, float]] = []
         """Time of the data, and by the receiver's clock [s]."""
 
-    def events(self, events: list[Published]) -> None:
+    def events(self, events: list[Event]) -> None:
         """Take events of a step."""
         told_s = time.time()
         self.alarms += [(event.time_s, told_s) for event in events if event.event == "alarm"]

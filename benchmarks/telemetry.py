@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from servofd.aircraft.schema import Aircraft
     from servofd.core.types import FloatArray
-    from servofd.live.alarms import Published
+    from servofd.detection.event import Event
 
 REASONS: Final = ("clean", "frozen", "held", "echo", "spike")
 WAYS: Final = ("audit, no file", "audit, calibrated", "monitor, calibrated")
@@ -99,9 +99,9 @@ class _Silent:
     """Takes the events of a replay."""
 
     def __init__(self) -> None:
-        self.found: list[Published] = []
+        self.found: list[Event] = []
 
-    def events(self, events: list[Published]) -> None:
+    def events(self, events: list[Event]) -> None:
         """Keep them."""
         self.found += events
 

@@ -8,11 +8,11 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Literal, NamedTuple
 
 import logparsers
 from logparsers import EmptyLog, LogError, TableLayout
@@ -28,6 +28,10 @@ _OWN_PAGE = b'<meta name="generator" content="servofd">'
 _MAGIC = frozenset("*?[")
 _TABLE_HEAD_BYTES = 65_536
 """Room for a header line and some rows of any table."""
+
+
+_File = tuple[str, int, Callable[[str], Iterable[bytes]]]
+"""Name, size [bytes], and what gives the first bytes of it, or of each file in it if it is an archive."""
 
 
 class LogSource(NamedTuple):
@@ -73,66 +77,62 @@ def find_logs(inputs: Sequence[str], layout: TableLayout | None = None) -> Found
     problems = []
     for text in inputs:
         try:
-            found, passed = _found(text, layout)
+            every = list(_found(text, layout))
         except ConfigError as error:
             problems.append(str(error))
             continue
+        found = [one for one in every if isinstance(one, LogSource)]
+        passed = [one for one in every if isinstance(one, Skipped)]
         if not found:
             problems.append(f"{text}: {_nothing(text, passed)}")
-        logs |= {log.path if is_address(log.path) else os.path.normpath(log.path): log for log in found}
+        logs |= {log.path if "://" in log.path else os.path.normpath(log.path): log for log in found}
         skipped |= {one.path: one for one in passed}
     if not logs:
         raise ConfigError("; ".join(problems) or "no log was named")
     return Found(tuple(logs.values()), tuple(skipped.values()), tuple(problems))
 
 
-def is_address(text: str) -> bool:
-    """Whether fsspec opens it, such as ``s3://bucket/flight.bin``."""
-    return "://" in text
-
-
-def is_pattern(text: str) -> bool:
-    """Whether it is a pattern for several files, and no file of that very name.
-
-    Examples
-    --------
-    >>> is_pattern("logs/*.bin"), is_pattern("logs/a.bin")
-    (True, False)
-    """
-    return bool(_MAGIC & set(text)) and not os.path.lexists(text)
-
-
-def is_plain_file(text: str) -> bool:
-    """Whether it names one file on this machine, even a missing one."""
-    return not (is_address(text) or is_pattern(text) or is_folder(text))
-
-
-def is_folder(text: str) -> bool:
-    """Whether it names a folder on this machine."""
+def kind_of(text: str) -> Literal["address", "pattern", "folder", "file"]:
+    """What fsspec opens (``s3://bucket/flight.bin``), several files, or one name on this machine, even of nothing."""
+    if "://" in text:
+        return "address"
+    if _MAGIC & set(text) and not os.path.lexists(text):
+        return "pattern"
     try:
-        return Path(text).is_dir()
+        return "folder" if Path(text).is_dir() else "file"
     except OSError:  # no file can have this name
-        return False
+        return "file"
 
 
-def _found(text: str, layout: TableLayout | None) -> tuple[list[LogSource], list[Skipped]]:
-    if is_address(text):
-        return _sorted_out(_remote_files(text), layout)
-    if is_plain_file(text):
-        return [LogSource(text, _size_bytes(text))], []
+def _found(text: str, layout: TableLayout | None) -> Iterator[LogSource | Skipped]:
+    """Logs, and what is none; a page of results that was written beside the logs last time is neither."""
+    kind = kind_of(text)
+    if kind == "file":
+        yield LogSource(text, _size_bytes(text))
+        return
+    for name, size_bytes, heads_of in _remote_files(text) if kind == "address" else _local_files(text, kind):
+        reason = _why_no_log(name, heads_of, layout)
+        if not reason:
+            yield LogSource(name, size_bytes)
+        elif not (name.endswith(".html") and any(_OWN_PAGE in head for head in heads_of(name))):
+            yield Skipped(name, reason)
+
+
+def _local_files(text: str, kind: str) -> Iterator[_File]:
+    """Files of a folder, or those that fit a pattern and those in folders that do."""
     matches = [text]
-    if is_pattern(text):
+    if kind == "pattern":
         matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - Path.glob takes no absolute patterns
-    files = (name for match in matches for name in (_walked(match) if is_folder(match) else [match]))
-    heads_of = partial(heads, size=_TABLE_HEAD_BYTES)
-    return _sorted_out(((name, _size_bytes(name), heads_of) for name in files), layout)
+    for match in matches:
+        for name in _walked(match) if Path(match).is_dir() else [match]:
+            yield name, _size_bytes(name), partial(heads, size=_TABLE_HEAD_BYTES)
 
 
 def _nothing(text: str, skipped: list[Skipped]) -> str:
     """Why an input gave no log."""
-    if is_pattern(text) and not is_address(text) and not skipped:
+    kind = kind_of(text)
+    if not skipped and kind == "pattern":
         return "no file fits this pattern; put it in quotes, and ** stands for any folders"
-    kind = "address" if is_address(text) else "pattern" if is_pattern(text) else "folder"
     if not skipped:
         return f"this {kind} holds no file; give one that holds flight logs"
     first = skipped[0]
@@ -153,24 +153,10 @@ def _walked(folder: str) -> Iterator[str]:
         yield from (str(Path(parent, name)) for name in sorted(names) if not name.startswith("."))
 
 
-def _sorted_out(
-    files: Iterable[tuple[str, int, Any]], layout: TableLayout | None
-) -> tuple[list[LogSource], list[Skipped]]:
-    """Logs, and what is none; a page of results that was written beside the logs last time is neither."""
-    logs, skipped = [], []
-    for name, size_bytes, heads_of in files:
-        reason = _why_no_log(name, heads_of, layout)
-        if not reason:
-            logs.append(LogSource(name, size_bytes))
-        elif not (name.endswith(".html") and any(_OWN_PAGE in head for head in heads_of(name))):
-            skipped.append(Skipped(name, reason))
-    return logs, skipped
-
-
-def _why_no_log(name: str, heads: Any, layout: TableLayout | None) -> str:  # noqa: ANN401 - reader of bytes
+def _why_no_log(name: str, heads_of: Callable[[str], Iterable[bytes]], layout: TableLayout | None) -> str:
     """Why a file is no log, or nothing; an archive is one if it holds one."""
     try:
-        reasons = [_why_no_head(head, name, layout) for head in heads(name)]
+        reasons = [_why_no_head(head, name, layout) for head in heads_of(name)]
     except EmptyLog:
         return "empty"
     except LogError as error:
@@ -209,7 +195,7 @@ def _size_bytes(name: str) -> int:
         return 0
 
 
-def _remote_files(address: str) -> Iterator[tuple[str, int, Any]]:
+def _remote_files(address: str) -> Iterator[_File]:
     """Files at an address: one, those of a folder, or those that fit a pattern."""
     try:
         import fsspec
@@ -241,15 +227,8 @@ def _remote_files(address: str) -> Iterator[tuple[str, int, Any]]:
 
 @contextmanager
 def fetched(path: str) -> Iterator[str]:
-    """Give a local file: the log itself, or a copy of the same name that is gone afterwards.
-
-    Examples
-    --------
-    >>> with fetched("a.csv") as local:
-    ...     local
-    'a.csv'
-    """
-    if not is_address(path):
+    """Give a local file: the log itself, or a copy of the same name that is gone afterwards."""
+    if kind_of(path) != "address":
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="servofd-") as folder:

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, Aircraft, explained_in
-from servofd.batch.find import is_address
+from servofd.batch.find import kind_of
 from servofd.core.files import distinct_file_names
 from servofd.servo.library import find_servo
 from servofd.version import __version__
@@ -31,11 +31,6 @@ class Job:
     `threshold_deg`: constant alarm level [deg]. `threshold` ({"constant", "interval"}): kind of threshold. `surfaces`:
     which to judge; all if empty. `pages`: whether each log gets its page; it changes no verdict, and is no part of the
     key.
-
-    Examples
-    --------
-    >>> Job(servo="s9254").key == Job(servo="s9256").key
-    False
     """
 
     aircraft: Aircraft | None = None
@@ -66,20 +61,14 @@ class Job:
 
 
 def page_name(path: str, content: str) -> str:
-    """File name of the page of a log: its own name, and enough of its digest for logs of one name in several folders.
-
-    Examples
-    --------
-    >>> page_name("flights/today/00000012.BIN", "a1b2c3d4e5f6a7b8")
-    '00000012.BIN-a1b2c3d4.html'
-    """
+    """File name of the page of a log: its name, and enough of its digest for logs of one name in several folders."""
     (plain,) = distinct_file_names([PurePosixPath(path.replace("\\", "/")).name])
     return f"{plain}-{content[:_OF_DIGEST]}.html"
 
 
 def content_key(path: str) -> str:
     """Digest of a log's bytes; of a remote one what its store tells of them (an ETag or time stamp), unread."""
-    if is_address(path):
+    if kind_of(path) == "address":
         from fsspec.core import url_to_fs
 
         system, name = url_to_fs(path)

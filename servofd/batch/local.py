@@ -49,11 +49,6 @@ def run_local(
 
     `task`: a function of a module, or a partial of one. `workers`: number of processes; one per core if None; 0: no
     process but this one, which then nothing protects.
-
-    Examples
-    --------
-    >>> sorted(run_local(abs, [-1, 2], workers=0))
-    [(-1, 1), (2, 2)]
     """
     if workers == 0:
         yield from ((item, _outcome(partial(task, item))) for item in items)

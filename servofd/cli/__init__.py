@@ -32,23 +32,13 @@ _NOT_SIMULATING = (*_WITHIN, "config", "help", "info", "review")
 _INTERRUPTED = 128 + signal.SIGINT
 """Exit code after Ctrl-C, as shells have it: 128 and the number of the signal."""
 _OBJECTS_BETWEEN_SEARCHES = 100_000
-"""New objects after which Python looks for circles of unused ones: rarely, for verbs are short and a search takes
-time."""
+"""New objects after which Python looks for circles of unused ones: rarely, for verbs are short."""
 _AGAIN_S = 0.01
 """Pause before an interrupt that was raised where it cannot be handled is raised again [s]."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb and return its exit code.
-
-    `arguments`: words after the program's name; those of the process if left out.
-
-    Examples
-    --------
-    >>> main(["config", "--filter", "s9254", "--pole", "50"])  # doctest: +ELLIPSIS
-    Futaba S9254...
-    0
-    """
+    """Run one verb and return its exit code; `arguments` are the words after the program's name, if not its own."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign shows a question mark
     options = parsed(sys.argv[1:] if arguments is None else arguments)
@@ -71,27 +61,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _function_of(options.verb)(options)
             if sys.stdout is not None:
                 sys.stdout.flush()
+            return code
     except (LogError, ServofdError) as error:
         complain(error)
-        return COULD_NOT_TELL
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package not in EXTRAS:
             raise
         complain(without(package))
-        return COULD_NOT_TELL
     except KeyboardInterrupt:
         complain("interrupted; nothing half-written was left behind")
         return _INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output has gone (`servofd ... | head`); keep Python from complaining at exit.
-        _silence()
-        return COULD_NOT_TELL
     except OSError as error:
-        complain(f"cannot write the result: {error.strerror or error}")
-        _silence()
-        return COULD_NOT_TELL
-    return code
+        if not isinstance(error, BrokenPipeError):  # else the reader of our output has gone (`servofd ... | head`)
+            complain(f"cannot write the result: {error.strerror or error}")
+        # Python would try again, and complain, when it exits; what a caller put in the place of stdout is no file.
+        with suppress(io.UnsupportedOperation), Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+    return COULD_NOT_TELL
 
 
 def _function_of(verb: str) -> Callable[[Options], int]:
@@ -173,20 +160,16 @@ def _is_endpoint(word: str) -> bool:
 
 def _show_help(options: Options) -> int:
     """The manual of a verb, or the list of them, page by page on a terminal."""
-    if options.about is None:
-        page = options.whole.format_help()
-    elif options.about in WAYS:
-        page = way_parser(options.about).format_help()
-    elif options.about in options.manuals:
-        page = options.manuals[options.about].format_help()
-    else:
+    about = options.about
+    parser = way_parser(about) if about in WAYS else ({None: options.whole} | options.manuals).get(about)
+    if parser is None:
         from servofd.core.errors import UnknownName, suggest
 
-        raise UnknownName(suggest("verb", options.about, VERBS))
+        raise UnknownName(suggest("verb", about, VERBS))
     if sys.stdout.isatty():
-        pydoc.pager(page)
+        pydoc.pager(parser.format_help())
     else:
-        say(page, end="")
+        say(parser.format_help(), end="")
     return 0
 
 
@@ -231,9 +214,3 @@ def interruptible() -> Iterator[None]:
         sys.unraisablehook = unraisable
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _silence() -> None:
-    """Keep Python from trying again, and complaining, when it exits."""
-    with suppress(io.UnsupportedOperation), Path(os.devnull).open("wb") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())  # what a caller put in its place writes to no file

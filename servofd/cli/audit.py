@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from servofd.aircraft.schema import UNKNOWN_SERVO, check_servo
-from servofd.batch.find import is_address, is_folder, is_pattern
+from servofd.batch.find import kind_of
 from servofd.batch.key import Job
 from servofd.cli.options import Options
 from servofd.cli.terminal import (
@@ -67,7 +67,7 @@ def run(options: Options) -> int:
 
 def _is_fleet(options: Options) -> bool:
     """Whether there may be more logs than one looks at one by one."""
-    several = any(is_address(log) or is_pattern(log) or is_folder(log) for log in options.logs)
+    several = any(kind_of(log) != "file" for log in options.logs)
     return several or bool(options.workers) or len(options.logs) > (1 if options.looks else _A_FEW)
 
 
@@ -102,7 +102,6 @@ def _closing_lines(audits: Sequence[LogAudit], sentence: str, page: Path | None)
 
 
 def _job_of(options: Options) -> Job:
-    """What the options ask to judge logs with."""
     aircraft = known_aircraft(options.config)
     return Job(aircraft, options.servo, options.threshold_deg, options.threshold, tuple(options.surface))
 

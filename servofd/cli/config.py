@@ -12,7 +12,6 @@ from logparsers.units import MS_PER_S
 from servofd.cli.options import Options
 from servofd.cli.terminal import print_table, say
 from servofd.core.errors import DesignError, NoMeasurement
-from servofd.core.types import ComplexArray
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
 from servofd.feedback.draft import draft_aircraft, draft_to_toml, fitted_to_toml
@@ -54,20 +53,12 @@ def run_servos(options: Options) -> int:
         bandwidth = f"{printed.bandwidth_rad_s:.2f}  {printed.bandwidth_rad_s / (2 * math.pi):.2f}"
         rate = f"{servo.rate_limit_deg_s:g}" if servo.rate_limit_deg_s else "-"
         delay += "" if servo.hold == "zoh" else f" ({MS_PER_S * servo.delay_s:g})"
-        poles = _poles_text(printed.poles_rad_s)
+        # Real poles, then pairs, of which each is listed once.
+        real = [f"{p.real:.2f}" for p in printed.poles_rad_s if p.imag == 0.0]
+        poles = ", ".join(real + [f"{p.real:.2f} ± {p.imag:.2f}i" for p in printed.poles_rad_s if p.imag > 0.0])
         rows.append([name, poles, f"{printed.dc_gain:.5f}", bandwidth, rate, delay, servo.source])
-    print_table(
-        [
-            "servo",
-            "poles [rad/s]",
-            "dc gain",
-            "bandwidth [rad/s] [Hz]",
-            "rate [deg/s]",
-            "delay [ms]",
-            "source",
-        ],
-        rows,
-    )
+    head = ("servo", "poles [rad/s]", "dc gain", "bandwidth [rad/s] [Hz]", "rate [deg/s]", "delay [ms]", "source")
+    print_table(head, rows)
     say(
         "Bandwidth: 3.00 dB below dc. Delay: transport delay used in simulation, without the hold of the sampled\n"
         "command; in brackets the printed one where it contains that hold. dc gain: as printed; servofd scales it to 1."
@@ -80,24 +71,11 @@ def run_servos(options: Options) -> int:
     return 0
 
 
-def _poles_text(poles_rad_s: ComplexArray) -> str:
-    """Real poles, then pairs, of which each is listed once [rad/s]."""
-    real = [f"{p.real:.2f}" for p in poles_rad_s if p.imag == 0.0]
-    pairs = [f"{p.real:.2f} ± {p.imag:.2f}i" for p in poles_rad_s if p.imag > 0.0]
-    return ", ".join(real + pairs)
-
-
 def _record(servo: Servo) -> dict[str, Any]:
-    transfer = servo.printed
-    return {
-        **servo.model_dump(exclude_none=True),
-        "numerator": transfer.numerator,
-        "denominator": transfer.denominator,
-        "poles_rad_s": [[p.real, p.imag] for p in transfer.poles_rad_s],
-        "dc_gain": transfer.dc_gain,
-        "bandwidth_rad_s": transfer.bandwidth_rad_s,
-        "transport_delay_s": servo.transport_delay_s,
-    }
+    transfer, names = servo.printed, ("numerator", "denominator", "poles_rad_s", "dc_gain", "bandwidth_rad_s")
+    known = servo.model_dump(exclude_none=True) | {name: getattr(transfer, name) for name in names}
+    poles_rad_s = [[p.real, p.imag] for p in transfer.poles_rad_s]
+    return known | {"poles_rad_s": poles_rad_s, "transport_delay_s": servo.transport_delay_s}
 
 
 def run_design(options: Options) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from servofd.cli.options import Options
 from servofd.cli.terminal import check_targets, complain, one_line, progress, show
@@ -20,22 +21,13 @@ _STEPS = 30
 
 def run(options: Options) -> int:
     """Explain, write what was asked for, print."""
-    inputs = {
-        "a log": [*options.logs, *options.also],
-        "the aircraft file": [options.config],
-        "an effect": [options.effect],
-    }
+    logs = [*options.logs, *options.also]
+    inputs = {"a log": logs, "the aircraft file": [options.config], "an effect": [options.effect]}
     check_targets((options.json, options.save, options.rrd, options.html), inputs)
     with progress("explain", _STEPS) as step:
-        found = explain_logs(
-            options.logs,
-            options.config,
-            surfaces=tuple(options.surface),
-            servo=options.servo,
-            also=options.also,
-            own=options.effect,
-            progress=step,
-        )
+        asked: dict[str, Any] = {"servo": options.servo, "also": options.also, "own": options.effect}
+        surfaces = tuple(options.surface)
+        found = explain_logs(options.logs, options.config, surfaces=surfaces, **asked, progress=step)
     if found.explanations:
         if options.rrd and len(found.explanations) > 1:
             raise ConfigError(f"{options.rrd}: --rrd takes one surface at a time: choose it with -s")
@@ -57,7 +49,6 @@ def run(options: Options) -> int:
             write_whole(options.save, text.encode())
         else:
             complain(f"{options.save} was not written: no surface has a better model that a file can hold")
-    if found.failures:
-        return 2
     left = ("partly_explained", "unexplained")
-    return int(any(one.conclusion in left or one.fault_s is not None for one in found.explanations))
+    is_left = any(one.conclusion in left or one.fault_s is not None for one in found.explanations)
+    return 2 if found.failures else int(is_left)

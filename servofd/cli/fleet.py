@@ -11,24 +11,14 @@ from typing import Any
 from servofd.batch.find import Found, LogSource, find_logs
 from servofd.batch.key import Job, page_name
 from servofd.cli.options import Options
-from servofd.cli.terminal import (
-    complain,
-    give_json,
-    one_line,
-    print_document,
-    print_lines,
-    progress,
-    say,
-    worst,
-    write_page,
-)
+from servofd.cli.terminal import complain, give_json, print_document, print_lines, progress, say, worst, write_page
 from servofd.core.errors import ConfigError
 from servofd.core.files import make_folder, write_whole
 from servofd.detection.kinds import KINDS
 from servofd.feedback.flown import layout_of
 from servofd.fleets.overview import Overview, overview
 from servofd.fleets.run import JudgedLog, audit_fleet
-from servofd.fleets.store import FleetStore, by_path, read_logs
+from servofd.fleets.store import FleetStore, read_logs
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.page import FLEET_PAGE
 from servofd.outputs.sentence import gravity_of, spoken
@@ -58,19 +48,19 @@ def run_fleet(options: Options, job: Job) -> int:
     job = replace(job, pages=folder is not None)
     found = find_logs(options.logs, layout_of(job.aircraft))
     if found.skipped:
-        some = "; ".join(f"{one.path}: {one.reason}" for one in found.skipped[:_SHOWN])
-        more = f"; and {len(found.skipped) - _SHOWN} more" if len(found.skipped) > _SHOWN else ""
-        what = "1 file that is no log" if len(found.skipped) == 1 else f"{len(found.skipped)} files that are no logs"
+        count, some = len(found.skipped), "; ".join(f"{one.path}: {one.reason}" for one in found.skipped[:_SHOWN])
+        more = f"; and {count - _SHOWN} more" if count > _SHOWN else ""
+        what = "1 file that is no log" if count == 1 else f"{count} files that are no logs"
         complain(f"passed over {what}: {some}{more}")
     with FleetStore(Path(options.output), job.key) if options.output else nullcontext() as store:
         judged = _judged(found, job, store, options)
-    logs = read_logs(Path(options.output)) if options.output else by_path([row for one in judged for row in one.rows])
+    logs = read_logs(Path(options.output)) if options.output else [row for one in judged for row in one.rows]
     seen = overview(logs)
     pages = [str(Path(folder, FLEET_PAGE))] if folder else []
-    pages += [options.html] if options.html else []
-    for page in pages:
+    for page in filter(None, (*pages, options.html)):
         _write_page(seen, page)
-    if not give_json(options.json, {"schema": "servofd.audit/1", "logs": [log["document"] for log in logs]}):
+    documents = sorted((log["document"] for log in logs), key=lambda one: (one["path"], one.get("run") or ""))
+    if not give_json(options.json, {"schema": "servofd.audit/1", "logs": documents}):
         _print(seen, *pages[:1])
     for problem in (*found.problems, *(one["reason"] for one in seen.not_judged)):
         complain(problem)
@@ -88,14 +78,13 @@ def _print(seen: Overview, page: str = "") -> None:
 
 def _brief(flight: dict[str, Any], faults: Sequence[dict[str, Any]]) -> tuple[str, str, tuple[str, ...]]:
     """Status, name and sentence of a flight; and where there is no room for that, its faults without their numbers."""
-    said = one_line(flight["sentence"].replace(" Do not fly.", ""))
+    said = flight["sentence"].replace(" Do not fly.", "")
     mine = [one for one in faults if (one["path"], one["run"]) == (flight["path"], flight["run"])]
     states: dict[str, list[str]] = {}
     for one in sorted(mine, key=lambda one: gravity_of([one["kind"]])):
         states.setdefault(spoken(one["surface"]).upper(), []).append(KINDS[one["kind"]].state)
     short = [f"{name} {', '.join(dict.fromkeys(each))}" for name, each in states.items()]
-    forms = (said, one_line("; ".join(short))) if len(mine) > 1 else (said,)
-    return spoken(flight["status"]), one_line(flight_name(flight)), forms
+    return spoken(flight["status"]), flight_name(flight), (said, "; ".join(short)) if len(mine) > 1 else (said,)
 
 
 def _judged(found: Found, job: Job, store: FleetStore | None, options: Options) -> list[JudgedLog]:

@@ -42,10 +42,8 @@ def _report(alike: Sequence[Mapping[str, Any]]) -> Document:
     label = first["path"] + (f" (runs {first['run']} to {last['run']})" if len(alike) > 1 else runs)
     format_, count, parts = _of(first)
     seconds = dict.fromkeys(f"{side(found['duration_s'] for found in alike):.1f}" for side in (min, max))
-    return Document(
-        title=label, status="no_data", sentence="", facts=f"{label}: {format_}, {' to '.join(seconds)} s, {count}",
-        parts=parts,
-    )  # fmt: skip
+    facts = f"{label}: {format_}, {' to '.join(seconds)} s, {count}"
+    return Document(title=label, status="no_data", sentence="", facts=facts, parts=parts)
 
 
 def _of(found: Mapping[str, Any]) -> tuple[str, str, list[Part]]:

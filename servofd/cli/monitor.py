@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
-from logparsers.codec import Codec
+from logparsers.codec import Codec, Signature
 from logparsers.endpoint import parse_endpoint
 from logparsers.link import open_link
 from servofd.aircraft.current_source import with_current_sources
@@ -22,7 +23,7 @@ from servofd.feedback.flown import one_log
 from servofd.live.channels import ChannelTable
 from servofd.live.run import Pace, replay_log, replay_telemetry, watch_link
 from servofd.live.session import Session
-from servofd.live.threads import Receiver, Speaker, signature_of
+from servofd.live.threads import Receiver, signature_of, speaking
 
 _ON_THE_CARD, _HEAD_BYTES = b"CSRV", 16_000_000
 """A log that holds what ArduPilot writes on its card names this message in its beginning."""
@@ -61,7 +62,6 @@ def _check_files(options: Options) -> None:
 
 
 def _watch(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
-    """Watch a live link."""
     endpoint = parse_endpoint(options.endpoint)
     signature = signature_of(options.signing_key)
     with contextlib.ExitStack() as open_:
@@ -69,14 +69,11 @@ def _watch(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
         open_.callback(link.close)
         component, codec = options.component, Codec(0, options.component, signature=signature)
         session = Session(codec, aircraft, aside=True, remote_log=options.dataflash, component=component)
-        speaker = Speaker(options.system or 0, options.component, signature)
         if not options.no_request:
-            to_vehicle = open_.enter_context(speaker.to(link))
-            session.send = to_vehicle
-            if not options.no_alert:
-                session.alert = to_vehicle
-        _alert_aside(options, session, speaker, open_)
-        outputs = open_.enter_context(Outputs.of(options, session, str(endpoint), aircraft))
+            session.send = open_.enter_context(speaking(link, component, options.system, signature))
+            session.alert = None if options.no_alert else session.send
+        _alert_aside(options, session, signature, open_)
+        outputs = Outputs(options, session, str(endpoint), open_)
         receiver = Receiver(link)
         open_.callback(receiver.close)
         outputs.receiver = receiver
@@ -96,9 +93,9 @@ def _replay(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
         signature = signature_of(options.signing_key)
         recorded = signature.of_any_time() if signature else None
         is_stream = log.format == "tlog"
-        if not is_stream and len(aircraft) > 1:
-            raise ConfigError(f"{path}: is the log of one vehicle; give the one -c FILE of it")
         if not is_stream:
+            if len(aircraft) > 1:
+                raise ConfigError(f"{path}: is the log of one vehicle; give the one -c FILE of it")
             aircraft = {system: resolved(log, craft) for system, craft in aircraft.items()}
         aircraft = {system: with_current_sources(log, craft) for system, craft in aircraft.items()}
         # Whether it has the aircraft's channels in the autopilot's own log, which came with it.
@@ -106,24 +103,21 @@ def _replay(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
         remote = is_stream and any(name in log.channels for name in ChannelTable(wanted).unknown)
         codec = Codec(0, options.component, signature=recorded)
         session = Session(codec, aircraft, is_stream=is_stream, remote_log=remote)
-        _alert_aside(options, session, Speaker(options.system or 0, options.component, signature), open_)
-        outputs = open_.enter_context(Outputs.of(options, session, options.endpoint, aircraft))
+        _alert_aside(options, session, signature, open_)
+        outputs = Outputs(options, session, options.endpoint, open_)
         now_s = 0.0
         with contextlib.suppress(KeyboardInterrupt):
-            if is_stream:
-                now_s = replay_telemetry(session, path, outputs, pace, options.duration)
-            else:
-                now_s = replay_log(session, log, outputs, pace, options.duration)
+            replay = partial(replay_telemetry, session, path) if is_stream else partial(replay_log, session, log)
+            now_s = replay(outputs, pace, options.duration)
         outputs.events(session.finish(now_s))
     return session
 
 
-def _alert_aside(options: Options, session: Session, speaker: Speaker, open_: contextlib.ExitStack) -> None:
-    """Send alerts to an address of their own, if there is one."""
+def _alert_aside(options: Options, session: Session, signature: Signature | None, open_: contextlib.ExitStack) -> None:
     if options.alert_to:
         link = open_link(parse_endpoint(options.alert_to))
         open_.callback(link.close)
-        session.alert = open_.enter_context(speaker.to(link))
+        session.alert = open_.enter_context(speaking(link, options.component, options.system, signature))
 
 
 def _verdict(session: Session) -> int:
@@ -131,21 +125,19 @@ def _verdict(session: Session) -> int:
     axes = [vehicle.axes for vehicle in session.vehicles.values() if vehicle.axes is not None]
     if any(monitor.has_fault for monitor in session.judges) or any(one.has_fault for one in axes):
         return 1
-    if any(one.has_suspect for one in axes):
-        reasons = (audit.reason for one in axes if one.has_suspect for audit in one.audits if audit.status == "suspect")
-        complain(f"not cleared: {next(reasons, 'an axis did not answer its command')}")
-        return 2
-    doubtful = [monitor for monitor in session.judges if monitor.suspicions]
-    if doubtful:
-        found = "; ".join(f"{monitor.name}: {describe(monitor.suspicions[0])}" for monitor in doubtful)
-        complain(f"not cleared: no alarm stands, but look at it: {found}")
-        return 2
+    suspect = [audit.reason for one in axes if one.has_suspect for audit in one.audits if audit.status == "suspect"]
+    doubtful = [f"{one.name}: {describe(one.suspicions[0])}" for one in session.judges if one.suspicions]
     unjudged = session.unjudged() if session.watched or all(one.problem for one in axes) else ""
-    if not unjudged:
-        return 0
     names = ", ".join(sorted(session.names)[:8])
-    messages = f"; received {names}" if names and not any(monitor.was_judged for _, monitor in session.watched) else ""
-    complain(f"could not tell: {unjudged}{messages}")
+    if any(one.has_suspect for one in axes):
+        complain(f"not cleared: {next(iter(suspect), 'an axis did not answer its command')}")
+    elif doubtful:
+        complain(f"not cleared: no alarm stands, but look at it: {'; '.join(doubtful)}")
+    elif unjudged:
+        is_dark = names and not any(monitor.was_judged for _, monitor in session.watched)
+        complain(f"could not tell: {unjudged}{f'; received {names}' if is_dark else ''}")
+    else:
+        return 0
     return 2
 
 
@@ -156,7 +148,7 @@ def _aircraft(names: list[str], *, has_card: bool) -> dict[int, Aircraft]:
     for name in names:
         head, equals, path = name.partition("=")
         numbered = equals and head.isdigit()
-        system = int(head) if numbered else min((0, *(number - 1 for number in known if number <= 0)))
+        system = int(head) if numbered else min((0, *(number - 1 for number in known)))
         if numbered and (system in known or not 0 < system < 256):
             what = "has two files" if system in known else "is no system id, which is 1 to 255"
             raise ConfigError(f"-c {name}: vehicle {system} {what}")

@@ -6,20 +6,18 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from servofd.aircraft.schema import Aircraft
 from servofd.cli.options import Options
 from servofd.cli.terminal import complain, has_screen, say, screen, tell
 from servofd.core.errors import ConfigError
-from servofd.detection.event import Inputs
+from servofd.detection.event import Event, Inputs
 from servofd.detection.stream import Piece
-from servofd.live.alarms import Published
 from servofd.live.threads import Receiver, Worker
 from servofd.live.view import Picture, View, event_line
 from servofd.outputs.json_report import finite
@@ -35,13 +33,16 @@ _LINES_S: Final = 5.0
 
 
 class Outputs:
-    """Hands everything on; a disk that is full or a viewer that dies stops nothing else."""
+    """Hands everything on; a disk that is full or a viewer that dies stops nothing else.
 
-    def __init__(self, session: Session, title: str) -> None:
+    What the options ask for is open until the stack `open_` closes it.
+    """
+
+    def __init__(self, options: Options, session: Session, title: str, open_: contextlib.ExitStack) -> None:
         self._session, self._view = session, View(session, title)
         self._draw: Callable[[Picture], None] | None = None
         """Draws on the screen, while there is one."""
-        self._prints = True
+        self._prints = options.json_lines != "-"
         self._lines: Worker | None = None
         self._stored: Worker | None = None
         self._recording: LiveRecording | None = None
@@ -51,31 +52,21 @@ class Outputs:
         self._failed: dict[str, str] = {}
         self._told: set[str] = set()
         """Of these failures, those that were written to stderr."""
+        open_.callback(self._complain)  # also of what fails when it is closed
+        if options.json_lines and self._prints:
+            self._lines = _writer(options.json_lines, "wb", open_)
+        if options.tlog:
+            self._stored = _writer(options.tlog, "ab", open_)
+            session.store = self._stored.put
+        if options.rrd or options.serve:
+            self._record(options, open_)
+        if self._prints:
+            open_.callback(lambda: tell(*self._view.summary()))
+        if self._prints and not options.plain and has_screen():
+            self._draw = open_.enter_context(screen())
+            open_.callback(setattr, self, "_draw", None)
 
-    @classmethod
-    @contextlib.contextmanager
-    def of(cls, options: Options, session: Session, title: str, aircraft: Mapping[int, Aircraft]) -> Iterator[Self]:
-        """Open what the options ask for, and close it however the monitor ends."""
-        made = cls(session, title)
-        with contextlib.ExitStack() as open_:
-            open_.callback(made._complain)  # also of what fails when it is closed
-            if options.json_lines == "-":
-                made._prints = False
-            elif options.json_lines:
-                made._lines = _writer(options.json_lines, "wb", open_)
-            if options.tlog:
-                made._stored = _writer(options.tlog, "ab", open_)
-                session.store = made._stored.put
-            if options.rrd or options.serve:
-                made._record(options, aircraft, open_)
-            if made._prints:
-                open_.callback(lambda: tell(*made._view.summary()))
-            if made._prints and not options.plain and has_screen():
-                made._draw = open_.enter_context(screen())
-            yield made
-            made._draw = None
-
-    def events(self, events: list[Published]) -> None:
+    def events(self, events: list[Event]) -> None:
         """Tell each event everywhere."""
         for event in events:
             if self._lines is not None or not self._prints:
@@ -119,11 +110,9 @@ class Outputs:
 
     def _complain(self) -> None:
         """Say once what could not be written: on the screen while there is one, and on stderr."""
-        failed = {"telemetry log": self._stored, "JSON lines": self._lines}
-        errors = {what: worker.error for what, worker in failed.items() if worker is not None and worker.error}
-        if self._recording is not None:
-            errors |= self._recording.errors
-        for what, error in errors.items():
+        workers = {"telemetry log": self._stored, "JSON lines": self._lines}
+        errors = {what: worker.error for what, worker in workers.items() if worker is not None and worker.error}
+        for what, error in (errors | (self._recording.errors if self._recording is not None else {})).items():
             if what not in self._failed:
                 self._failed[what] = f"{what}: no more is written: {error}"
                 self._view.note(self._failed[what])
@@ -131,45 +120,39 @@ class Outputs:
             self._told.add(what)
             complain(self._failed[what])
 
-    def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
+    def _record(self, options: Options, open_: contextlib.ExitStack) -> None:
         # What Rerun would print of a full disk, in lines of its own, `LiveRecording.errors` tells; it reads this first.
         os.environ.setdefault("RUST_LOG", "off")
         from servofd.outputs.live_recording import Currents, LiveRecording, Samples
         from servofd.outputs.recording.verdicts import live_verdicts
 
-        first = next(iter(aircraft.values()))
-        watched = (n for craft in aircraft.values() for n, each in craft.surfaces.items() if each.can_be_watched)
-        surfaces = list(dict.fromkeys(watched))
+        first, *others = self._session.aircraft.values()
+        each = {n: one for craft in (first, *others) for n, one in craft.surfaces.items() if one.can_be_watched}
         port = options.viewer_port if options.serve else None
         path = Path(options.rrd) if options.rrd else None
         # Of several vehicles it would not be known whose surface it was.
-        known = live_verdicts(first, surfaces, path.stem if path else "monitor") if len(aircraft) == 1 else None
-        each = {name: one for craft in aircraft.values() for name, one in craft.surfaces.items()}
+        known = None if others else live_verdicts(first, list(each), path.stem if path else "monitor")
         currents = {name for name, one in each.items() if one.is_told_by_current}
         beside = {name for name, one in each.items() if one.beside_channel}
-        recording = LiveRecording(
-            first.name, surfaces, currents=currents, beside=beside, path=path, port=port, properties=known
+        recording = self._recording = LiveRecording(
+            first.name, list(each), currents=currents, beside=beside, path=path, port=port, properties=known
         )
         open_.callback(recording.close)
-        self._recording = recording
         if options.serve:
             complain(f"rerun rerun+http://127.0.0.1:{port}/proxy shows it live")
 
         def listen(surface: str, piece: Piece, inputs: Inputs) -> None:
-            r = piece.residuals
-            if inputs.is_current:
-                time_s, within_a = r.time_s + self._began_s(surface), piece.threshold.level_deg
-                recording.add(Currents(surface, time_s, r.measured_deg, r.simulated_deg, within_a))
-                if inputs.command_s.size:
-                    none, came_s = np.zeros(0), inputs.command_s + self._began_s(surface)
-                    nothing = (none, none, none, none, none, none)
-                    recording.add(Samples(surface, *nothing, came_s, inputs.command_deg, inputs.context))
-                return
-            residual_deg = np.where(r.settled, r.residual_deg, np.nan)
+            r, level, none = piece.residuals, piece.threshold.level_deg, np.zeros(0)
             began_s = self._began_s(surface)  # a recording has one time line
-            columns = (r.time_s + began_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
-            commands = (inputs.command_s + began_s, inputs.command_deg)
-            recording.add(Samples(surface, *columns, piece.threshold.level_deg, *commands, inputs.context))
+            commands = inputs.command_s + began_s, inputs.command_deg, inputs.context
+            if not inputs.is_current:
+                residual_deg = np.where(r.settled, r.residual_deg, np.nan)
+                deflections = inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg, level
+                recording.add(Samples(surface, r.time_s + began_s, *deflections, *commands))
+                return
+            recording.add(Currents(surface, r.time_s + began_s, r.measured_deg, r.simulated_deg, level))
+            if inputs.command_s.size:
+                recording.add(Samples(surface, none, none, none, none, none, none, *commands))
 
         self._session.listener = listen
 
@@ -184,19 +167,12 @@ def _writer(name: str, mode: str, open_: contextlib.ExitStack) -> Worker:
     return worker
 
 
-def event_document(event: Published) -> dict[str, Any]:
+def event_document(event: Event) -> dict[str, Any]:
     """The event as other tools read it; what is not known is null."""
-    document: dict[str, Any] = {
-        "schema": "servofd.event/1",
-        "time_s": event.time_s,
-        "surface": event.surface or None,
-        "event": event.event,
-        "kind": event.kind or None,
-        "residual_deg": event.residual_deg,
-        "threshold_deg": event.threshold_deg,
-        "vehicle": event.vehicle or None,
-        "boot": event.boot,
-    }
+    document: dict[str, Any] = {"schema": "servofd.event/1"}
+    for name in ("time_s", "surface", "event", "kind", "residual_deg", "threshold_deg", "vehicle", "boot"):
+        value = getattr(event, name)
+        document[name] = (value or None) if name in ("surface", "kind", "vehicle") else value
     if event.id:
         document |= {"id": event.id, "severity": event.severity.name.lower()}
     if event.text:

@@ -107,7 +107,6 @@ def _numbers(odds: SurfaceOdds, wished_per_hour: float) -> dict[str, Any]:
 
 
 def _at(odds: SurfaceOdds, threshold_deg: float) -> dict[str, Any]:
-    """What one threshold does."""
     bias_deg = smallest_offset_deg(odds.design, threshold_deg, odds.noise, _WITHIN_S)
     return {
         "threshold_deg": threshold_deg,

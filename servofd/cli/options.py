@@ -31,56 +31,51 @@ _AIRCRAFT, _SERVO = (
 )
 
 
-class Parser(argparse.ArgumentParser):
+class _Parser(argparse.ArgumentParser):
     """Reports a wrong call in one line; options must be spelt out."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - whatever argparse takes
         super().__init__(**(options | {"allow_abbrev": False}))
 
     def error(self, message: str) -> NoReturn:
-        """End with one line on stderr."""
         self.exit(COULD_NOT_TELL, f"{self.prog}: {message} (see '{self.prog} --help')\n")
 
     def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
         super()._print_message(plain(message), file)
 
-    def config(self, metavar: str = "AIRCRAFT.toml", **more: Any) -> None:  # noqa: ANN401 - of argparse
-        """Declare the aircraft file."""
-        self.add_argument("-c", "--config", metavar=metavar, **({"help": _AIRCRAFT} | more))
-
-    def servo(self, about: str = f"{_SERVO}unknown (fitted)") -> None:
-        """Declare the servo to assume."""
-        self.add_argument("--servo", metavar="NAME", help=about)
-
-    def surface(self, about: str, metavar: str = "NAME") -> None:
-        """Declare the surfaces to look at; all if none is named."""
-        self.add_argument("-s", "--surface", action="append", default=[], metavar=metavar, help=about)
-
-    def json(self, what: str = "result", instead: str = "table") -> None:
-        """Declare where the result goes as JSON."""
-        self.file("--json", f"write the {what} as JSON; - prints it instead of the {instead}")
-
-    def file(self, name: str, about: str, metavar: str = "FILE") -> None:
-        """Declare a file that is written or read."""
-        self.add_argument(name, metavar=metavar, help=about)
-
     def value(
         self,
         name: str,
         about: str,
-        unit: str,
+        unit: str = "FILE",
         read: Callable[[str], object] = str,
-        **more: Any,  # noqa: ANN401 - of argparse
+        **more: Any,  # noqa: ANN401
     ) -> None:
         """Declare an option with a value; `read` makes it of what was typed."""
         self.add_argument(name, type=read, metavar=unit, help=about, **more)
 
     def flag(self, name: str, about: str, **more: Any) -> None:  # noqa: ANN401 - of argparse
-        """Declare what is on or off."""
         self.add_argument(name, action="store_true", help=about, **more)
 
+    def logs(self, about: str | None = None, nargs: str | None = "+") -> None:
+        self.add_argument("log" if nargs is None else "logs", nargs=nargs, metavar="LOG", help=about)
+
+    def config(self, about: str = _AIRCRAFT, unit: str = "AIRCRAFT.toml", **more: Any) -> None:  # noqa: ANN401
+        self.add_argument("-c", "--config", metavar=unit, help=about, **more)
+
+    def servo(self, about: str = f"{_SERVO}unknown (fitted)") -> None:
+        self.value("--servo", about, "NAME")
+
+    def output(self, about: str, unit: str = "FILE", **more: Any) -> None:  # noqa: ANN401 - of argparse
+        self.add_argument("-o", "--output", metavar=unit, help=about, **more)
+
+    def surface(self, about: str, unit: str = "NAME") -> None:
+        self.add_argument("-s", "--surface", action="append", default=[], metavar=unit, help=about)
+
+    def json(self, what: str = "result", instead: str = "table") -> None:
+        self.value("--json", f"write the {what} as JSON; - prints it instead of the {instead}")
+
     def workers(self) -> None:
-        """Declare who works on many logs."""
         self.value("--workers", "processes for many logs (default: one per core)", "N", _WORKERS)
 
 
@@ -122,11 +117,9 @@ _PORT, _FREE_PORT = (_number(f"a port from {least} to 65535", least, 65_535, who
 _SIZE = _number("a number from 1 to 1000000", 1, 1_000_000, whole=True)
 
 
-def _audit(parser: Parser) -> None:
-    logs = (
-        "flight log, recognised by its content; or many of them: folders, patterns, addresses such as s3://bucket/logs"
-    )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help=logs)
+def _audit(parser: _Parser) -> None:
+    many = "folders, patterns, addresses such as s3://bucket/logs"
+    parser.logs(f"flight log, recognised by its content; or many of them: {many}")
     parser.config()
     parser.servo()
     parser.surface("judge only this surface")
@@ -134,72 +127,63 @@ def _audit(parser: Parser) -> None:
     kinds = "kind of threshold (default: that of the aircraft file)"
     parser.add_argument("--threshold", choices=["constant", "interval"], help=kinds)
     parser.json()
-    parser.file("--html", "write a page that can be sent by mail")
-    parser.file("--rrd", "write a Rerun recording (of one log)")
-    folder = (
-        "write figures, recordings and audit.json to a folder; "
-        "of many logs, tables (Parquet) and a page, to which the next call adds what is new"
-    )
-    parser.add_argument("-o", "--output", metavar="DIR", help=folder)
+    parser.value("--html", "write a page that can be sent by mail")
+    parser.value("--rrd", "write a Rerun recording (of one log)")
+    of_many = "of many logs, tables (Parquet) and a page, to which the next call adds what is new"
+    parser.output(f"write figures, recordings and audit.json to a folder; {of_many}", "DIR")
     parser.workers()
     parser.set_defaults(pages=None, looks=False)
 
 
-def _info(parser: Parser) -> None:
-    parser.add_argument("log", metavar="LOG")
+def _info(parser: _Parser) -> None:
+    parser.logs(nargs=None)
     parser.config()
     parser.flag("--channels", "list every channel, not only those of surfaces")
     parser.flag("--json", "print JSON instead of text")
 
 
-def _explain(parser: Parser) -> None:
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="any log that audit reads; several are fitted together")
+def _explain(parser: _Parser) -> None:
+    parser.logs("any log that audit reads; several are fitted together")
     parser.surface("only this surface (default: all)", "SURFACE")
     parser.config()
     parser.servo("servo: of the library, FILE.toml, or unknown (fitted)")
-    parser.file("--effect", "try an effect of your own as well (docs/explain.md)", "FILE.py")
-    parser.value(
-        "--also",
-        "judge the model on these flights as well, without fitting it to them",
-        "FILE",
-        nargs="+",
-        action="extend",
-        default=[],
-    )
+    parser.value("--effect", "try an effect of your own as well (docs/explain.md)", "FILE.py")
+    also = "judge the model on these flights as well, without fitting it to them"
+    parser.value("--also", also, nargs="+", action="extend", default=[])
     parser.json(instead="text")
-    parser.file("--save", "write the aircraft with the better model, for audit -c", "MODEL.toml")
-    parser.file("--rrd", "write a Rerun recording of both simulations (of one surface)")
-    parser.file("--html", "write a page: the gap before and after")
+    parser.value("--save", "write the aircraft with the better model, for audit -c", "MODEL.toml")
+    parser.value("--rrd", "write a Rerun recording of both simulations (of one surface)")
+    parser.value("--html", "write a page: the gap before and after")
 
 
-def _view(parser: Parser) -> None:
+def _view(parser: _Parser) -> None:
     parser.add_argument("file", metavar="LOG|RECORDING", help="a log that audit reads, or an .rrd file")
     parser.config()
     parser.servo()
 
 
-def _review(parser: Parser) -> None:
+def _review(parser: _Parser) -> None:
     parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="an .rrd file, or a folder of them")
     parser.json(instead="text")
-    parser.file("--compare", "show the verdicts of another recording beside these", "OTHER.rrd")
+    parser.value("--compare", "show the verdicts of another recording beside these", "OTHER.rrd")
 
 
-def _fleet(parser: Parser) -> None:
+def _fleet(parser: _Parser) -> None:
     parser.add_argument("folder", metavar="DIR", help="folder of results")
-    parser.file("--html", f"page to write (default: {FLEET_PAGE} in the folder)")
+    parser.value("--html", f"page to write (default: {FLEET_PAGE} in the folder)")
     parser.json("overview")
 
 
-def _trend(parser: Parser) -> None:
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="logs, folders, patterns or addresses")
-    parser.config(required=True, help="aircraft file, or a shipped one")
+def _trend(parser: _Parser) -> None:
+    parser.logs("logs, folders, patterns or addresses")
+    parser.config("aircraft file, or a shipped one", required=True)
     parser.surface("follow only this surface")
     parser.json(instead="tables")
-    parser.file("--html", "write a page that can be sent by mail")
+    parser.value("--html", "write a page that can be sent by mail")
     parser.workers()
 
 
-def _serve(parser: Parser) -> None:
+def _serve(parser: _Parser) -> None:
     parser.value("--folder", "folder of logs (default: flights)", "DIR", default="flights")
     parser.config()
     parser.servo()
@@ -209,18 +193,17 @@ def _serve(parser: Parser) -> None:
     parser.flag("--no-open", "do not open the page")
 
 
-def _config(parser: Parser) -> None:
-    parser.add_argument("log", metavar="LOG", help="ArduPilot .bin or .log, MAVLink .tlog, PX4 .ulg, or a plain table")
+def _config(parser: _Parser) -> None:
+    parser.logs("ArduPilot .bin or .log, MAVLink .tlog, PX4 .ulg, or a plain table", nargs=None)
 
 
-def _calibrate(parser: Parser) -> None:
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="flights of one aircraft, all of them good")
-    parser.config(help="what is known of the aircraft (default: drafted from the logs)")
+def _calibrate(parser: _Parser) -> None:
+    parser.logs("flights of one aircraft, all of them good")
+    parser.config("what is known of the aircraft (default: drafted from the logs)")
     parser.flag(
-        "--motion",
-        "calibrate the axes by the aircraft's motion (which is what happens where no servo reports)",
+        "--motion", "calibrate the axes by the aircraft's motion (which is what happens where no servo reports)"
     )
-    parser.add_argument("-o", "--output", required=True, metavar="CALIBRATED.toml", help="aircraft file to write")
+    parser.output("aircraft file to write", "CALIBRATED.toml", required=True)
     rate = (
         "rate of all axes together that is aimed at where motion is calibrated (default: 1); where servos report "
         "their position the measured rate is printed"
@@ -228,39 +211,37 @@ def _calibrate(parser: Parser) -> None:
     parser.value("--false-alarms-per-hour", rate, "X", _PER_HOUR)
     parser.surface("calibrate only this one")
     many: dict[str, Any] = {"action": "append", "default": []}
-    parser.value(
-        "--between", "use only the seconds from A to B; either may be left out; may be repeated", "A:B", _span, **many
-    )
+    between = "use only the seconds from A to B; either may be left out; may be repeated"
+    parser.value("--between", between, "A:B", _span, **many)
     parser.value("--run", "of a table of several runs, use only this", "NAME", dest="runs", **many)
     parser.flag(
         "--force", "calibrate also where the loss of a third of travel and of two thirds of speed would not show"
     )
 
 
-def _identify(parser: Parser) -> None:
-    logs = "table, FASER log, or DataFlash log (chirp applet: SCRP)"
-    parser.add_argument("logs", nargs="+", metavar="LOG", help=logs)
+def _identify(parser: _Parser) -> None:
+    parser.logs("table, FASER log, or DataFlash log (chirp applet: SCRP)")
     parser.add_argument("-s", "--surface", metavar="SURFACE", help="which servo, if the logs hold several")
-    parser.config(help="aircraft file: columns, calibration")
+    parser.config("aircraft file: columns, calibration")
     parser.add_argument("--order", type=int, choices=[1, 2, 3], help="number of poles (default: the data choose)")
     parser.json(instead="text")
-    parser.file("--save", "write a servo file, for --servo and aircraft files", "SERVO.toml")
-    parser.file("--html", "write a page with all figures")
+    parser.value("--save", "write a servo file, for --servo and aircraft files", "SERVO.toml")
+    parser.value("--html", "write a page with all figures")
 
 
-def _sweep(parser: Parser) -> None:
-    parser.add_argument("log", metavar="LOG", help="log of the sweep")
+def _sweep(parser: _Parser) -> None:
+    parser.logs("log of the sweep", nargs=None)
     parser.config()
     parser.surface("judge only this surface")
     parser.json()
 
 
-def _servos(parser: Parser) -> None:
+def _servos(parser: _Parser) -> None:
     parser.flag("--notes", "corrections and cautions for each servo")
     parser.flag("--json", "print JSON instead of a table")
 
 
-def _odds(parser: Parser) -> None:
+def _odds(parser: _Parser) -> None:
     parser.config()
     parser.value("--log", "healthy flights", "LOG", nargs="+", action="extend", default=[])
     parser.servo("library servo of all surfaces; unknown: fitted to the flights")
@@ -271,39 +252,39 @@ def _odds(parser: Parser) -> None:
     parser.json()
 
 
-def _design(parser: Parser) -> None:
+def _design(parser: _Parser) -> None:
     parser.add_argument("servo", metavar="SERVO", help="name from 'servofd config --servos'")
     parser.value("--pole", "filter pole (default: fastest, noise gain <= 0.5)", "RAD_S", float)
     parser.value("--rate-hz", "sample rate (default: 100)", "HZ", float, default=100.0)
     parser.flag("--printed-gain", "keep the dc gain as printed, do not scale it to 1")
 
 
-def _monitor(parser: Parser) -> None:
+def _monitor(parser: _Parser) -> None:
     endpoint = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, a serial device, or a log file"
     parser.add_argument("endpoint", metavar="ENDPOINT", help=endpoint)
-    config = "aircraft file; of several vehicles one each, as ID=FILE by system id"
-    parser.config("[ID=]AIRCRAFT.toml", action="append", required=True, help=config)
+    several = "aircraft file; of several vehicles one each, as ID=FILE by system id"
+    parser.config(several, "[ID=]AIRCRAFT.toml", action="append", required=True)
     parser.value("--duration", "end after so long [s]", "S", _LASTING, default=math.inf)
     parser.value("--speed", "of a replay; 0: as fast as it goes (default: 1)", "X", _SPEED)
-    parser.file("--rrd", "write a Rerun recording")
+    parser.value("--rrd", "write a Rerun recording")
     parser.flag("--serve", "let Rerun viewers on this machine connect")
     parser.value("--viewer-port", "(default: 9876)", "PORT", _PORT, default=9876)
-    parser.file("--tlog", "write all that is received as a telemetry log")
-    parser.file("--alert-to", "send alerts there (default: back to the stream)", "ENDPOINT")
+    parser.value("--tlog", "write all that is received as a telemetry log")
+    parser.value("--alert-to", "send alerts there (default: back to the stream)", "ENDPOINT")
     parser.flag("--no-alert", "send no alerts")
     parser.flag("--no-request", "send nothing at all to the stream")
     parser.flag("--dataflash", "ask for the autopilot's own log (CSRV, RCOU) as well")
     parser.value("--system", "system id to speak as (default: the vehicle's)", "ID", _ADDRESS)
     parser.value("--component", "component id (default: 191)", "ID", _ADDRESS, default=191)
-    parser.file("--signing-key", "file with the key that frames are signed with")
-    parser.file("--json-lines", "write each event as a line of JSON; - prints them")
+    parser.value("--signing-key", "file with the key that frames are signed with")
+    parser.value("--json-lines", "write each event as a line of JSON; - prints them")
     parser.flag("--plain", "print lines instead of a changing picture")
 
 
-def _onboard(parser: Parser) -> None:
+def _onboard(parser: _Parser) -> None:
     aircraft = "aircraft file, best a calibrated one; --stream-only does without"
     parser.add_argument("aircraft", metavar="AIRCRAFT.toml", nargs="?", help=aircraft)
-    parser.add_argument("-o", "--output", required=True, metavar="FILE.lua", help="the script")
+    parser.output("the script", "FILE.lua", required=True)
     parser.surface("watch only this surface")
     parser.flag("--stream-only", "only send measured positions, for a log or a monitor on the ground")
     parser.value("--rate-hz", "how often each servo is judged (default: 50)", "HZ", float, default=50.0)
@@ -311,7 +292,7 @@ def _onboard(parser: Parser) -> None:
     parser.value("--instructions", count, "N", int, default=10_000)
 
 
-def _simulate(parser: Parser) -> None:
+def _simulate(parser: _Parser) -> None:
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("-o", "--output", metavar="FILE", help=SIMULATED)
     stream = (
@@ -376,11 +357,11 @@ def _simulate(parser: Parser) -> None:
     )
 
 
-def _help(parser: Parser) -> None:
+def _help(parser: _Parser) -> None:
     parser.add_argument("about", nargs="?", metavar="VERB", help="verb to describe (default: all of them)")
 
 
-_GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
+_GROUPS: dict[str, dict[Callable[[_Parser], None], tuple[str, str, str]]] = {
     "Look at flights": {
         _audit: (
             "judge every surface of a flight log",
@@ -476,7 +457,7 @@ _GROUPS: dict[str, dict[Callable[[Parser], None], tuple[str, str, str]]] = {
     },
 }
 """In the order in which the help shows them: what declares a verb's options; its help, description and example."""
-WAYS: dict[str, tuple[str, str, Callable[[Parser], None], str, str, str]] = {
+WAYS: dict[str, tuple[str, str, Callable[[_Parser], None], str, str, str]] = {
     "view": (
         *("review", "--view", _view),
         "look at a flight in the Rerun viewer: of a log, after an audit, or of a recording",
@@ -512,12 +493,11 @@ WAYS: dict[str, tuple[str, str, Callable[[Parser], None], str, str, str]] = {
         "hs225bb-eq31 --pole 50",
     ),
 }
-"""Other ways of a verb, by the file that does it, which was a verb of its own: verb and option that choose it, what
-declares its options, help, description and example."""
+"""Other ways of a verb, by file: verb and option that choose it, what declares its options, and its texts as above."""
 VERBS = tuple(declare.__name__[1:] for group in _GROUPS.values() for declare in group)
 
 
-class _WholeParser(Parser):
+class _WholeParser(_Parser):
     """Its help lists the verbs by what one wants to do."""
 
     def format_help(self) -> str:
@@ -541,7 +521,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Tells which servo of an aircraft is lying, from its flight log.",
     )
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=Parser)
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=_Parser)
     for group in _GROUPS.values():
         for declare, (short, description, example) in group.items():
             name = declare.__name__[1:]
@@ -559,7 +539,7 @@ def build_parser() -> argparse.ArgumentParser:
 def way_parser(way: str) -> argparse.ArgumentParser:
     """Options of another way of a verb."""
     verb, option, declare, _, description, example = WAYS[way]
-    parser = Parser(
+    parser = _Parser(
         prog=f"servofd {verb} {option}", description=description, epilog=f"Example: servofd {verb} {option} {example}"
     )
     declare(parser)
@@ -569,7 +549,7 @@ def way_parser(way: str) -> argparse.ArgumentParser:
 
 def look_parser() -> argparse.ArgumentParser:
     """Options of ``servofd FILE``: those of an audit, and whether to open the page."""
-    parser = Parser(
+    parser = _Parser(
         prog="servofd",
         description="Judges every surface of a flight log, writes a page beside it (or into -o DIR) and opens it. "
         f"A folder is many logs, an endpoint such as udpin:127.0.0.1:14550 a flying aircraft. {_JUDGED}",

@@ -34,11 +34,9 @@ _AIRFRAME_S = 180.0
 """Duration of a flight without servo feedback [s]."""
 _MOST_CLOCK_S = 1e7
 """Latest start of the vehicle's clock [s]: 116 days."""
-_OF_STREAM = (
-    *("speed", "wait", "system", "feedback", "message_hz", "any_rate"),
-    *("mavlink1", "signing_key", "clock_s", "trouble"),
-)
-"""Options of a live link, which make no sense for a file."""
+_SETTINGS = ("speed", "system", "feedback", "message_hz", "any_rate")
+_OF_STREAM = (*_SETTINGS, "wait", "mavlink1", "signing_key", "clock_s", "trouble")
+"""Options of a live link, which make no sense for a file; among them how a vehicle speaks."""
 
 
 def run(options: Options) -> int:
@@ -97,8 +95,7 @@ def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> in
     if options.mavlink1 and options.signing_key is not None:
         raise ConfigError("--signing-key: frames of MAVLink 1 cannot be signed; leave --mavlink1 out")
     endpoint = parse_endpoint(options.stream)
-    names = ("system", "feedback", "message_hz", "any_rate", "speed")
-    given: dict[str, Any] = {n: getattr(options, n) for n in names if getattr(options, n) is not None}
+    given: dict[str, Any] = {n: getattr(options, n) for n in _SETTINGS if getattr(options, n) is not None}
     settings = Settings(**given, troubles=tuple(_trouble(text) for text in options.trouble or ()))
     if options.clock_s is not None:  # the same flight of an autopilot that was booted earlier
         if not (math.isfinite(options.clock_s) and 0.0 <= options.clock_s <= _MOST_CLOCK_S):
@@ -122,7 +119,6 @@ def _stream(options: Options, flight: SimulatedFlight, aircraft: Aircraft) -> in
 
 
 def _trouble(text: str) -> Trouble:
-    """Read ``kind@start:key=value``."""
     what, *pairs = text.split(":")
     kind, _, start = what.partition("@")
     if kind not in TROUBLES:

@@ -34,21 +34,19 @@ _MEMORY_S = 1.0
 def run(options: Options) -> int:
     """Check, then write or print."""
     known = known_aircraft(options.config)
-    audits = []
-    for log in one_log(options.log, known).by_boots():
+    logs, documents = one_log(options.log, known).by_boots(), list[dict[str, Any]]()
+    for log in logs:
         aircraft = flown_aircraft(log, known)
         aircraft.check_names(options.surface, log.label)
-        audits.append(audit_log(log, aircraft, surfaces=tuple(options.surface)))
-    documents: list[dict[str, Any]] = []
-    for audit in audits:
-        about = {"path": str(audit.log.source), "duration_s": audit.log.duration_s}
-        surfaces = {one.surface: _checked(one, audit.aircraft.surfaces[one.surface]) for one in audit.surfaces}
+        audit = audit_log(log, aircraft, surfaces=tuple(options.surface))
+        surfaces = {one.surface: _checked(one, aircraft.surfaces[one.surface]) for one in audit.surfaces}
+        about: dict[str, Any] = {"path": str(log.source), "duration_s": log.duration_s}
         documents.append({"schema": "servofd.sweep/1", **about, "surfaces": surfaces})
     *earlier, last = documents
     if not give_json(options.json, last | {"earlier_boots": earlier} if earlier else last):
-        for audit, document in zip(audits, documents, strict=True):
+        for log, document in zip(logs, documents, strict=True):
             rows = [_row(name, one) for name, one in document["surfaces"].items()]
-            print_table(_HEAD, rows, f"{audit.log.label}   {audit.log.format}, {audit.log.duration_s:.1f} s")
+            print_table(_HEAD, rows, f"{log.label}   {log.format}, {log.duration_s:.1f} s")
     checked = [(name, one) for document in documents for name, one in document["surfaces"].items() if one["expected"]]
     if any(one["status"] == "no_go" for _, one in checked):
         return 1

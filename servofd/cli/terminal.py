@@ -80,13 +80,7 @@ def screen() -> Iterator[Callable[[RenderableType], None]]:
 
 
 def one_line(message: object) -> str:
-    r"""Text of a message on one line, whatever a file name brought into it.
-
-    Examples
-    --------
-    >>> one_line("a\nb.csv: empty")
-    'a b.csv: empty'
-    """
+    """Text of a message on one line, whatever a file name brought into it."""
     return " ".join(str(message).split())
 
 
@@ -96,13 +90,7 @@ def complain(message: object, about: object = "") -> None:
 
 
 def worst(codes: Iterable[int]) -> int:
-    """Exit code of several results: a fault anywhere outranks what could not be judged.
-
-    Examples
-    --------
-    >>> worst([0, 2, 1]), worst([0, 2]), worst([0])
-    (1, 2, 0)
-    """
+    """Exit code of several results: a fault anywhere outranks what could not be judged."""
     return max(codes, key=(0, 2, 1).index, default=2)
 
 
@@ -145,6 +133,7 @@ def print_lines(rows: Sequence[tuple[str, str, tuple[str, ...]]]) -> None:
     from rich.text import Text
 
     shown = console() if console().is_terminal else console(width=_PIPED)
+    rows = [(status, one_line(name), tuple(map(one_line, forms))) for status, name, forms in rows]
     first = max((cell_len(status) for status, _, _ in rows), default=0)
     second = max((cell_len(name) for _, name, _ in rows), default=0)
     for status, name, forms in rows:
@@ -224,7 +213,6 @@ def _console(widest: int | None = None) -> Console:
 
 
 def _style(cell: str) -> str:
-    """Colour of a cell that is a status; none of any other."""
     from servofd.outputs.palette import STATUS_COLOURS
 
     colour = STATUS_COLOURS.get(cell, "")

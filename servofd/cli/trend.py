@@ -17,13 +17,8 @@ _SHOWN = 5
 def run(options: Options) -> int:
     """Follow, write what was asked for, print."""
     check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})
-    seen = trend_logs(
-        options.logs,
-        options.config,
-        surfaces=tuple(options.surface),
-        workers=options.workers,
-        progress=partial(progress, "trend"),
-    )
+    shown, surfaces = partial(progress, "trend"), tuple(options.surface)
+    seen = trend_logs(options.logs, options.config, surfaces=surfaces, workers=options.workers, progress=shown)
     pages = beside(options.html).flights if options.html else {}
     show(trend_report(trend_document(seen), pages), json=options.json, html=options.html)
     for problem in seen.problems[:_SHOWN]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from logparsers.protocol import Severity
 from servofd.detection.wiring import wiring_problem
 
 if TYPE_CHECKING:
@@ -78,6 +79,13 @@ class Event:
     text: str = ""
     """More, in words."""
     fault: Fault | None = None
+    id: str = ""
+    """Of the alarm that it begins, names or ends (`servofd.live.alarms`); empty where it does none of these."""
+    severity: Severity = Severity.INFO
+    vehicle: int = 0
+    """Its system id; 0 where there is none, as in a log of another kind."""
+    boot: int = 1
+    """Of the vehicle, whose time it is: the first that was received is 1."""
 
 
 class Reading(NamedTuple):

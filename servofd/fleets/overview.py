@@ -17,13 +17,7 @@ _RANK = ("fault", "suspect", "not_judged", "unknown", "no_data", "healthy")
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """A fleet on one page.
-
-    Examples
-    --------
-    >>> overview([]).logs
-    0
-    """
+    """A fleet on one page."""
 
     logs: int
     hours: float
@@ -59,9 +53,8 @@ class Overview:
 
 def overview(logs: Sequence[dict[str, Any]]) -> Overview:
     """Sum up."""
-    about = [log["document"] for log in logs]
-    places = [(one.get("start_utc") or "", one["path"], one.get("run") or "") for one in about]
-    ordered = [logs[k] for k in sorted(range(len(logs)), key=places.__getitem__)]
+    names = ("start_utc", "path", "run")
+    ordered = sorted(logs, key=lambda log: [log["document"].get(name) or "" for name in names])
     every = [(log, name, entry) for log in ordered for name, entry in log["document"]["surfaces"].items()]
     moved = [(name, entry) for log in ordered for name, entry in log["document"].get("axes", {}).items()]
     surfaces, axes = dict.fromkeys(name for _, name, _ in every), dict.fromkeys(name for name, _ in moved)
@@ -144,7 +137,6 @@ def _axis_count(name: str, entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _share(entry: dict[str, Any]) -> float | None:
-    """Largest residual over the threshold."""
     if entry["residual"] is None or not entry["threshold"]["deg"]:
         return None
     return float(entry["residual"]["max_abs_deg"] / entry["threshold"]["deg"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from servofd.batch.find import LogSource, fetched
 from servofd.batch.key import Job, content_key
@@ -18,14 +18,6 @@ from servofd.outputs.json_report import audit_document
 from servofd.outputs.page import FLEET_PAGE, html_page
 
 
-class RunVerdict(NamedTuple):
-    """One run of a log, as JSON shows it (an entry of ``logs`` in servofd.audit/1)."""
-
-    document: dict[str, Any]
-    not_judged: str
-    """Why there is no verdict on it as a whole; empty if there is one."""
-
-
 @dataclass(frozen=True, slots=True)
 class JudgedLog:
     """What became of one log."""
@@ -33,59 +25,46 @@ class JudgedLog:
     source: LogSource
     content: str
     """Digest of its bytes; empty if they could not be read."""
-    runs: tuple[RunVerdict, ...]
+    rows: tuple[dict[str, Any], ...]
+    """Its runs as `servofd.fleets.overview.overview` takes them: `document` (an entry of ``logs`` in servofd.audit/1),
+    `content`, and why there is no verdict on it as a whole (`not_judged`)."""
     page: str = ""
     """HTML, where the job asked for it and there is something to show."""
 
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """Its runs as `servofd.fleets.overview.overview` takes them."""
-        return [run._asdict() | {"content": self.content} for run in self.runs]
-
 
 def judge_log(source: LogSource, job: Job) -> JudgedLog:
-    """Judge one log; what is wrong with it is part of the result.
-
-    Examples
-    --------
-    >>> from servofd.batch.find import LogSource
-    >>> judge_log(LogSource("no_such.csv", 0), Job()).runs[0].not_judged[:24]
-    'no_such.csv: no such fil'
-    """
+    """Judge one log; what is wrong with it is part of the result."""
     try:
         content = content_key(source.path)
     except OSError:
         content = ""  # reading it tells what is wrong, in its own words
-    audits: list[LogAudit | FailedLog] = []
-    runs = []
+    shown: list[LogAudit | FailedLog] = []
+    rows = []
     try:
         with fetched(source.path) as local:
-            for result in judged(local, job, threads=1):  # the logs run side by side already
-                if isinstance(result, FailedLog):
-                    failure = replace(result, path=source.path, error=result.error.replace(local, source.path))
-                    runs.append(_not_judged(failure))
-                    if job.pages and failure.flight is not None:
-                        audits.append(failure)
-                    continue
-                if job.pages:
-                    audits.append(result)
-                (document,) = audit_document([result])["logs"]
-                why = result.not_judged and f"{result.log.label.replace(local, source.path)}: {result.not_judged}"
-                runs.append(RunVerdict(document | {"path": source.path}, why))
+            for found in judged(local, job, threads=1):  # the logs run side by side already
+                if isinstance(found, FailedLog):
+                    why, is_shown = found.error.replace(local, source.path), found.flight is not None
+                    found = replace(found, path=source.path, error=why)  # noqa: PLW2901 - under its own name
+                else:
+                    label, is_shown = found.log.label.replace(local, source.path), True
+                    why = found.not_judged and f"{label}: {found.not_judged}"
+                shown += [found] * (job.pages and is_shown)
+                rows.append(_row(source, content, found, why))
             # Its page leads back to that of all.
-            page = html_page(replace(audit_report(audits), links=[("All flights", FLEET_PAGE)])) if audits else ""
-            return JudgedLog(source, content, tuple(runs), page)
+            page = html_page(replace(audit_report(shown), links=[("All flights", FLEET_PAGE)])) if shown else ""
+            return JudgedLog(source, content, tuple(rows), page)
     except ConfigError as error:
-        return failed(source, str(error), content)
+        return _failed(source, str(error), content)
 
 
-def failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
-    """Result of a log that could not be judged at all."""
-    return JudgedLog(source, content, (_not_judged(FailedLog(source.path, reason)),))
+def _failed(source: LogSource, reason: str, content: str = "") -> JudgedLog:
+    return JudgedLog(source, content, (_row(source, content, FailedLog(source.path, reason), reason),))
 
 
-def _not_judged(failure: FailedLog) -> RunVerdict:
-    return RunVerdict(audit_document([failure])["logs"][0], failure.error)
+def _row(source: LogSource, content: str, result: LogAudit | FailedLog, not_judged: str) -> dict[str, Any]:
+    (document,) = audit_document([result])["logs"]
+    return {"document": document | {"path": source.path}, "not_judged": not_judged, "content": content}
 
 
 def audit_fleet(logs: Sequence[LogSource], job: Job, *, workers: int | None = None) -> Iterator[JudgedLog]:
@@ -99,6 +78,6 @@ def audit_fleet(logs: Sequence[LogSource], job: Job, *, workers: int | None = No
         if isinstance(outcome, Exception):  # what stopped a log that nothing in it should have stopped
             name, text = type(outcome).__name__, " ".join(str(outcome).split())
             why = text if name == "WorkerDied" else f"could not be judged: {name}: {text}"
-            yield failed(source, f"{source.path}: {why}")
+            yield _failed(source, f"{source.path}: {why}")
         else:
             yield outcome

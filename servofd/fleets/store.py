@@ -12,6 +12,7 @@ import sys
 import time
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -73,12 +74,11 @@ TABLES: Mapping[str, Mapping[str, str]] = MappingProxyType(
 def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
     """Rows of one log for each table."""
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
-    for run in judged.runs:
-        document = run.document
-        start, duration_s = document.get("start_utc"), document["duration_s"]
-        log = {"path": document["path"], "run": document.get("run"), "content": judged.content}
-        log |= {"duration_s": duration_s, "start_utc": datetime.fromisoformat(start) if start else None}
-        own = {"size_bytes": judged.source.size_bytes, "not_judged": run.not_judged or None}
+    for run in judged.rows:
+        document, start = run["document"], run["document"].get("start_utc")
+        log = {name: document.get(name) for name in ("path", "run", "duration_s")}
+        log |= {"content": judged.content, "start_utc": datetime.fromisoformat(start) if start else None}
+        own = {"size_bytes": judged.source.size_bytes, "not_judged": run["not_judged"] or None}
         own |= {"damage": len(document["damage"]), "document": json.dumps(document)}
         tables["logs"].append(document | log | own)
         for name, axis in document.get("axes", {}).items():
@@ -93,10 +93,7 @@ def rows(judged: JudgedLog) -> dict[str, list[dict[str, Any]]]:
                     parameters, others = json.dumps(fault["parameters"]), ", ".join(fault["alternatives"])
                     text = {"level": level.removesuffix("s"), "parameters": parameters, "alternatives": others}
                     tables["faults"].append(fault | log | text | {"surface": name})
-    return {
-        name: [{column: row.get(column) for column in TABLES[name]} for row in content]
-        for name, content in tables.items()
-    }
+    return tables
 
 
 def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
@@ -105,9 +102,11 @@ def to_arrow(name: str, content: list[dict[str, Any]]) -> pa.Table:
 
     kinds = {"string": pa.string(), "double": pa.float64(), "int64": pa.int64(), "time": pa.timestamp("us", tz="UTC")}
     schema = pa.schema([(column, kinds[kind]) for column, kind in TABLES[name].items()])
-    texts = [{k: v for k, v in row.items() if isinstance(v, str)} for row in content]
-    plain = [{k: v.encode("utf-8", "backslashreplace").decode() for k, v in row.items()} for row in texts]
-    return pa.Table.from_pylist([row | text for row, text in zip(content, plain, strict=True)], schema=schema)
+
+    def plain(value: object) -> object:
+        return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+    return pa.Table.from_pylist([{key: plain(row.get(key)) for key in TABLES[name]} for row in content], schema=schema)
 
 
 _SCHEMA = "servofd.fleets/1"
@@ -122,7 +121,7 @@ _SECONDS_PER_PART = 10.0
 class FleetStore:
     """Results of many logs, all judged with the same aircraft and options by the same version.
 
-    Whoever has it is the only writer of the folder until `close`, which the end of a ``with`` block calls.
+    Whoever has it is the only writer of the folder until the end of the ``with`` block, which writes what was added.
     Results of another aircraft file, other options or another version are moved into the folder ``earlier``, and come
     back when they are asked for again.
 
@@ -149,10 +148,6 @@ class FleetStore:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Write what has been added since, and let others write."""
         try:
             self.flush()
         finally:
@@ -161,12 +156,9 @@ class FleetStore:
     def done(self, source: LogSource) -> bool:
         """Whether a log with these bytes has been judged; read only if there is one of the same size."""
         known = self._sizes.get(source.size_bytes)
-        if not known:
-            return False
-        try:
-            return content_key(source.path) in known
-        except OSError:
-            return False
+        with suppress(OSError):
+            return content_key(source.path) in known if known else False
+        return False
 
     def add(self, judged: JudgedLog) -> bool:
         """Keep what became of a log; False if one with the same bytes is there already.
@@ -234,14 +226,8 @@ def read_logs(folder: Path) -> list[dict[str, Any]]:
     if not meta.is_file():
         raise ConfigError(f"{folder}: no results of many logs; make them with servofd audit LOGS/ -o {folder}")
     _read_meta(meta)
-    kept = read_table(folder, "logs", ["document", "not_judged", "content"])
-    texts = [{name: row[name] or "" for name in ("not_judged", "content")} for row in kept]
-    return by_path([one | {"document": json.loads(row["document"])} for one, row in zip(texts, kept, strict=True)])
-
-
-def by_path(logs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Logs as `read_logs` gives them, in order."""
-    return sorted(logs, key=lambda log: (log["document"]["path"], log["document"].get("run") or ""))
+    kept = read_table(folder, "logs", ["not_judged", "content", "document"])
+    return [{k: json.loads(v) if k == "document" else v or "" for k, v in row.items()} for row in kept]
 
 
 def _prepared(folder: Path, key: str) -> int:
@@ -285,7 +271,6 @@ def _read_meta(meta: Path) -> dict[str, str]:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move the tables from one folder to another."""
     target.mkdir(parents=True, exist_ok=True)
     for name in TABLES:
         if (source / name).is_dir():

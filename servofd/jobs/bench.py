@@ -43,10 +43,8 @@ class BenchTest:
 
 def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | None = None) -> tuple[BenchTest, ...]:
     """Take the tests of one servo out of a log; several if the file holds several runs."""
-    logs = tuple(logs_of(path, aircraft))
-    found: list[BenchTest] = []
-    reasons: list[str] = []
-    for log in logs:
+    found, reasons = [], []
+    for log in logs_of(path, aircraft):
         if aircraft is None and _CHIRP_COMMAND in log.channels:
             found.append(_chirp_script(log))
             continue
@@ -54,11 +52,9 @@ def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | 
             only = () if surface is None else (surface,)
             found.append(_of_surface(log, scaled_aircraft(log, aircraft, only), surface))
         except NoMeasurement as error:
-            if len(logs) == 1:
-                raise
-            reasons.append(str(error))
+            reasons.append(error)
     if not found:
-        raise NoMeasurement(reasons[0])
+        raise reasons[0]
     return tuple(found)
 
 
@@ -127,15 +123,14 @@ def _of_surface(log: FlightLog, aircraft: Aircraft, surface: str | None) -> Benc
     if surface is not None:
         aircraft.check_names([surface], log.label)
     segments: dict[str, Series] = {}
-    reasons: dict[str, str] = {}
+    reasons = []
     for name in [surface] if surface is not None else aircraft.surfaces:
         try:
             segments[name] = cut(log, name, aircraft)
         except NoMeasurement as error:
-            reasons[name] = str(error)
+            reasons.append(f"{log.label}: {name}: {error}")
     if not segments:
-        name, reason = next(iter(reasons.items()))
-        raise NoMeasurement(f"{log.label}: {name}: {reason}")
+        raise NoMeasurement(reasons[0])
     if len(segments) > 1:
         names = ", ".join(segments)
         raise ConfigError(f"{log.label}: {len(segments)} servos were measured: choose one of {names} with -s")

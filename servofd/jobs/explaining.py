@@ -11,14 +11,14 @@ import numpy as np
 from logparsers import FlightLog, LogFile
 from servofd.aircraft.schema import Aircraft, Surface
 from servofd.aircraft.series import Series, cut
-from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName, suggest
+from servofd.core.errors import ConfigError, DesignError, NoMeasurement, UnknownName
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
 from servofd.detection.verdict import describe
 from servofd.discrepancy.explanation import Explanation, explain_gap, judged_elsewhere
 from servofd.discrepancy.known import A_TYPE, NOTHING
 from servofd.discrepancy.own import load_own_effect
-from servofd.discrepancy.validity import Undriven, undriven
+from servofd.discrepancy.validity import undriven
 from servofd.discrepancy.varying import varying
 from servofd.feedback.flown import known_aircraft, logs_of, scaled_aircraft, surfaces_of
 from servofd.jobs.bench import label_of
@@ -110,91 +110,70 @@ def explain_logs(
     """
     if own is not None:
         include(load_own_effect(own) if isinstance(own, str | Path) else own)
-    flown = _opened(paths, aircraft, servo)
-    for name in surfaces:
-        if name not in flown.aircraft.surfaces:
-            raise UnknownName(f"{flown.source}: {suggest('surface', name, flown.aircraft.surfaces)}")
-    wanted = tuple(dict.fromkeys(surfaces)) or flown.surfaces
-    if alone and len(wanted) > 1:
-        raise UnknownName(f"{flown.source}: choose a surface: {', '.join(wanted)}")
-    others = list(logs_of(also, flown.aircraft)) if also else []
-    judged = [(log.label, {name: _also(log, flown.aircraft, name) for name in wanted}) for log in others]
-    known, found, failures = flown.aircraft, [], []
-    for name in wanted:
-        try:
-            one = _surface(flown, name, judged, progress)
-        except (NoMeasurement, DesignError) as error:
-            failures.append(f"{flown.source}: {name}: {error}")
-            continue
-        found.append(one)
-        if name in flown.unnamed and one.record.side is None:  # with the poles that were found, for an audit
-            poles = scaled(one.record.plant.transfer, one.selection.final.physics.scales)
-            fitted = {"numerator": poles.numerator, "denominator": poles.denominator, "source": "servofd explain"}
-            servo_found = Servo.model_validate(UNKNOWN_SERVO.model_dump() | fitted | {"delay_s": 0.0})
-            known = _with_unknown_servo(known, name, servo_found)
-    return ExplainedLogs(tuple(found), tuple(failures), known, flown.source, flown.logs)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Flown:
-    """Flights of one aircraft, or runs of a bench."""
-
-    logs: tuple[FlightLog, ...]
-    aircraft: Aircraft
-    label: str
-    unnamed: frozenset[str]
-    """Surfaces whose servo is unknown: its poles have to be found as well."""
-
-    @property
-    def source(self) -> str:
-        return self.logs[0].label if len(self.logs) == 1 else f"{self.label} ({len(self.logs)} runs)"
-
-    @property
-    def surfaces(self) -> tuple[str, ...]:
-        """Those that are measured, and known to some log; all if there is none."""
-        known = self.aircraft.surfaces
-        logged = {channel for log in self.logs for channel in log.channels}
-        return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
-
-
-def _opened(paths: Sequence[LogFile], aircraft: str | Path | Aircraft | None, servo: str | None) -> _Flown:
     known = known_aircraft(aircraft)
     logs = tuple(logs_of(paths, known))
+    source = logs[0].label if len(logs) == 1 else f"{', '.join(map(label_of, paths))} ({len(logs)} runs)"
     # The servo of a plain table is fitted along with what it may lack.
     flown = scaled_aircraft(logs[0], known)
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
-    unnamed = frozenset(n for n, s in flown.surfaces.items() if servo == UNKNOWN or not s.names_servo)
-    return _Flown(logs, flown, ", ".join(map(label_of, paths)), unnamed)
+    flown.check_names(surfaces, source)
+    wanted = tuple(dict.fromkeys(surfaces)) or _measured(flown, logs)
+    if alone and len(wanted) > 1:
+        raise UnknownName(f"{source}: choose a surface: {', '.join(wanted)}")
+    others = list(logs_of(also, flown)) if also else []
+    judged = [(log.label, {name: _also(log, flown, name) for name in wanted}) for log in others]
+    explained, found, failures = flown, [], []
+    for name in wanted:
+        is_unnamed = servo == UNKNOWN or not flown.surfaces[name].names_servo  # its poles have to be found as well
+        try:
+            one = _surface(logs, flown, name, is_unnamed, judged, progress)
+        except (NoMeasurement, DesignError) as error:
+            failures.append(f"{source}: {name}: {error}")
+            continue
+        found.append(one)
+        if is_unnamed and one.record.side is None:  # with the poles that were found, for an audit
+            poles = scaled(one.record.plant.transfer, one.selection.final.physics.scales)
+            fitted = {"numerator": poles.numerator, "denominator": poles.denominator, "source": "servofd explain"}
+            servo_found = Servo.model_validate(UNKNOWN_SERVO.model_dump() | fitted | {"delay_s": 0.0})
+            explained = _with_unknown_servo(explained, name, servo_found)
+    return ExplainedLogs(tuple(found), tuple(failures), explained, source, logs)
+
+
+def _measured(aircraft: Aircraft, logs: Sequence[FlightLog]) -> tuple[str, ...]:
+    """Surfaces that are measured, and known to some log; all if there is none."""
+    known, logged = aircraft.surfaces, {channel for log in logs for channel in log.channels}
+    return tuple(n for n, s in known.items() if s.measured and s.measured.channel in logged) or tuple(known)
 
 
 def _surface(
-    flown: _Flown,
+    flown: Sequence[FlightLog],
+    aircraft: Aircraft,
     name: str,
+    is_unnamed: bool,
     also: Sequence[tuple[str, dict[str, Series]]],
     progress: Callable[[str], None],
 ) -> Explanation:
-    aircraft = _with_unknown_servo(flown.aircraft, name) if name in flown.unnamed else flown.aircraft
-    logs, segments = _segments(flown.logs, name, aircraft)
+    aircraft = _with_unknown_servo(aircraft, name) if is_unnamed else aircraft
+    logs, segments = _segments(flown, name, aircraft)
     model = aircraft.model(name)
-    off: list[Undriven] = []
-    said: dict[str, None] = {}
-    for k, (log, segment) in enumerate(zip(logs, segments, strict=True)):
-        off += undriven(segment, k)
-        said |= dict.fromkeys(filter(None, (segment.refreshed,))) | dict.fromkeys(damage.note for damage in log.damage)
+    off = [one for k, segment in enumerate(segments) for one in undriven(segment, k)]
+    said: list[str] = []
+    for log, segment in zip(logs, segments, strict=True):
+        said += [segment.refreshed, *(damage.note for damage in log.damage)]
+    said += _same_loads(logs)
     conditions = _conditions(logs, aircraft.surfaces[name])
-    said |= dict.fromkeys(_same_loads(logs))
-    known = NOTHING if name in flown.unnamed else A_TYPE
+    known = NOTHING if is_unnamed else A_TYPE
     on_bench = aircraft.table is not None and bool(aircraft.table.run)  # experiments that begin at rest
     found = explain_gap(
         segments, model, on_bench=on_bench, known=known, off=off, conditions=conditions, progress=progress
     )
-    found = replace(found, notes=(*found.notes, *list(said)[:_MOST_SAID]))
+    found = replace(found, notes=(*found.notes, *list(dict.fromkeys(filter(None, said)))[:_MOST_SAID]))
     if found.record.side is None:
         differing = varying(found.selection, conditions)
         found = replace(found, varying=differing, notes=(*found.notes, *(each.sentence for each in differing)))
-    if found.fault_s is not None and len(flown.logs) == 1:  # which fault it is that sets in, if the audit can name it
-        (verdict,) = audit_log(flown.logs[0], aircraft, surfaces=(name,)).surfaces
+    if found.fault_s is not None and len(flown) == 1:  # which fault it is that sets in, if the audit can name it
+        (verdict,) = audit_log(flown[0], aircraft, surfaces=(name,)).surfaces
         named = next((one for one in verdict.faults if abs(one.start_s - found.fault_s) < _SAME_FAULT_S), None)
         if named is not None and named.kind != "unknown":
             found = replace(found, notes=(*found.notes, f"the audit can name that fault: {describe(named)}"))
@@ -208,7 +187,6 @@ def _surface(
 
 
 def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Series:
-    """A surface in another log of the same aircraft."""
     try:
         return cut(log, name, surfaces_of(log, aircraft))
     except NoMeasurement as error:
@@ -217,16 +195,15 @@ def _also(log: FlightLog, aircraft: Aircraft, name: str) -> Series:
 
 def _segments(logs: Sequence[FlightLog], surface: str, aircraft: Aircraft) -> tuple[list[FlightLog], list[Series]]:
     """The runs in which the surface was commanded and measured, and it in each of them."""
-    used, segments, reasons = [], [], []
+    found, reasons = [], []
     for log in logs:
         try:
-            segments.append(cut(log, surface, surfaces_of(log, aircraft)))
-            used.append(log)
+            found.append((log, cut(log, surface, surfaces_of(log, aircraft))))
         except NoMeasurement as error:
-            reasons.append(str(error))
-    if not segments:
-        raise NoMeasurement(reasons[0])
-    return used, segments
+            reasons.append(error)
+    if not found:
+        raise reasons[0]
+    return [log for log, _ in found], [segment for _, segment in found]
 
 
 def _conditions(logs: Sequence[FlightLog], surface: Surface) -> dict[str, FloatArray]:
@@ -255,7 +232,5 @@ def _same_loads(logs: Sequence[FlightLog]) -> list[str]:
 
 def _with_unknown_servo(aircraft: Aircraft, surface: str, servo: Servo = UNKNOWN_SERVO) -> Aircraft:
     name = f"{surface}-{UNKNOWN}"
-    entry = aircraft.surfaces[surface].model_copy(update={"servo": name})
-    return aircraft.model_copy(
-        update={"surfaces": {**aircraft.surfaces, surface: entry}, "servos": {**aircraft.servos, name: servo}}
-    )
+    surfaces = aircraft.surfaces | {surface: aircraft.surfaces[surface].model_copy(update={"servo": name})}
+    return aircraft.model_copy(update={"surfaces": surfaces, "servos": aircraft.servos | {name: servo}})

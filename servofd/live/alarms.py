@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from logparsers.protocol import Severity
@@ -27,19 +27,6 @@ _TRAVEL_DEG: Final = 50.0
 """Where nothing says how far a surface moves: the FASER surfaces' +-25 deg."""
 _ECHO_S: Final = 1.0
 """What the detector sees again within so long of an alarm's time is the same fault."""
-
-
-@dataclass(frozen=True, slots=True)
-class Published(Event):
-    """An event, and what belongs to it."""
-
-    id: str = ""
-    """Of the alarm that it begins, names or ends; empty where it does none of these."""
-    severity: Severity = Severity.INFO
-    vehicle: int = 0
-    """Its system id; 0 where there is none, as in a log of another kind."""
-    boot: int = 1
-    """Of the vehicle, whose time it is: the first that was received is 1."""
 
 
 @dataclass(slots=True)
@@ -77,13 +64,7 @@ class Alarm:
 
 
 def over(fault: Fault | None) -> str:
-    """What is said once a fault is over.
-
-    Examples
-    --------
-    >>> over(None)
-    'moves as commanded again'
-    """
+    """What is said once a fault is over."""
     by_current = fault is not None and fault.witness == "current"
     return "draws as a good servo again" if by_current else "moves as commanded again"
 
@@ -134,7 +115,6 @@ class Alarms:
     """Which one of the vehicle's boots this is, of those that were received."""
     all: list[Alarm] = field(default_factory=list)
     """In the order in which they were raised."""
-    _counts: dict[str, int] = field(default_factory=dict)
 
     def standing(self, surface: str) -> Alarm | None:
         """The gravest alarm of a surface that stands; of several alike, the latest."""
@@ -146,28 +126,23 @@ class Alarms:
         """Severity of the gravest alarm that stands; None if none does."""
         return min((alarm.severity for alarm in self.all if alarm.end_s is None), default=None)
 
-    def publish(self, events: Iterable[Event]) -> list[Published]:
+    def publish(self, events: Iterable[Event]) -> list[Event]:
         """What to publish of that which the detector saw."""
         return [each for event in events for each in self._reported(event)]
 
-    def begin_anew(self, event: Event) -> list[Published]:
+    def begin_anew(self, event: Event) -> list[Event]:
         """End what stands, for the vehicle has booted, as an event says: whether it lasts is seen anew."""
         reports = []
         for alarm in self.all:
             if alarm.end_s is None:
                 alarm.end_s = math.inf
                 text = "the vehicle has restarted: whether it lasts is not known"
-                reports.append(
-                    self._published(
-                        replace(event, surface=alarm.surface, event="clear", kind=alarm.kind, text=text),
-                        alarm.id,
-                        Severity.NOTICE,
-                    )
-                )
+                clear = replace(event, surface=alarm.surface, event="clear", kind=alarm.kind, text=text)
+                reports.append(self._published(clear, alarm.id, Severity.NOTICE))
         self.boot += 1
         return [*reports, self._published(event, "", Severity.WARNING)]
 
-    def _reported(self, event: Event) -> list[Published]:
+    def _reported(self, event: Event) -> list[Event]:
         if event.event not in ("alarm", "named", "clear"):
             return [self._published(event, "", Severity.WARNING)]
         of_surface = [alarm for alarm in self.all if alarm.surface == event.surface and alarm.boot == self.boot]
@@ -182,13 +157,13 @@ class Alarms:
         known = [alarm for alarm in of_surface if not alarm.dismissed]  # what was taken back has to be reported anew
         if event.event == "named" or (event.fault is not None and any(a.covers(event.fault) for a in known)):
             return []
-        number = self._counts[event.surface] = self._counts.get(event.surface, 0) + 1
+        number = 1 + sum(alarm.surface == event.surface for alarm in self.all)
         alarm = Alarm(f"{self.vehicle}/{event.surface}/{number}", event.surface, event.time_s, boot=self.boot)
         self.all.append(alarm)
         self._learn(alarm, event)
         return [self._published(event, alarm.id, alarm.severity)]
 
-    def _named(self, alarm: Alarm, event: Event) -> list[Published]:
+    def _named(self, alarm: Alarm, event: Event) -> list[Event]:
         """A name that is new, or graver, of an alarm that stands; or what another witness says of it."""
         is_told = event.fault is not None and event.fault.other not in ("", alarm.fault and alarm.fault.other)
         if event.kind == "unknown" or (event.kind == alarm.kind and not is_told):
@@ -197,11 +172,11 @@ class Alarms:
         self._learn(alarm, event)
         return [self._published(event, alarm.id, alarm.severity, "named")]
 
-    def _cleared(self, alarm: Alarm | None, event: Event) -> list[Published]:
+    def _cleared(self, alarm: Alarm | None, event: Event) -> list[Event]:
         if alarm is None:
             return []
         alarm.end_s, alarm.dismissed = event.time_s, event.kind == "healthy"
-        named: list[Published] = []
+        named: list[Event] = []
         if not alarm.dismissed:  # a name that was reported stays; one that comes so late is reported before the end
             named = self._named(alarm, event) if alarm.kind == "unknown" else []
             ended = alarm.dated(event.fault)
@@ -218,6 +193,6 @@ class Alarms:
         travel = self.travels_deg.get(event.surface, _TRAVEL_DEG)
         alarm.severity = severity_of(event.kind, event.fault, event.residual_deg, travel)
 
-    def _published(self, event: Event, alarm: str, severity: Severity, what: EventKind | None = None) -> Published:
-        known = {each.name: getattr(event, each.name) for each in fields(Event)} | {"event": what or event.event}
-        return Published(**known, id=alarm, severity=severity, vehicle=self.vehicle, boot=self.boot)
+    def _published(self, event: Event, alarm: str, severity: Severity, what: EventKind | None = None) -> Event:
+        whose = replace(event, id=alarm, severity=severity, vehicle=self.vehicle, boot=self.boot)
+        return whose if what is None else replace(whose, event=what)

@@ -10,12 +10,14 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from logparsers.protocol import LONGEST_TEXT, Autopilot, Kind, Severity, State
 from servofd.aircraft.names import short_names
+from servofd.detection.event import Event
 from servofd.detection.kinds import KINDS, filled
-from servofd.live.alarms import Published, over
+from servofd.live.alarms import over
+from servofd.live.requests import Message
 
 if TYPE_CHECKING:
     from servofd.detection.monitor import SurfaceMonitor
@@ -31,8 +33,6 @@ _GATHER_S, _PAUSE_S = 1.0, 10.0
 """So long what is not urgent is gathered, and so long it waits for its turn; one line in ten seconds buries nothing."""
 _MOST_NOTES: Final = 6
 """News of the link that wait their turn: the latest of a minute."""
-
-Message = tuple[str, dict[str, Any]]
 
 
 def health(monitor: SurfaceMonitor) -> float:
@@ -57,7 +57,7 @@ class Alerts:
         self._notes: list[str] = []
         self._gathered_s, self._spoke_s, self._beat_s = math.inf, -math.inf, -math.inf
 
-    def take(self, event: Published, now_s: float) -> None:
+    def take(self, event: Event, now_s: float) -> None:
         """Take an event; `now_s` is the receiver's clock [s]."""
         if event.event in ("link_lost", "link_restored") or not event.surface:
             return  # a ground station sees that itself
@@ -86,9 +86,8 @@ class Alerts:
             self._urgent[surface] = [entry for entry in texts if entry[0] > now_s]
         if now_s - self._gathered_s >= _GATHER_S and now_s - self._spoke_s >= _PAUSE_S:
             quiet = self._quiet()
-            if quiet:
-                self._spoke_s = now_s
-                found += [(Severity.WARNING, text) for text in quiet]
+            self._spoke_s = now_s if quiet else self._spoke_s
+            found += [(Severity.WARNING, text) for text in quiet]
             self._gathered_s = now_s if self._notes else math.inf
         return [("STATUSTEXT", {"severity": severity, "text": text}) for severity, text in found]
 
@@ -100,21 +99,13 @@ class Alerts:
             return []
         self._beat_s = now_s
         state = State.ACTIVE if gravest is None or gravest >= Severity.NOTICE else State.CRITICAL
-        beat = {
-            "type": Kind.ONBOARD_CONTROLLER,
-            "autopilot": Autopilot.INVALID,
-            "system_status": state,
-            "mavlink_version": 3,
-        }
+        beat = {"type": Kind.ONBOARD_CONTROLLER, "autopilot": Autopilot.INVALID, "mavlink_version": 3}
+        messages: list[Message] = [("HEARTBEAT", beat | {"system_status": state})]
         boot_ms = int(vehicle_s * 1e3) % 2**32 if math.isfinite(vehicle_s) else 0
-        numbers: list[Message] = [
-            (
-                "NAMED_VALUE_FLOAT",
-                {"time_boot_ms": boot_ms, "name": f"SF_{self._health[name]}", "value": health(monitor)},
-            )
-            for name, monitor in monitors.items()
-        ]
-        return [("HEARTBEAT", beat), *numbers]
+        for name, monitor in monitors.items():
+            number = {"time_boot_ms": boot_ms, "name": f"SF_{self._health[name]}", "value": health(monitor)}
+            messages.append(("NAMED_VALUE_FLOAT", number))
+        return messages
 
     def _quiet(self) -> list[str]:
         """One line for each reason not to watch surfaces, and one of those on the link: the others wait their turn."""
@@ -136,21 +127,21 @@ class Alerts:
         return f"{who} {what}"[:LONGEST_TEXT]
 
 
-def _words(event: Published) -> str:
+def _words(event: Event) -> str:
     """What follows the surface's name."""
     if event.event == "clear":
         if event.text and event.kind != "healthy":
             return event.text.partition(":")[0]
         return "cleared: within tolerance" if event.kind == "healthy" else over(event.fault)
-    if event.event == "alarm" and event.fault is None and event.text:
-        return "AXIS ALARM by its motion"
     if event.event == "alarm" and event.fault is None:
+        if event.text:
+            return "AXIS ALARM by its motion"
         known = f"off by {abs(event.residual_deg):.1f} deg" if math.isfinite(event.residual_deg) else ""
         grave = "ALARM" if event.severity < Severity.NOTICE or not known else ""
         return ", ".join(filter(None, (grave, known)))
     if event.kind == "unknown":
         return "at fault"
-    sizes = event.fault.parameters if event.fault is not None else {}
-    values = {name: estimate.value for name, estimate in sizes.items()}
-    sensor = " (sensor?)" if event.fault is not None and event.fault.is_of_sensor else ""
+    fault = event.fault
+    values = {name: estimate.value for name, estimate in fault.parameters.items()} if fault is not None else {}
+    sensor = " (sensor?)" if fault is not None and fault.is_of_sensor else ""
     return filled(KINDS[event.kind].clause, values).replace("±", "+-") + sensor

@@ -25,8 +25,7 @@ STREAMED = {
 }
 """Messages that every autopilot sends, and what motion needs of them."""
 _LOGGED = (
-    *(f"IMU[0].{what}{axis}" for what in ("Gyr", "Acc") for axis in "XYZ"),
-    *(f"IMU.{what}{axis}" for what in ("Gyr", "Acc") for axis in "XYZ"),
+    *(f"{imu}.{what}{axis}" for imu in ("IMU[0]", "IMU") for what in ("Gyr", "Acc") for axis in "XYZ"),
     *("ATT.Roll", "ATT.Pitch", "ARSP[0].Airspeed", "ARSP.Airspeed", "CTUN.As"),
 )
 _EVERY_S = 1.0
@@ -97,10 +96,6 @@ class AxisWatch:
         self.audits, self.problem = judge_motion(self.model, motion), ""
         return [event for audit in self.audits for event in self._changes(audit, now_s)]
 
-    def waiting(self) -> str:
-        """Why no axis is judged; empty if one is."""
-        return f"axes: {self.problem}" if self.problem else ""
-
     def _changes(self, audit: AxisAudit, now_s: float) -> Iterable[Event]:
         axis = audit.axis
         if axis == "thrust":
@@ -114,21 +109,21 @@ class AxisWatch:
                 self.has_suspect = True
                 yield Event(now_s, axis, "alarm", "unknown", text=f"{named(audit.members, axis)}: alarm of its motion")
             return
-        if now_s - raised_s >= _NAMED_S:
-            event = max(audit.events, key=lambda one: one.score, default=None)
-            if event is not None:
-                yield Event(now_s, axis, "named", _kind(event, axis, audit), text=audit.reason)
+        event = max(audit.events, key=lambda one: one.score, default=None)
+        if event is not None and now_s - raised_s >= _NAMED_S:
+            yield Event(now_s, axis, "named", _kind(event, audit), text=audit.reason)
         self.has_fault |= audit.status == "fault"
         if audit.score.size and not ongoing and not any(event.cause for event in audit.events if event.end_s is None):
             del self._standing[axis]
             yield Event(now_s, axis, "clear", text="answers its command again")
 
     def _forget(self, now_s: float) -> None:
-        if not now_s - self._begun_s <= _LONGEST_S:
-            first = math.inf if not math.isfinite(self._begun_s) else now_s - _KEPT_S
-            self._begun_s = now_s if math.isinf(first) else first
+        if math.isnan(self._begun_s):
+            self._begun_s = now_s
+        elif now_s - self._begun_s > _LONGEST_S:
+            self._begun_s = now_s - _KEPT_S
             for channel, (times, values) in self._samples.items():
-                keep = 0 if math.isinf(first) else int(np.searchsorted(times, first))
+                keep = int(np.searchsorted(times, self._begun_s))
                 self._samples[channel] = (times[keep:], values[keep:])
 
     def _log(self) -> FlightLog:
@@ -141,9 +136,9 @@ class AxisWatch:
         return FlightLog(Path("live"), kind, channels)
 
 
-def _kind(event: AxisEvent, axis: str, audit: AxisAudit) -> str:
+def _kind(event: AxisEvent, audit: AxisAudit) -> str:
     if event.cause:
         return "unknown"
     if event.lag_s is not None:
         return "slow"
-    return "bias" if axis and event.lost_share.high < 0.25 and audit.is_expected else "loss_of_effectiveness"
+    return "bias" if event.lost_share.high < 0.25 and audit.is_expected else "loss_of_effectiveness"

@@ -6,6 +6,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Iterable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -49,11 +50,10 @@ class ChannelTable:
     once, and not obeyed. What is no number of a servo is dropped, and named once.
     """
 
-    def __init__(self, channels: Iterable[str]) -> None:
+    def __init__(self, channels: Iterable[str], news: list[str] | None = None) -> None:
         self._wanted: dict[tuple[str, str], list[_Wanted]] = {}
         self._others: set[tuple[str, tuple[int, int]]] = set()
-        self.news: list[str] = []
-        """What is to be reported of senders, and then forgotten."""
+        self.news = [] if news is None else news
         self._counts: dict[str, tuple[str, int]] = {}
         self.unknown: list[str] = []
         """Names that are no channels of a telemetry stream."""
@@ -70,14 +70,10 @@ class ChannelTable:
             self._counts[channel] = (match[3], 0)
         self.messages = {message for message, _ in self._wanted}
         self._named = {wanted.source for each in self._wanted.values() for wanted in each if wanted.source}
-        self.dropped = 0
-        """Values that were no measurements."""
         self._instances = {name: layouts[name].instance for name in self.messages}
 
     def of(self, message: Received) -> list[tuple[str, float]]:
         """Wanted channels of a message, and their values as logged."""
-        if message.name not in self.messages:
-            return []
         found = []
         for wanted in self._asked(message):
             sender = (message.system, message.component)
@@ -86,7 +82,6 @@ class ChannelTable:
             field = message.fields[wanted.field]
             value = float(field if wanted.element is None else field[wanted.element])
             if not abs(value) <= _LARGEST:
-                self.dropped += 1
                 self._tell(wanted.channel, sender, f"{value:.3g} is no measurement: such values are left out")
                 continue
             self._counts[wanted.channel] = (message.name, self._counts[wanted.channel][1] + 1)
@@ -100,12 +95,12 @@ class ChannelTable:
         sender = (message.system, message.component)
         if sender in self._named:
             return True
-        if message.name in self.messages and any(w.source is None for w in self._asked(message)):
+        if any(wanted.source is None for wanted in self._asked(message)):
             self._tell(message.name, sender, f"not that of component {message.component}")
         return False
 
     def _asked(self, message: Received) -> list[_Wanted]:
-        field = self._instances[message.name]
+        field = self._instances.get(message.name, "")
         return self._wanted.get((message.name, str(message.fields[field]) if field else ""), [])
 
     def _tell(self, message: str, sender: tuple[int, int], what: str) -> None:
@@ -124,16 +119,16 @@ class ChannelTable:
 
 _RELAYED = ("NAMED_VALUE", "DEBUG", "SET_", "HIL_", "VISION", "TIMESYNC")
 """Beginnings of the names of messages that are often stamped by someone else."""
-_STAMPS: dict[str, Stamp | None] = {}
 
 
+@cache
 def stamp_of(message: str) -> Stamp | None:
     """Time stamp of a message; None if it carries none."""
-    if message not in _STAMPS:
-        clock = dialect().layouts[message].clock if message in dialect().layouts else None
-        is_relayed = message.startswith(_RELAYED)
-        _STAMPS[message] = Stamp(clock[0].name, clock[1], 8 * clock[0].dtype.itemsize, is_relayed) if clock else None
-    return _STAMPS[message]
+    clock = dialect().layouts[message].clock if message in dialect().layouts else None
+    if clock is None:
+        return None
+    field, tick_s = clock
+    return Stamp(field.name, tick_s, 8 * field.dtype.itemsize, message.startswith(_RELAYED))
 
 
 _PERIOD_S = 0.1
@@ -185,11 +180,10 @@ class Surroundings:
     """
 
     def __init__(self, needs: Iterable[str]) -> None:
-        self._sources = {
-            channel: (need, rank, scale)
-            for need in needs
-            for rank, (channel, scale) in enumerate(SURROUNDINGS[need].items())
-        }
+        self._sources: dict[str, tuple[str, int, float]] = {}
+        for need in needs:
+            for rank, (channel, scale) in enumerate(SURROUNDINGS[need].items()):
+                self._sources[channel] = need, rank, scale
         self._received: dict[str, tuple[int, deque[tuple[float, float]]]] = {}
         self.supply = Supply()
 

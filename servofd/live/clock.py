@@ -26,13 +26,27 @@ _CALM_S = 5.0
 """and so long in time; what comes and goes more quickly is one sentence."""
 
 
+class Least:
+    """The least value of the last one or two spans of time."""
+
+    def __init__(self, span_s: float) -> None:
+        self._span_s, self._begun_s = span_s, -math.inf
+        self._now, self._before = math.inf, math.inf
+
+    def take(self, value: float, now_s: float) -> float:
+        """Take a value [same unit] at a time [s], and give the least one."""
+        if now_s - self._begun_s >= self._span_s:
+            self._begun_s, self._now, self._before = now_s, math.inf, self._now
+        self._now = min(self._now, value)
+        return min(self._now, self._before)
+
+
 class Latency:
     """Follows the delay of one vehicle's messages."""
 
     def __init__(self) -> None:
-        self._lags_s = [math.inf, math.inf]
-        """Least of arrival minus stamp in this block and in the one before."""
-        self._block_s = -math.inf
+        self._lag_s, self._lags = math.inf, Least(_BLOCK_S)
+        """Least of arrival minus stamp [s]."""
         self._fastest_s, self._slowest_s, self._bound_s = math.inf, -math.inf, -math.inf
         self._told_s, self._since_s, self._calm_s = 0.0, math.inf, math.inf
         self._sent: dict[int, float] = {}
@@ -40,7 +54,7 @@ class Latency:
     @property
     def late_s(self) -> float:
         """By how much messages are later than the fastest ones would be [s]."""
-        lag_s = min(self._lags_s)
+        lag_s = self._lag_s
         return max(lag_s - max(self._fastest_s, self._slowest_s), 0.0) if math.isfinite(lag_s) else 0.0
 
     def take(self, arrival_s: float, made_s: float) -> None:
@@ -51,10 +65,7 @@ class Latency:
             self._fastest_s += drifted_s
             self._slowest_s -= drifted_s
         self._bound_s = max(arrival_s, self._bound_s)
-        if arrival_s - self._block_s >= _BLOCK_S:
-            self._block_s, self._lags_s = arrival_s, [lag_s, self._lags_s[0]]
-        self._lags_s[0] = min(self._lags_s[0], lag_s)
-        self._fastest_s = min(self._fastest_s, lag_s)
+        self._lag_s, self._fastest_s = self._lags.take(lag_s, arrival_s), min(self._fastest_s, lag_s)
 
     def ask(self, now_s: float) -> int:
         """Number that a TIMESYNC sent now [s] carries, and its answer repeats."""
@@ -100,7 +111,6 @@ _PERSISTS, _PERSISTS_S = 3, 0.3
 """Old stamps in a row, and for how long, that make a restart; a copy of the stream that comes late makes bursts."""
 _GONE_BACK_S = 5.0
 """Old stamps for so long, and no other, are a clock that went back by whatever: a log that is replayed once more."""
-_PATIENCE_S = 2.0
 _STAMPED_EVERY_S = 1.0
 """Autopilots send at least one stamped message a second; what is unstamped was made no later than the next of them."""
 _FOREIGN_S = 60.0
@@ -118,11 +128,11 @@ class VehicleClock:
         """How often the vehicle's milliseconds have overflown."""
         self._newest_s, self._arrived_s = -math.inf, -math.inf
         """Newest stamp of the vehicle's own clock, and when that message arrived."""
-        self._begun_s: float | None = None
         self._back, self._back_s = 0, math.inf
         self._before: tuple[float, float] | None = None
         """Newest stamp of the boot before this one, and when that message arrived [s]."""
-        self._foreign: dict[tuple[int, str], _Shift] = {}
+        self._foreign: dict[tuple[int, str], Least] = {}
+        """From another clock to the vehicle's: shifts of its messages."""
         self.restarts = 0
         """How often the vehicle has begun anew."""
 
@@ -137,19 +147,18 @@ class VehicleClock:
             and message.fields[stamp.field] > 0
         )
 
-    def is_set(self, arrival_s: float) -> bool:
-        """Whether the vehicle's time is known, or will not be known any better."""
-        if self._begun_s is None:
-            self._begun_s = arrival_s
-        return math.isfinite(self._newest_s) or arrival_s - self._begun_s > _PATIENCE_S
+    @property
+    def is_set(self) -> bool:
+        """Whether the vehicle's time is known."""
+        return math.isfinite(self._newest_s)
 
     def time_s(self, message: Received, arrival_s: float) -> float | None:
         """When a message was made [s]; None while that is not known."""
         stamp = stamp_of(message.name)
         raw = int(message.fields[stamp.field]) if stamp else 0
         if stamp is None or raw == 0:
-            return self._around(arrival_s) if math.isfinite(self._newest_s) else None
-        if self.is_reference(message) or not math.isfinite(self._newest_s):
+            return self._around(arrival_s) if self.is_set else None
+        if self.is_reference(message) or not self.is_set:
             return self._reference(raw * stamp.tick_s, arrival_s)
         expected_s = self._around(arrival_s)
         own_s = raw * stamp.tick_s
@@ -165,13 +174,13 @@ class VehicleClock:
             return own_s
         if stamp.bits < 64 and message.component == Component.AUTOPILOT1:
             return None
-        return own_s + self._foreign.setdefault(key, _Shift()).of(expected_s - own_s, arrival_s)
+        return own_s + self._foreign.setdefault(key, Least(_FOREIGN_S)).take(expected_s - own_s, arrival_s)
 
     def _around(self, arrival_s: float) -> float:
         return self._newest_s + min(max(arrival_s - self._arrived_s, 0.0), _STAMPED_EVERY_S)
 
     def _reference(self, stamp_s: float, arrival_s: float) -> float | None:
-        if math.isfinite(self._newest_s):
+        if self.is_set:
             ahead_s = self._newest_s + arrival_s - self._arrived_s - stamp_s
             wraps = round(ahead_s / _WRAP_S)
             if abs(ahead_s - wraps * _WRAP_S) <= _STRAYED_S:
@@ -210,16 +219,3 @@ class VehicleClock:
         newest_s, arrived_s = self._before
         is_ahead = time_s > self._newest_s + max(arrival_s - self._arrived_s, 0.0) + _STRAYED_S
         return is_ahead and newest_s - _STRAYED_S <= time_s <= newest_s + (arrival_s - arrived_s) + _STRAYED_S
-
-
-class _Shift:
-    """From another clock to the vehicle's: that of its fastest message of the last minute or two."""
-
-    def __init__(self) -> None:
-        self._begun_s, self._now_s, self._before_s = -math.inf, math.inf, math.inf
-
-    def of(self, shift_s: float, arrival_s: float) -> float:
-        if arrival_s - self._begun_s >= _FOREIGN_S:
-            self._begun_s, self._now_s, self._before_s = arrival_s, shift_s, self._now_s
-        self._now_s = min(self._now_s, shift_s)
-        return min(self._now_s, self._before_s)

@@ -10,6 +10,9 @@ from logparsers.dataflash.live import BlockStream, RowDecoder
 from logparsers.mavlink import dialect
 from logparsers.protocol import Command, RemoteLogCommand, Result
 
+Message = tuple[str, dict[str, Any]]
+"""Name and fields of what is to be sent."""
+
 _RATES_HZ: Final = (50.0, 40.0, 25.0, 10.0)
 """ArduPlane grants 0.8 of its loop rate: 40 Hz with the usual 50 Hz loop."""
 _SELDOM_HZ: Final = (5.0, 2.0, 1.0)
@@ -38,21 +41,7 @@ class _Wish:
 
 @dataclass(slots=True)
 class Requests:
-    """One vehicle's message intervals, asked for one after the other.
-
-    Examples
-    --------
-    >>> from logparsers.codec import Received
-    >>> requests = Requests(1, {"SERVO_OUTPUT_RAW"})
-    >>> [fields["param2"] for _, fields in requests.due(0.0)]
-    [20000.0]
-    >>> requests.receive(Received("COMMAND_ACK", 1, 1, {"command": 511, "result": 2}))
-    'SERVO_OUTPUT_RAW at 50 Hz denied'
-    >>> [fields["param2"] for _, fields in requests.due(0.1)]
-    [25000.0]
-    >>> requests.receive(Received("COMMAND_ACK", 1, 1, {"command": 511, "result": 0}))
-    'SERVO_OUTPUT_RAW at 40 Hz granted'
-    """
+    """One vehicle's message intervals, asked for one after the other."""
 
     system: int
     messages: set[str]
@@ -66,7 +55,7 @@ class Requests:
     def __post_init__(self) -> None:
         self.again()
 
-    def due(self, now_s: float) -> list[tuple[str, dict[str, Any]]]:
+    def due(self, now_s: float) -> list[Message]:
         """What to ask now [s, the receiver's clock]."""
         self._open = [entry for entry in self._open if now_s - entry[2] < _DEADLINE_S]
         wish = next((wish for wish in self._wishes if not wish.done), None)
@@ -106,12 +95,9 @@ class Requests:
 
     def measured(self, message: str, rate_hz: float, now_s: float) -> str:
         """Ask again if a message comes much more slowly than was granted, and say so: another station changed it."""
-        wish = next((wish for wish in self._wishes if wish.message == message), None)
-        if wish is None or self._open or now_s - self._finished_s <= _AGAIN_S:
+        granted_hz = next((wish.granted_hz for wish in self._wishes if wish.message == message), 0.0)
+        if self._open or now_s - self._finished_s <= _AGAIN_S or not rate_hz < _TOO_SLOW * granted_hz:
             return ""
-        if not rate_hz < _TOO_SLOW * wish.granted_hz:
-            return ""
-        granted_hz = wish.granted_hz
         self.again()
         return f"{message} comes at {rate_hz:.2g} Hz, not at {granted_hz:g} Hz as granted: asks again"
 
@@ -133,8 +119,6 @@ _MUCH: Final = 0.05
 _DROPPED: Final = "DMS.Dp"
 """Rows that found no room in the autopilot's buffer, counted by itself once a second."""
 
-Message = tuple[str, dict[str, Any]]
-
 
 class RemoteLog:
     """The log of one vehicle: acknowledges blocks, asks for those that are missing, and gives samples of channels."""
@@ -144,11 +128,9 @@ class RemoteLog:
         self._blocks, self._rows = BlockStream(), RowDecoder()
         self._asked_s = self._received_s = float("-inf")
         self._reviewed_s = float("inf")
-        self._counts = self._before = (0, 0, 0)
-        """Blocks received, blocks lost, rows received."""
-        self._decoded = 0
-        self._dropped = self._dropped_before = 0.0
-        self._told = _MUCH / 2.0
+        self._before = (0.0, 0.0, 0.0, 0.0)
+        """Blocks received, blocks lost, rows received, rows dropped on board."""
+        self._decoded, self._dropped, self._told = 0, 0.0, _MUCH / 2.0
 
     @property
     def said(self) -> str:
@@ -176,10 +158,9 @@ class RemoteLog:
         """A sentence if much of the log got lost lately; else empty."""
         if now_s - self._reviewed_s < _REVIEW_S:
             return ""
-        counts = (self._blocks.received, self._blocks.lost, self._decoded)
-        blocks, lost, rows = (after - before for after, before in zip(counts, self._before, strict=True))
-        dropped = max(self._dropped - self._dropped_before, 0.0)
-        self._before, self._dropped_before, self._reviewed_s = counts, self._dropped, now_s
+        counts = (self._blocks.received, self._blocks.lost, self._decoded, self._dropped)
+        blocks, lost, rows, dropped = (max(now - before, 0.0) for now, before in zip(counts, self._before, strict=True))
+        self._before, self._reviewed_s = counts, now_s
         kept = (1.0 - lost / max(blocks + lost, 1)) * (1.0 - dropped / max(rows + dropped, 1.0))
         if 1.0 - kept < 2.0 * self._told:
             return ""

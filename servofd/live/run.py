@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from logparsers import FlightLog
-from servofd.live.alarms import Published
+from servofd.detection.event import Event
 from servofd.live.session import Session
 from servofd.live.threads import Receiver
 from servofd.live.vehicle import Vehicle
@@ -31,7 +31,7 @@ _ROUNDING_S = 0.02
 class Watcher(Protocol):
     """Whoever wants to know."""
 
-    def events(self, events: list[Published]) -> None:
+    def events(self, events: list[Event]) -> None:
         """Something happened."""
 
     def tick(self, now_s: float) -> None:
@@ -76,7 +76,7 @@ def watch_link(session: Session, receiver: Receiver, watcher: Watcher, duration_
     """Watch a live link for so long [s]."""
     end_s = time.monotonic() + duration_s
     while time.monotonic() < end_s:
-        events: list[Published] = []
+        events: list[Event] = []
         chunks, at_ease = receiver.chunks.take(min(0.05, max(end_s - time.monotonic(), 0.0))), session.at_ease
         if chunks:
             time.sleep(_AT_EASE_S if at_ease else _TOGETHER_S)
@@ -116,9 +116,9 @@ def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, d
     (aircraft,) = session.aircraft.values()
     vehicle = Vehicle(0, aircraft, is_stream=False)
     session.vehicles[0] = vehicle
-    now_s, stepped_s = 0.0, -np.inf
+    now_s, stepped_s, start_s = 0.0, -np.inf, log.span_s[0] if log.span_s else 0.0
     for now_s, samples in _steps(log, vehicle, pace.step_s):
-        if now_s - log_start_s(log) > duration_s:
+        if now_s - start_s > duration_s:
             break
         pace.wait(now_s)
         vehicle.received_s = now_s
@@ -128,11 +128,6 @@ def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, d
             watcher.events(session.step(now_s))
             watcher.tick(now_s)
     return now_s
-
-
-def log_start_s(log: FlightLog) -> float:
-    """First time stamp of a log [s]."""
-    return float(log.span_s[0]) if log.span_s else 0.0
 
 
 def _steps(log: FlightLog, vehicle: Vehicle, step_s: float) -> Iterator[tuple[float, list[tuple[str, float, float]]]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,10 +16,9 @@ from logparsers.protocol import Autopilot, Component
 from logparsers.units import S_PER_NS, US_PER_S
 from servofd.aircraft.outputs import of_other_messages
 from servofd.aircraft.schema import Aircraft, plain_aircraft
-from servofd.detection.event import Event, Inputs, Look
+from servofd.detection.event import Event, Inputs
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.stream import Piece
-from servofd.live.alarms import Published
 from servofd.live.channels import ChannelTable, stamp_of
 from servofd.live.requests import RemoteLog
 from servofd.live.vehicle import Vehicle
@@ -100,12 +99,13 @@ class Session:
     signed: tuple[int, int] = (0, 0)
     """Whole frames that carry a signature: taken, and refused because it is another key's."""
     _pool: ThreadPoolExecutor | None = None
-    _looks: list[tuple[Vehicle, SurfaceMonitor, Look, Future[Any]]] = field(default_factory=list)
     _compared: set[str] = field(default_factory=set)
     _left: set[int] = field(default_factory=set)
     """Systems that were watched until another one sent the positions."""
-    _wanted: dict[int, set[str]] = field(default_factory=dict)
-    _tables: dict[int, ChannelTable] = field(default_factory=dict)
+    _wanted: set[str] = field(default_factory=set)
+    """Messages that a vehicle sends which has such a file,"""
+    _table: ChannelTable = field(init=False)
+    """and the positions in them."""
     _met_s: dict[int, float] = field(default_factory=dict)
     """When a vehicle without a file first spoke [s],"""
     _renumbered: dict[int, int] = field(default_factory=dict)
@@ -119,18 +119,20 @@ class Session:
 
     def __post_init__(self) -> None:
         for system in self.aircraft:
-            self._wanted[system] = self._adopt(system, system).messages
+            vehicle = self._adopt(system, system)
             if system <= 0:
+                self._wanted |= vehicle.messages
                 del self.vehicles[system]
         if -1 in self.aircraft:
             self._open = {number: craft for number, craft in self.aircraft.items() if number <= 0}
+        self._table = ChannelTable(channel for craft in self.aircraft.values() for channel in _positions(craft))
         if self.aside:
             self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="servofd bank")
             self._pool.submit(_load_bank)
 
-    def take(self, arrival_s: float, data: bytes) -> list[Published]:
+    def take(self, arrival_s: float, data: bytes) -> list[Event]:
         """Take bytes that arrived [s, the receiver's clock]."""
-        events: list[Published] = []
+        events: list[Event] = []
         for frame, message in self.codec.frames(data):
             if self.store is not None:
                 self.store(stamped(arrival_s, frame))
@@ -155,11 +157,8 @@ class Session:
                 if any(event.event == "link_restored" or "restarted" in event.text for event in reports):
                     vehicle.requests.again()  # it may have started anew, with its usual rates
                 events += reports
-                if (
-                    message.name == "TIMESYNC"
-                    and message.component == Component.AUTOPILOT1
-                    and message.fields["tc1"] > 0
-                ):
+                is_answer = message.name == "TIMESYNC" and message.component == Component.AUTOPILOT1
+                if is_answer and message.fields["tc1"] > 0:
                     vehicle.clock.latency.answered(message.fields["ts1"], message.fields["tc1"] * S_PER_NS, arrival_s)
                 self._note(vehicle.requests.receive(message))
         return events
@@ -168,20 +167,17 @@ class Session:
         if said:
             self.notes.append(said)
 
-    def step(self, arrival_now_s: float, *, final: bool = False) -> list[Published]:
+    def step(self, arrival_now_s: float, *, final: bool = False) -> list[Event]:
         """Evaluate what was taken, or of it what cannot wait for the next step, and do what is due."""
-        events: list[Published] = []
+        events: list[Event] = []
         self._match(arrival_now_s)
         for vehicle in tuple(self.vehicles.values()):
             for monitor in vehicle.every:
                 monitor.listener = self.listener
             seen = [*vehicle.evaluate(final=final), *vehicle.silence(arrival_now_s), *self._look(vehicle)]
-            mine = vehicle.alarms.publish(seen)
-            vehicle.look_for_causes()
-            self._speak(vehicle, mine, arrival_now_s)
+            events += self._speak(vehicle, seen, arrival_now_s)
             self._inquire(vehicle, arrival_now_s)
             self._compare(vehicle)
-            events += mine
         return events
 
     @property
@@ -193,16 +189,13 @@ class Session:
         """Whether nothing is looked into for so long [s], and of every surface something has come to be evaluated."""
         return all(vehicle.rests(for_s) for vehicle in self.vehicles.values())
 
-    def finish(self, arrival_now_s: float) -> list[Published]:
+    def finish(self, arrival_now_s: float) -> list[Event]:
         """End of the stream."""
         if self._pool is not None:
             self._pool.shutdown(wait=True)
-        events: list[Published] = []
+        events: list[Event] = []
         for vehicle in self.vehicles.values():
-            mine = vehicle.alarms.publish(self._finished_looks(vehicle) + vehicle.finish())
-            vehicle.look_for_causes()
-            self._speak(vehicle, mine, arrival_now_s)
-            events += mine
+            events += self._speak(vehicle, self._finished_looks(vehicle) + vehicle.finish(), arrival_now_s)
         return events
 
     @property
@@ -227,10 +220,7 @@ class Session:
             self._stranger(message.system, autopilot)
             return None
         self._met_s.setdefault(message.system, arrival_s)
-        if message.system not in self._tables:
-            channels = {channel for craft in self.aircraft.values() for channel in _positions(craft)}
-            self._tables[message.system] = ChannelTable(channels)
-        sent = self._tables[message.system].of(message)
+        sent = self._table.of(message)
         if -1 in self.aircraft:
             since_s = self._sent.setdefault(message.system, {})
             for channel, _ in sent:
@@ -249,13 +239,12 @@ class Session:
                 if bound.received_s > met_s or arrival_s - met_s > 2.0 * _RENUMBERED_S:  # else it may be the bound one
                     self._stranger(message.system, autopilot)
                 return None
-            self.notes.append(
-                f"vehicle {message.system} sends the positions: it is watched, not vehicle {bound.system}"
-            )
-            del self.vehicles[bound.system]
-            self._left.add(bound.system)
-            self.strangers.add(bound.system)
-        elif not autopilot and message.name not in self._wanted[0]:
+            left = bound.system
+            self.notes.append(f"vehicle {message.system} sends the positions: it is watched, not vehicle {left}")
+            del self.vehicles[left]
+            self._left.add(left)
+            self.strangers.add(left)
+        elif not autopilot and message.name not in self._wanted:
             return None
         self._first = message.system
         return self._adopt(message.system, 0)
@@ -292,14 +281,12 @@ class Session:
                 return
 
     def _stranger(self, system: int, is_vehicle: bool) -> None:
-        """Name a vehicle that is not watched, once."""
         if is_vehicle and system not in self.strangers:
             self.strangers.add(system)
             if self.vehicles:
                 self.notes.append(f"vehicle {system} is not watched: -c {system}=FILE would")
 
     def _adopt(self, system: int, file: int) -> Vehicle:
-        """Watch a vehicle with one of the files."""
         vehicle = Vehicle(system, self.aircraft[file], is_stream=self.is_stream and not self.remote_log)
         self.vehicles[system] = vehicle
         vehicle.requests.component = self.component
@@ -309,31 +296,30 @@ class Session:
 
     def _look(self, vehicle: Vehicle) -> list[Event]:
         events = self._finished_looks(vehicle)
-        if self._pool is None:
-            while looks := vehicle.due():
-                for monitor, look in looks:
-                    events += monitor.events_of(look, look.judge())
+        if self._pool is not None:
+            vehicle.looks += [(monitor, look, self._pool.submit(look.judge)) for monitor, look in vehicle.due()]
             return events
-        for monitor, look in vehicle.due():
-            self._looks.append((vehicle, monitor, look, self._pool.submit(look.judge)))
+        while looks := vehicle.due():
+            for monitor, look in looks:
+                events += monitor.events_of(look, look.judge())
         return events
 
-    def _finished_looks(self, vehicle: Vehicle) -> list[Event]:
-        events: list[Event] = []
-        still = []
-        for entry in self._looks:
-            owner, monitor, look, verdict = entry
-            if owner is vehicle and verdict.done():
+    @staticmethod
+    def _finished_looks(vehicle: Vehicle) -> list[Event]:
+        looks, vehicle.looks, events = vehicle.looks, [], list[Event]()
+        for monitor, look, verdict in looks:
+            if verdict.done():
                 events += monitor.events_of(look, verdict.result())
             else:
-                still.append(entry)
-        self._looks = still
+                vehicle.looks.append((monitor, look, verdict))
         return events
 
-    def _speak(self, vehicle: Vehicle, events: list[Published], now_s: float) -> None:
-        """Say what there is to say about a vehicle."""
+    def _speak(self, vehicle: Vehicle, seen: list[Event], now_s: float) -> list[Event]:
+        """Publish what was seen of a vehicle, and say what there is to say about it."""
+        events = vehicle.alarms.publish(seen)
+        vehicle.look_for_causes()
         alerts, late = vehicle.alerts, vehicle.clock.latency.news(now_s)
-        for news in (*vehicle.news, *([late] if late else [])):
+        for news in filter(None, (*vehicle.news, late)):
             self.notes.append(news)
             alerts.note(f"servofd: {news}", now_s)
         vehicle.news.clear()
@@ -352,6 +338,7 @@ class Session:
         if self.alert is not None:
             for name, fields in messages:
                 self.alert(self._number_of(vehicle), name, fields)
+        return events
 
     def _inquire(self, vehicle: Vehicle, now_s: float) -> None:
         """Ask a vehicle for what is needed, and for the time."""
@@ -368,16 +355,13 @@ class Session:
             due.append(("TIMESYNC", {"tc1": 0, "ts1": vehicle.clock.latency.ask(now_s)}))
             target = {"target_system": vehicle.system, "target_component": Component.AUTOPILOT1, "param_index": -1}
             due += [("PARAM_REQUEST_READ", target | {"param_id": name}) for name in vehicle.unread()]
+        number = self._number_of(vehicle)
         for name, fields in due:
-            self.send(self._number_of(vehicle), name, self._to(vehicle, fields))
+            self.send(number, name, fields | ({"target_system": number} if "target_system" in fields else {}))
 
     def _number_of(self, vehicle: Vehicle) -> int:
         """The system id by which a vehicle goes now."""
         return next((new for new, old in reversed(self._renumbered.items()) if old == vehicle.system), vehicle.system)
-
-    def _to(self, vehicle: Vehicle, fields: dict[str, Any]) -> dict[str, Any]:
-        number = self._number_of(vehicle)
-        return fields | {"target_system": number} if "target_system" in fields else fields
 
     def _compare(self, vehicle: Vehicle) -> None:
         """Say once, of each surface, that less comes than its servo needs, or other messages than it is known by."""
@@ -409,9 +393,8 @@ class Session:
             return self._nobody()
         missing = {f"file {1 - k} waits for its vehicle (-c ID=FILE)": list(c.surfaces) for k, c in self._open.items()}
         for vehicle in self.vehicles.values():
-            why = vehicle.axes.waiting() if vehicle.axes is not None else ""
-            if why:
-                missing.setdefault(why.partition(": ")[2], []).append("axes")
+            if vehicle.axes is not None and vehicle.axes.problem:
+                missing.setdefault(vehicle.axes.problem, []).append("axes")
         for vehicle, monitor in self.watched:
             if not monitor.is_watched:
                 channel = monitor.surface.watched_channel
@@ -422,9 +405,8 @@ class Session:
         return "; ".join(f"{', '.join(who)}: {why}" for why, who in missing.items())
 
     def _nobody(self) -> str:
-        """What is received while there is no vehicle."""
         if self.strangers:
-            systems = ", ".join(str(system) for system in sorted(self.strangers))
+            systems = ", ".join(map(str, sorted(self.strangers)))
             return f"hears vehicle {systems}, for which there is no aircraft file (-c ID=FILE)"
         if self.frames:
             return "hears MAVLink, but no vehicle"

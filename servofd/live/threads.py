@@ -127,33 +127,29 @@ _ROOM = 256
 """Batches that may wait to be written."""
 
 
-class Speaker:
-    """Sends a few kinds of messages in the name of an onboard component.
+@contextmanager
+def speaking(
+    link: Link, component: int, system: int | None, signature: Signature | None
+) -> Iterator[Callable[[int, str, dict[str, Any]], None]]:
+    """Sender of a few kinds of messages on a link, in a thread of its own, in the name of an onboard component.
 
-    As a system of its own, or with system id 0 as the vehicle that is spoken of.
+    It is of that `system`; where none is given, of the vehicle that is spoken of.
     """
+    worker = Worker(link.send, lambda: None, _ROOM)
+    codecs: dict[int, Codec] = {}
 
-    def __init__(self, system: int, component: int, signature: Signature | None = None) -> None:
-        self._system, self._component, self._signature = system, component, signature
+    def send(vehicle: int, name: str, fields: dict[str, Any]) -> None:
+        if name not in ALLOWED or (name == "COMMAND_LONG" and fields["command"] != Command.SET_MESSAGE_INTERVAL):
+            raise ValueError(f"the monitor never sends {name}")
+        speaks_as = system or vehicle or 1
+        if speaks_as not in codecs:
+            codecs[speaks_as] = Codec(speaks_as, component, signature=signature)
+        worker.put(codecs[speaks_as].encode(name, fields))
 
-    @contextmanager
-    def to(self, link: Link) -> Iterator[Callable[[int, str, dict[str, Any]], None]]:
-        """Sender of messages on a link, which works in a thread of its own."""
-        worker = Worker(link.send, lambda: None, _ROOM)
-        codecs: dict[int, Codec] = {}
-
-        def send(vehicle: int, name: str, fields: dict[str, Any]) -> None:
-            if name not in ALLOWED or (name == "COMMAND_LONG" and fields["command"] != Command.SET_MESSAGE_INTERVAL):
-                raise ValueError(f"the monitor never sends {name}")
-            system = self._system or vehicle or 1
-            if system not in codecs:
-                codecs[system] = Codec(system, self._component, signature=self._signature)
-            worker.put(codecs[system].encode(name, fields))
-
-        try:
-            yield send
-        finally:
-            worker.close()
+    try:
+        yield send
+    finally:
+        worker.close()
 
 
 def signature_of(name: str | None) -> Signature | None:

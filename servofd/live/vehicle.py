@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from concurrent.futures import Future
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +26,10 @@ from servofd.detection.event import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.seen import HealthyStream, healthy_of
 from servofd.detection.verdict import CommonCause
-from servofd.live.alarms import Alarms, Published, travel_deg
+from servofd.live.alarms import Alarms, travel_deg
 from servofd.live.alerts import Alerts
 from servofd.live.channels import ChannelTable, Surroundings
-from servofd.live.clock import VehicleClock
+from servofd.live.clock import Least, VehicleClock
 from servofd.live.requests import LOG_SILENCE_S, RemoteLog, Requests
 from servofd.live.settings import Settings, rescaled
 from servofd.live.witnesses import Rows, Witnesses
@@ -41,6 +42,8 @@ Samples = tuple[list[float], list[float]]
 
 _SILENCE_S = 2.0
 """A vehicle without any message for longer is lost [s]."""
+_CLOCK_S = 2.0
+"""A clock that is not known by then will not be known any better [s]."""
 _GAP_S = 1.0
 """Longer than any pause between two messages of a vehicle on the link."""
 _JUMP_S = 1.0
@@ -48,12 +51,11 @@ _JUMP_S = 1.0
 _NAMED_S, _SAME_S = 2.0, 5.0
 """Alarms have their names so soon, and onsets of one cause are put so near to each other by later looks [s]."""
 _READ_FIRST_S = 10.0
-"""Parameters without a place that come so early answer whoever reads them at the start (in a replay, the monitor that
-recorded it): ArduPilot answers a name in the same way as it tells of a change."""
+"""ArduPilot answers a name as it tells of a change: those that come so early answer whoever reads them at the start."""
 _NONE = np.zeros(0)
 _REORDERED, _LATEST_S = 160, 0.5
-"""A sequence number so far ahead, of 256, is an old frame that came late, if one has come so shortly before [s]: over a
-link with jitter of 50 ms frames of an autopilot's once-a-second volley are 60 behind."""
+"""A sequence number so far ahead, of 256, is an old frame that came late (60 behind with a jitter of 50 ms), if one has
+come so shortly before [s]."""
 _DISORDER_S, _LONGEST_WAIT_S = 30.0, 0.5
 """So long messages that overtake each other are remembered; whatever comes later than the latter is left out."""
 _REMEMBERED = 128
@@ -87,11 +89,6 @@ class Losses:
         self.lost += ahead
         self._next = (sequence + 1) % 256
 
-    @property
-    def share(self) -> float:
-        """Of all frames that were sent."""
-        return self.lost / max(self.received + self.lost, 1)
-
 
 class Disorder:
     """How far behind each other messages of one vehicle come that overtake themselves on their way.
@@ -100,16 +97,14 @@ class Disorder:
     """
 
     def __init__(self) -> None:
-        self._recent: dict[str, deque[float]] = {}
+        self._recent: defaultdict[str, deque[float]] = defaultdict(lambda: deque(maxlen=_REMEMBERED))
         self._last_s: dict[str, float] = {}
-        self._newest_s = self._begun_s = -math.inf
-        self._behind_s = self._before_s = 0.0
+        self._newest_s, self._order = -math.inf, Least(_DISORDER_S)
+        """Of samples that came behind a newer one, how far [s], as negative numbers."""
 
     def take(self, channel: str, time_s: float) -> bool:
         """Take the time of a sample [s]; False if it is a copy of one that came before."""
-        recent = self._recent.get(channel)
-        if recent is None:
-            recent = self._recent[channel] = deque(maxlen=_REMEMBERED)
+        recent = self._recent[channel]
         newest_s = self._last_s.get(channel, -math.inf)
         if time_s > newest_s:
             recent.append(time_s)
@@ -119,127 +114,115 @@ class Disorder:
         if time_s in recent:
             return False
         recent.append(time_s)
-        behind_s = newest_s - time_s
-        if behind_s <= _LONGEST_WAIT_S:
-            self._behind_s = max(self._behind_s, behind_s)
+        if newest_s - time_s <= _LONGEST_WAIT_S:
+            self._order.take(time_s - newest_s, self._newest_s)
         return True
 
     def known_s(self) -> float:
         """Until when all samples are there [s]."""
-        if not self._newest_s - self._begun_s < _DISORDER_S:
-            self._begun_s, self._before_s, self._behind_s = self._newest_s, self._behind_s, 0.0
-        behind_s = max(self._behind_s, self._before_s)
-        return self._newest_s - behind_s if behind_s > 0.0 else math.inf
+        ahead_s = self._order.take(0.0, self._newest_s)
+        return self._newest_s + ahead_s if ahead_s < 0.0 else math.inf
 
 
-@dataclass(slots=True)
 class Vehicle:
-    """A vehicle, and what is known of it."""
+    """A vehicle, and what is known of it.
 
-    system: int
-    aircraft: Aircraft
-    clock: VehicleClock = field(default_factory=VehicleClock)
-    losses: dict[int, Losses] = field(default_factory=dict)
-    monitors: dict[str, SurfaceMonitor] = field(default_factory=dict)
-    past: list[SurfaceMonitor] = field(default_factory=list)
-    """Those of the boots before."""
-    witnesses: dict[str, Witnesses] = field(default_factory=dict)
-    """Of surfaces with a position and a current: of `monitors` theirs is the one that knows more."""
-    began_s: list[float] = field(default_factory=lambda: [0.0])
-    """When each of its boots began, on a time line that they have in common [s]."""
-    received_s: float = float("-inf")
-    """Arrival of the latest message [s]."""
-    now_s: float = float("nan")
-    """Its own time [s], as its newest message tells it."""
-    is_lost: bool = False
-    has_positions: bool = False
-    """Whether it has sent any measured position."""
-    log: RemoteLog | None = None
-    """Its own log, where its channels are in that."""
-    is_stream: bool = True
-    """False where samples of any channel are given directly."""
-    messages: set[str] = field(init=False)
-    """Messages that carry its channels."""
-    seldom: set[str] = field(init=False)
-    """Messages that tell of airspeed and supply, if its servos depend on them."""
-    news: list[str] = field(default_factory=list)
-    """What is to be reported of it, and then forgotten."""
-    causes: list[CommonCause] = field(default_factory=list)
-    """What alarms of its latest boot have in common."""
-    _watched_s: float = math.nan
-    """When the first surface was watched [s]."""
-    axes: AxisWatch | None = None
-    """Its axes, if the aircraft file knows its motion."""
-    requests: Requests = field(init=False)
-    alerts: Alerts = field(init=False)
-    alarms: Alarms = field(init=False)
-    """What is published of its faults."""
-    synced_s: float = float("-inf")
-    """When it was last asked for the time [s, receiver's clock]."""
-    settings: Settings = field(init=False)
-    _table: ChannelTable = field(init=False)
-    _read: set[str] = field(default_factory=set)
-    """Parameters that were asked for,"""
-    _reads: int = 0
-    """and how often: an autopilot without such servos does not answer."""
-    _met_s: float = float("inf")
-    """Arrival of the first message [s]."""
-    _held_s: dict[str, float] = field(default_factory=dict)
-    """Until when samples of a surface are left out [s]."""
-    _needs: list[str] = field(init=False)
-    _around: Surroundings = field(init=False)
-    _is_news: bool = False
-    _counted_s: float = float("-inf")
-    _checked_s: float = float("-inf")
-    _routes: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
-    _early: list[tuple[Received, float]] = field(default_factory=list)
-    _samples: dict[str, tuple[Samples, Samples, Samples]] = field(default_factory=dict)
-    """What waits of each surface: commands, what it is watched by, and the current beside its position."""
-    _disorder: Disorder = field(default_factory=Disorder)
-    _bus: Bus = field(init=False)
+    `is_stream` is false where samples of any channel are given directly.
+    """
 
-    def __post_init__(self) -> None:
-        for name, surface in self.aircraft.surfaces.items():
-            if not surface.watched_channel or (surface.measured is None and name in self.aircraft.sharing_current):
-                continue
-            if surface.can_be_watched:
-                self.monitors[name] = self._monitor(name, surface)
-            elif self.is_stream and ChannelTable([surface.command.channel, surface.watched_channel]).unknown:
-                continue
-            self._routes.setdefault(surface.command.channel, []).append((name, 0))
-            self._routes.setdefault(surface.watched_channel, []).append((name, 1))
-            if name in self.monitors and isinstance(self.monitors[name].beside, OfBoth):
-                self._routes.setdefault(surface.beside_channel, []).append((name, 2))
-                self.witnesses[name] = self._witnesses(self.monitors[name])
-        self._bus = self._new_bus()
+    def __init__(self, system: int, aircraft: Aircraft, *, is_stream: bool = True) -> None:
+        self.system, self.aircraft, self.is_stream = system, aircraft, is_stream
+        self.clock = VehicleClock()
+        self.log: RemoteLog | None = None
+        """Its own log, where its channels are in that."""
+        self.axes: AxisWatch | None = None
+        """Its axes, if the aircraft file knows its motion."""
+        self.losses: defaultdict[int, Losses] = defaultdict(Losses)
+        """By component."""
+        self.past: list[SurfaceMonitor] = []
+        """Those of the boots before."""
+        self.began_s = [0.0]
+        """When each of its boots began, on a time line that they have in common [s]."""
+        self.received_s = self.synced_s = self._counted_s = -math.inf
+        """Arrival of the latest message, and when it was last asked for the time and its messages were counted [s]."""
+        self._met_s = math.inf
+        """Arrival of the first message [s]."""
+        self.is_lost = self._is_news = False
+        self.has_positions = False
+        """Whether it has sent any measured position."""
+        self.news: list[str] = []
+        """What is to be reported of it, and then forgotten."""
+        self.looks: list[tuple[SurfaceMonitor, Look, Future[Any]]] = []
+        """What the bank looks at in a thread of its own."""
+        self._read: set[str] = set()
+        """Parameters that were asked for,"""
+        self._reads = 0
+        """and how often: an autopilot without such servos does not answer."""
+        self._routes: dict[str, list[tuple[str, int]]] = {}
+        self._early: list[tuple[Received, float]] = []
+        known = {name: surface for name, surface in aircraft.surfaces.items() if surface.watched_channel}
+        known = {n: s for n, s in known.items() if s.measured is not None or n not in aircraft.sharing_current}
+        self._begin({name: surface for name, surface in known.items() if surface.can_be_watched}, math.nan)
+        for name, surface in known.items():
+            for role, channel in enumerate(self._channels_of(name, surface)):
+                self._routes.setdefault(channel, []).append((name, role))
         streamed: set[str] = set()
-        if self.aircraft.motion is not None:
+        if aircraft.motion is not None:
             from servofd.live.axes import STREAMED, AxisWatch
 
-            self.axes, streamed = AxisWatch(self.aircraft.motion), set(STREAMED)
+            self.axes, streamed = AxisWatch(aircraft.motion), set(STREAMED)
         if not self.monitors and self.axes is None:
             raise ConfigError(
                 "the aircraft file names no measured channel, and no calibrated current of one servo alone: nothing "
                 "can be watched; one current of several servos is judged after the flight, by 'servofd audit'"
             )
-        self.settings = Settings({name: output_of(self.aircraft.surfaces[name]) for name in self.monitors})
-        self.messages = ChannelTable(self._routes).messages
-        self._needs = sorted({need for m in self.monitors.values() for need in m.needs})
-        self._around = Surroundings(self._needs)
-        beside = ChannelTable(self._around.channels)
-        self.seldom = beside.messages - self.messages
-        self.messages |= streamed - {"VFR_HUD"}
-        self.seldom |= streamed & {"VFR_HUD"}
-        self._table = ChannelTable([*self._routes, *(n for n in self._around.channels if n not in beside.unknown)])
-        self.requests = Requests(self.system, self.messages, self.seldom)
+        self.settings = Settings({name: output_of(aircraft.surfaces[name]) for name in self.monitors})
+        mine, beside = ChannelTable(self._routes).messages, ChannelTable(self._around.channels)
+        self.messages = mine | (streamed - {"VFR_HUD"})
+        """Messages that carry its channels."""
+        around = (name for name in self._around.channels if name not in beside.unknown)
+        self._table = ChannelTable([*self._routes, *around], self.news)
+        self.requests = Requests(system, self.messages, (beside.messages - mine) | (streamed & {"VFR_HUD"}))
         self.alerts = Alerts([*self.monitors, *(self.axes.model.axes if self.axes is not None else ())])
-        travels = {name: travel_deg(self.aircraft.surfaces[name]) for name in self.monitors}
-        self.alarms = Alarms(self.system, travels)
-        if self._table.unknown and self.is_stream:
+        self.alarms = Alarms(system, {name: travel_deg(aircraft.surfaces[name]) for name in self.monitors})
+        if self._table.unknown and is_stream:
             raise ConfigError(
                 f"channel {self._table.unknown[0]!r} is none of a MAVLink stream; write for example "
                 "SERVO_OUTPUT_RAW.servo2_raw or NAMED_VALUE_FLOAT[SRVP2].value"
             )
+
+    def _begin(self, surfaces: Mapping[str, Surface], time_s: float) -> None:
+        """Begin a boot, of which nothing is known but its time [s]."""
+        self.watchers = {name: self._watcher(name, surface) for name, surface in surfaces.items()}
+        self.monitors = {name: each.of_both for name, each in self.watchers.items()}
+        """Of each watcher the monitor that knows more."""
+        self._around = Surroundings(sorted({need for m in self.monitors.values() for need in m.needs}))
+        # Of the positions, watched or not: currents may well stand still together.
+        self._bus = Bus([name for name, surface in self.aircraft.surfaces.items() if surface.measured is not None])
+        self.now_s, self._watched_s, self._checked_s = time_s, math.nan, -math.inf
+        """Its own time, as its newest message tells it, and when its first surface was watched [s]."""
+        self.causes: list[CommonCause] = []
+        """What its alarms have in common."""
+        self._held_s: dict[str, float] = {}
+        """Until when samples of a surface are left out [s]."""
+        self._samples: dict[str, tuple[Samples, Samples, Samples]] = {}
+        """What waits of each surface: commands, what it is watched by, and the current beside its position."""
+        self._disorder = Disorder()
+
+    def _channels_of(self, name: str, surface: Surface) -> list[str]:
+        """Those of its command, of what it is watched by, and of the current beside its position, where it has one."""
+        channels = [surface.command.channel, surface.watched_channel]
+        if name in self.watchers:
+            return channels + [surface.beside_channel] * (self.watchers[name].made is not None)
+        return [] if self.is_stream and ChannelTable(channels).unknown else channels
+
+    def _watcher(self, name: str, surface: Surface) -> Witnesses:
+        monitor = self._monitor(name, surface)
+
+        def of_current() -> SurfaceMonitor:  # whose calibration follows the settings meanwhile
+            return self._monitor(name, monitor.surface.model_copy(update={"measured": None}))
+
+        return Witnesses(monitor, of_current if isinstance(monitor.beside, OfBoth) else None)
 
     def _monitor(self, name: str, surface: Surface) -> SurfaceMonitor:
         known, model = surface.healthy_current, motion_model(self.aircraft, name)
@@ -255,28 +238,15 @@ class Vehicle:
             monitor.patience_s = LOG_SILENCE_S
         return monitor
 
-    def _witnesses(self, of_both: SurfaceMonitor) -> Witnesses:
-        """Its monitor, and whoever watches its current where that tells nothing."""
-
-        def made() -> SurfaceMonitor:
-            return self._monitor(of_both.name, of_both.surface.model_copy(update={"measured": None}))
-
-        return Witnesses(of_both, made)
-
     @property
     def every(self) -> list[SurfaceMonitor]:
         """All monitors of its latest boot: of two witnesses those that do not watch now as well."""
-        single = [monitor for name, monitor in self.monitors.items() if name not in self.witnesses]
-        return [*single, *(one for each in self.witnesses.values() for one in each.both)]
+        return [one for each in self.watchers.values() for one in each.both]
 
     @property
     def judges(self) -> list[SurfaceMonitor]:
         """Those that have found something, or may."""
-        return [*(one for each in self.witnesses.values() for one in each.past), *self.every]
-
-    def _new_bus(self) -> Bus:
-        """That of the positions, watched or not: currents may well stand still together."""
-        return Bus([name for name, surface in self.aircraft.surfaces.items() if surface.measured is not None])
+        return [*(one for each in self.watchers.values() for one in each.past), *self.every]
 
     @property
     def channels(self) -> list[str]:
@@ -284,31 +254,28 @@ class Vehicle:
         mine = sorted(self._routes, key=lambda channel: min(role for _, role in self._routes[channel]))
         return [*self._around.channels, *mine, *(self.axes.channels if self.axes is not None else ())]
 
-    def receive(self, message: Received, arrival_s: float) -> list[Published]:
+    def receive(self, message: Received, arrival_s: float) -> list[Event]:
         """Events of the link that a message of this vehicle causes; all others come with `evaluate`."""
         if not self._table.obeys(message):
-            self.news += self._table.news
-            self._table.news.clear()
             return []
         events = self.silence(arrival_s)  # so that an outage counts even between two calls
         if self.is_lost:
             self.is_lost = False
             text = f"vehicle {self.system} sends again after {arrival_s - self.received_s:.1f} s"
             events.append(Event(self.now_s, "", "link_restored", text=text))
-        if message.component not in self.losses:
-            self.losses[message.component] = Losses()
         self.losses[message.component].count(message.sequence, arrival_s)
         self.received_s = arrival_s
         self._met_s = min(self._met_s, arrival_s)
         if message.name == "PARAM_VALUE" and message.component == Component.AUTOPILOT1:
             events += self._set(message.fields)
-        if not self.clock.is_set(arrival_s) and not self.clock.is_reference(message):
+        is_early = not self.clock.is_set and arrival_s - self._met_s <= _CLOCK_S
+        if is_early and not self.clock.is_reference(message):
             if message.name in self._table.messages:
                 self._early.append((message, arrival_s))
             return self.alarms.publish(events)
         restarts = self.clock.restarts
         time_s = self.clock.time_s(message, arrival_s)
-        reports: list[Published] = []
+        reports: list[Event] = []
         if self.clock.restarts != restarts:
             reports, events = self._begin_anew(events, 0.0 if time_s is None else time_s), []
         early, self._early = self._early, []
@@ -323,21 +290,12 @@ class Vehicle:
             self.give(self.log.receive(message, arrival_s))
         return reports + self.alarms.publish(events)
 
-    def _begin_anew(self, events: list[Event], time_s: float) -> list[Published]:
+    def _begin_anew(self, events: list[Event], time_s: float) -> list[Event]:
         """Events of the boot that has ended, and that another begins, whose time it is."""
         events = [*events, *self.finish()]
         self.past += self.judges
         self.began_s.append(self.began_s[-1] + max(self.now_s, 0.0))
-        surfaces = {name: monitor.surface for name, monitor in self.monitors.items()}
-        surfaces |= {name: each.of_both.surface for name, each in self.witnesses.items()}
-        self.monitors = {name: self._monitor(name, surface) for name, surface in surfaces.items()}
-        self.witnesses = {name: self._witnesses(self.monitors[name]) for name in self.witnesses}
-        self.now_s, self._checked_s, self._disorder = time_s, -math.inf, Disorder()
-        self._samples.clear()
-        self._held_s.clear()
-        self._bus, self._around = self._new_bus(), Surroundings(self._needs)
-        self._watched_s = math.nan
-        self.causes.clear()
+        self._begin({name: each.of_both.surface for name, each in self.watchers.items()}, time_s)
         if self.axes is not None:
             self.axes.restart()
         text = f"vehicle {self.system} has restarted; the monitor begins anew"
@@ -399,10 +357,9 @@ class Vehicle:
 
     def rests(self, for_s: float) -> bool:
         """Whether nothing is looked into for so long [s], and something of every surface waits to be evaluated."""
-        waiting = [(self._samples.get(name), 2 if m.stands_in else 1) for name, m in self.monitors.items()]
-        return all(m.rests(for_s) for m in self.monitors.values()) and all(
-            each and each[0][0] and each[read][0] for each, read in waiting
-        )
+        waiting = ((self._samples.get(name), 2 if m.stands_in else 1) for name, m in self.monitors.items())
+        has_all = all(each and each[0][0] and each[read][0] for each, read in waiting)
+        return has_all and all(monitor.rests(for_s) for monitor in self.monitors.values())
 
     def evaluate(self, *, final: bool = True) -> list[Event]:
         """Evaluate what was received since; all of it, or what cannot wait for the next position."""
@@ -412,26 +369,19 @@ class Vehicle:
             for monitor in self.monitors.values():
                 monitor.surroundings(context)
         surfaces = self.aircraft.surfaces | {name: monitor.surface for name, monitor in self.monitors.items()}
-        stands = self._bus.take(
-            {
-                name: New.of(surfaces[name], *now[:2])
-                for name, now in ready.items()
-                if surfaces[name].measured is not None
-            }
-        )
+        positions = {name: now[:2] for name, now in ready.items() if surfaces[name].measured is not None}
+        stands = self._bus.take({name: New.of(surfaces[name], *now) for name, now in positions.items()})
         if ready and not math.isfinite(self._watched_s):
             self._watched_s = self.now_s
         for name, (asked, read, drawn) in ready.items():
-            if name in self.witnesses:
-                both = self.witnesses[name]
-                events += both.feed(asked, read, drawn, stands.get(name), self._bus.stood_s)
-                self.monitors[name] = both.watching
-            elif name in self.monitors:
-                events += self.monitors[name].feed(asked, read, stands.get(name), self._bus.stood_s)
+            if name in self.watchers:
+                watcher = self.watchers[name]
+                events += watcher.feed(asked, read, drawn, stands.get(name), self._bus.stood_s)
+                self.monitors[name] = watcher.watching
         if self.now_s - self._checked_s >= _CHECK_S:
             self._checked_s = self.now_s
-            for name, monitor in self.monitors.items():
-                events += self.witnesses.get(name, monitor).silence(self.now_s)
+            for watcher in self.watchers.values():
+                events += watcher.silence(self.now_s)
         if self.axes is not None and math.isfinite(self.now_s):
             events += self.axes.due(self.now_s)
         return events
@@ -442,16 +392,15 @@ class Vehicle:
         known_s, ready = self._disorder.known_s(), {}
         for name, (commands, positions, drawn) in samples.items():
             monitor = None if final else self.monitors.get(name)
-            read = drawn if monitor is not None and monitor.stands_in else positions
-            if monitor is not None and monitor.may_wait(len(commands[0]), len(read[0])):
+            judged = drawn if monitor is not None and monitor.stands_in else positions
+            if monitor is not None and monitor.may_wait(len(commands[0]), len(judged[0])):
                 self._samples[name] = commands, positions, drawn
                 continue
-            (asked, read, beside), later = zip(
-                *(_in_order(each, known_s) for each in (commands, positions, drawn)), strict=True
-            )
+            (asked, later), (read, more) = _in_order(commands, known_s), _in_order(positions, known_s)
+            beside, rest = _in_order(drawn, known_s)
             ready[name] = asked, read, beside
-            if any(times for times, _ in later):
-                self._samples[name] = later[0], later[1], later[2]
+            if later[0] or more[0] or rest[0]:
+                self._samples[name] = later, more, rest
         return ready
 
     def look_for_causes(self) -> None:
@@ -491,9 +440,6 @@ class Vehicle:
         if time_s is not None:
             for channel, value in self._table.of(message):
                 self._add(channel, time_s, value)
-            if self._table.news:
-                self.news += self._table.news
-                self._table.news.clear()
 
     def _add(self, channel: str, time_s: float, value: float) -> None:
         self._is_news |= self._around.add(channel, time_s, value)

@@ -10,16 +10,15 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, NamedTuple
 
 from logparsers.protocol import Severity
-from servofd.detection.event import Reading
+from servofd.detection.event import Event, Reading
 from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import describe
-from servofd.live.alarms import Alarm, Published, over
+from servofd.live.alarms import Alarm, over
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
     from rich.text import Text
 
-    from servofd.axes.verdict import AxisAudit
     from servofd.detection.monitor import SurfaceMonitor
     from servofd.live.session import Session
     from servofd.live.vehicle import Vehicle
@@ -48,7 +47,7 @@ _LATER = "fly on, check it on the ground"
 """About one that is but a notice."""
 
 
-def event_line(event: Published) -> str:
+def event_line(event: Event) -> str:
     """An event as one line of words."""
     who = f"{event.surface}: " if event.surface else ""
     off = f"off by {event.residual_deg:+.2f} deg from where a good servo would be"
@@ -76,14 +75,7 @@ def _at(time_s: float) -> str:
 
 
 def said_of(alarm: Alarm) -> str:
-    """What an alarm is, in a few words.
-
-    Examples
-    --------
-    >>> from servofd.live.alarms import Alarm
-    >>> said_of(Alarm("1/rudder/1", "rudder", 3.0, residual_deg=-2.14))
-    'off by -2.1 deg'
-    """
+    """What an alarm is, in a few words."""
     if alarm.fault is not None:
         other = {"": "", "sensor": " or, by its current, its sensor"}.get(alarm.fault.other, " by position and current")
         return re.split(r",? (?:since|from) -?\d|, perhaps", describe(alarm.fault), maxsplit=1)[0] + other
@@ -140,19 +132,16 @@ class View:
 
     def drawn(self, arrival_now_s: float) -> Picture:
         """The picture of the moment; `arrival_now_s` is the receiver's clock [s]."""
-        rows = [*self._surfaces(), *self._axes()]
-        below = [*self._vehicles(arrival_now_s), *filter(None, [self._session.waiting()])]
+        rows, below = [*self._surfaces(), *self._axes()], self._below(arrival_now_s)
         return Picture(f"servofd monitor  {self._title} (degrees)", rows, below, tuple(self._events))
 
     def plain(self, arrival_now_s: float) -> list[str]:
         """The same in plain lines, one for each surface."""
         lines = []
         for row in (*self._surfaces(), *self._axes()):
-            numbers = _said(row.numbers) if row.numbers else ""
-            since = f"since {row.since}" if row.since else ""
-            said = ", ".join(filter(None, (row.status, numbers, since, row.words)))
+            said = ", ".join(filter(None, (row.status, *_said(row))))
             lines.append(f"{_at(row.at_s)}  {row.name}: {said}")
-        return [*lines, *self._vehicles(arrival_now_s), *filter(None, [self._session.waiting()])]
+        return lines + self._below(arrival_now_s)
 
     def summary(self) -> list[str]:
         """What was found, a line for each alarm and one for each surface without any."""
@@ -181,8 +170,8 @@ class View:
         for vehicle, monitor in self._session.watched:
             alarm, reading = vehicle.alarms.standing(monitor.name), monitor.reading
             name, word = self._of(vehicle, monitor.name), status_of(monitor, alarm, is_lost=vehicle.is_lost)
-            since, words = _since(alarm), monitor.silenced if word in ("no data", "waiting") else _to_do(alarm)
-            words = words or monitor.stands_in
+            since, to_do = _since_and_to_do(alarm)
+            words = (monitor.silenced if word in ("no data", "waiting") else to_do) or monitor.stands_in
             is_current = monitor.quantity == "current"
             if is_current and word == "no data":
                 reading = None  # what was read last is not what is drawn now
@@ -207,14 +196,14 @@ class View:
                 usable = audit.inputs.usable[-1] and audit.model.own_command
                 word = _STATUS[alarm.severity] if alarm is not None else "watched" if usable else "not judged"
                 level = float(audit.score[-1]) / audit.model.suspect
-                words = f"lost share {_lost(audit)}, {level:.0%} of its threshold"
+                lost = "unknown" if audit.lost_share is None else "{:+.2f} [{:+.2f}, {:+.2f}]".format(*audit.lost_share)
+                words = f"lost share {lost}, {level:.0%} of its threshold"
                 name = self._of(vehicle, f"{audit.axis} ({named(audit.members, audit.axis)})")
-                yield Row(
-                    vehicle.now_s, name, word, (), level, _since(alarm), "; ".join(filter(None, (_to_do(alarm), words)))
-                )
+                since, to_do = _since_and_to_do(alarm)
+                yield Row(vehicle.now_s, name, word, (), level, since, "; ".join(filter(None, (to_do, words))))
 
-    def _vehicles(self, arrival_now_s: float) -> list[str]:
-        """Each vehicle and its link, in words."""
+    def _below(self, arrival_now_s: float) -> list[str]:
+        """Each vehicle and its link in words, and what is still missing."""
         lines = []
         for vehicle in self._session.vehicles.values():
             received = sum(losses.received for losses in vehicle.losses.values())
@@ -227,16 +216,14 @@ class View:
             by_position = any(monitor.quantity == "position" for monitor in vehicle.monitors.values())
             what = "positions" if by_position else "currents"
             pace = f"; {min(rates):.0f} {what} a second" if rates else ""
-            frames = (
-                f"; {lost / max(received + lost, 1):.1%} of {received + lost} frames did not come here"
-                if received
-                else ""
-            )
+            sent = received + lost
+            frames = f"; {lost / sent:.1%} of {sent} frames did not come here" if received else ""
             log = f"; {vehicle.log.said}" if vehicle.log is not None and vehicle.log.said else ""
             lines.append(f"vehicle {vehicle.system}: {now}; {state}{pace}{frames}{log}")
         damaged, dropped = self._session.damaged_bytes, self.dropped
         counts = [f"{damaged} damaged bytes"] * bool(damaged) + [f"{dropped} dropped here: queue full"] * bool(dropped)
-        return [*lines, *(["; ".join(counts)] if counts else [])] or ["no vehicle yet"]
+        lines = [*lines, *filter(None, ["; ".join(counts)])] or ["no vehicle yet"]
+        return [*lines, *filter(None, [self._session.waiting()])]
 
 
 class Picture:
@@ -307,8 +294,7 @@ def _list(rows: Sequence[Row]) -> list[Text]:
     lines = []
     for row in rows:
         lines.append(Text.assemble(f"{row.name} ", (row.status, _STYLES[row.status])))
-        numbers = _said(row.numbers) if row.numbers else ""
-        lines += [Text(words) for words in (numbers, f"since {row.since}" * bool(row.since), row.words) if words]
+        lines += [Text(words) for words in _said(row) if words]
     return lines
 
 
@@ -317,48 +303,37 @@ def _numbers(reading: Reading | None, unit: str) -> tuple[str, ...]:
     if reading is None:
         return ()
     measured = f"{reading.measured_deg:.2f}" if unit else f"{reading.measured_deg:+.1f}"
-    asked, residual, level = (
-        f"{reading.command_deg:+.1f}",
-        f"{reading.residual_deg:+.2f}",
-        f"{reading.threshold_deg:.2f}",
-    )
-    return asked, f"{measured}{unit}", f"{residual}{unit}", f"{level}{unit}"
+    numbers = measured, f"{reading.residual_deg:+.2f}", f"{reading.threshold_deg:.2f}"
+    return (f"{reading.command_deg:+.1f}", *(f"{number}{unit}" for number in numbers))
 
 
-def _said(numbers: tuple[str, ...]) -> str:
-    """The numbers of a row in words."""
-    command, measured, residual, level = numbers
-    if measured.endswith(" A"):
-        return f"command {command} deg, draws {measured}, {residual} from a good servo within {level}"
-    return f"command {command} deg, measured {measured} deg, residual {residual} deg, threshold {level} deg"
+def _said(row: Row) -> tuple[str, str, str]:
+    """The numbers of a row, since when, and what there is to say; each empty where there is none."""
+    words = ""
+    if row.numbers:
+        command, measured, residual, level = row.numbers
+        words = f"command {command} deg, measured {measured} deg, residual {residual} deg, threshold {level} deg"
+        if measured.endswith(" A"):
+            words = f"command {command} deg, draws {measured}, {residual} from a good servo within {level}"
+    return words, f"since {row.since}" * bool(row.since), row.words
 
 
 def _share(reading: Reading | None) -> float:
-    known = reading is not None and reading.threshold_deg > 0.0
-    return abs(reading.residual_deg) / reading.threshold_deg if reading is not None and known else math.nan
+    if reading is None or not reading.threshold_deg > 0.0:
+        return math.nan
+    return abs(reading.residual_deg) / reading.threshold_deg
 
 
-def _since(alarm: Alarm | None) -> str:
-    return "" if alarm is None else f"{alarm.since_s:.1f} s"
-
-
-def _to_do(alarm: Alarm | None) -> str:
+def _since_and_to_do(alarm: Alarm | None) -> tuple[str, str]:
     if alarm is None:
-        return ""
+        return "", ""
     kind = KINDS.get(alarm.kind, KINDS["unknown"])
-    return f"{said_of(alarm)}: {_LATER if alarm.severity == Severity.NOTICE else kind.in_flight}"
+    to_do = _LATER if alarm.severity == Severity.NOTICE else kind.in_flight
+    return f"{alarm.since_s:.1f} s", f"{said_of(alarm)}: {to_do}"
 
 
 def _bar(share: float) -> Text:
-    """How much of a threshold is reached."""
     from rich.text import Text
 
     full = min(round(share * _BAR), _BAR) if math.isfinite(share) else 0
     return Text("█" * full + "·" * (_BAR - full), style="red" if share >= 1.0 else "green")
-
-
-def _lost(audit: AxisAudit) -> str:
-    if audit.lost_share is None:
-        return "unknown"
-    value, low, high = audit.lost_share
-    return f"{value:+.2f} [{low:+.2f}, {high:+.2f}]"

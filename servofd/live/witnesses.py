@@ -1,4 +1,4 @@
-"""A surface with two witnesses, where its position may tell nothing: then its current is watched alone.
+"""Who watches a surface. Of one with two witnesses the position may tell nothing: then its current is watched alone.
 
 The monitor of both goes on meanwhile, with whatever comes, and takes over again as soon as it can judge a position.
 """
@@ -27,10 +27,10 @@ _BLIND_S: Final = WARM_UP_S + 2.0
 
 @dataclass(slots=True)
 class Witnesses:
-    """Who watches a surface: the monitor `of_both`, or one of its current alone, which is `made` anew each time."""
+    """The monitor of a surface, or one of its current alone, which is `made` anew each time if it has two witnesses."""
 
     of_both: SurfaceMonitor
-    made: Callable[[], SurfaceMonitor]
+    made: Callable[[], SurfaceMonitor] | None = None
     alone: SurfaceMonitor | None = None
     """The one of its current, while no position is judged."""
     past: list[SurfaceMonitor] = field(default_factory=list)
@@ -56,6 +56,8 @@ class Witnesses:
     ) -> list[Event]:
         """Take what has come since; arguments as of `SurfaceMonitor.feed`."""
         events = self.of_both.feed(asked, read, stands, stood_s, drawn)
+        if self.made is None:
+            return events
         self._keep(asked, drawn)
         if self.of_both.is_watched or self.of_both.suspended or self.of_both.standing:
             if self.alone is not None and self.alone.is_calm:
@@ -63,8 +65,8 @@ class Witnesses:
                 self.alone = None
         elif self.alone is None and self._is_known:
             self.alone = self.made()
-            asked = _joined([commands for _, commands, _ in self._kept])
-            drawn = _joined([currents for _, _, currents in self._kept])
+            _, asked_each, drawn_each = zip(*self._kept, strict=True)
+            asked, drawn = _joined(asked_each), _joined(drawn_each)
         if self.alone is not None:
             why = self.of_both.unjudged
             self.alone.stands_in = f"{why}: watched by its current"

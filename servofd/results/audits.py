@@ -16,7 +16,7 @@ from servofd.aircraft.columns import aircraft_of_columns
 from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import Series
 from servofd.axes.verdict import AxisAudit
-from servofd.batch.find import META_FILE, find_logs, is_pattern, is_plain_file
+from servofd.batch.find import META_FILE, find_logs, kind_of
 from servofd.batch.key import Job
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
 from servofd.core.files import write_whole
@@ -27,7 +27,7 @@ from servofd.feedback.flown import known_aircraft, layout_of, logs_of
 from servofd.feedback.tables import as_described, frame_of, is_table
 from servofd.fleets.overview import Overview, overview
 from servofd.fleets.run import audit_fleet
-from servofd.fleets.store import by_path, read_logs
+from servofd.fleets.store import read_logs
 from servofd.jobs import workflow
 from servofd.outputs.audit_report import audit_report, axis_chart
 from servofd.outputs.chart import Chart, current_charts, flight_chart
@@ -344,7 +344,8 @@ class Fleet(Overview, Shown):
 
 def _is_one_log(text: str) -> bool:
     """Whether it names one file, or tables of the messages of one flight."""
-    return is_plain_file(text) or (is_pattern(text) and len(find_logs([text]).logs) == 1)
+    kind = kind_of(text)
+    return kind == "file" or (kind == "pattern" and len(find_logs([text]).logs) == 1)
 
 
 def _fleet_of(inputs: list[str], job: Job) -> Fleet:
@@ -357,7 +358,7 @@ def _fleet_of(inputs: list[str], job: Job) -> Fleet:
     unseen = not (bar.is_terminal or bar.is_jupyter)
     judging = audit_fleet(logs, job)
     judged = track(judging, f"{len(logs)} logs", len(logs), console=bar, transient=True, disable=unseen)
-    return Fleet._of(overview(by_path([row for one in judged for row in one.rows])))
+    return Fleet._of(overview([row for one in judged for row in one.rows]))
 
 
 @in_words_of_python

@@ -86,8 +86,8 @@ def test_a_lost_aileron_is_told_in_flight_and_a_healthy_one_is_not() -> None:
 @pytest.mark.slow
 def test_a_link_without_motion_says_what_is_missing() -> None:
     watch = AxisWatch(model())
-    assert "no message of its motion" in watch.waiting()
+    assert "no message of its motion" in watch.problem
     watch.receive("SERVO_OUTPUT_RAW", {"servo1_raw": 1500}, 1.0)
     assert watch.due(2.0) == []
-    assert "no body rates" in watch.waiting() or "no commands" in watch.waiting()
+    assert "no body rates" in watch.problem or "no commands" in watch.problem
     assert math.isfinite(watch._judged_s)

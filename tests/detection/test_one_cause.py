@@ -16,9 +16,9 @@ from logparsers.codec import Codec
 from servofd.aircraft.schema import Aircraft, plain_aircraft
 from servofd.core.types import BoolArray, FloatArray
 from servofd.detection.causes import before_it_fell, cause_of_alarms, with_common_causes
+from servofd.detection.event import Event
 from servofd.detection.verdict import CurrentAudit, Fault, SurfaceAudit
 from servofd.feedback.flown import one_log
-from servofd.live.alarms import Published
 from servofd.live.run import Pace, replay_log
 from servofd.live.session import Session
 from servofd.live.vehicle import Vehicle
@@ -168,7 +168,7 @@ def test_a_monitor_names_the_supply_that_gave_way(tmp_path: Path, least_v: float
     assert all(re.search(r"it fell from (5\.9|6\.[01]) to 4\.\d V", cause.text) for cause in vehicle.causes)
 
 
-def replayed(path: Path, aircraft: Aircraft) -> tuple[list[Published], Vehicle]:
+def replayed(path: Path, aircraft: Aircraft) -> tuple[list[Event], Vehicle]:
     """What a monitor publishes of a table, and the vehicle it was watching."""
     session, seen = Session(Codec(0, 191), {0: aircraft}, is_stream=False), Seen()
     now_s = replay_log(session, one_log(path), seen, Pace(0.0), float("inf"))
@@ -180,9 +180,9 @@ class Seen:
     """Keeps what a monitor publishes."""
 
     def __init__(self) -> None:
-        self.all: list[Published] = []
+        self.all: list[Event] = []
 
-    def events(self, events: list[Published]) -> None:
+    def events(self, events: list[Event]) -> None:
         self.all += events
 
     def tick(self, now_s: float) -> None:

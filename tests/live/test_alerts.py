@@ -9,8 +9,8 @@ import pytest
 from logparsers.protocol import Severity
 from servofd.aircraft.names import short_names
 from servofd.core.statistics import Estimate
+from servofd.detection.event import Event
 from servofd.detection.verdict import Fault
-from servofd.live.alarms import Published
 from servofd.live.alerts import Alerts
 
 NAMES = ["aileron_1", "aileron_9", "servo_1", "servo_10", "servo_3", "outer_flaperon_left", "outer_flaperon_right"]
@@ -42,9 +42,9 @@ def test_a_number_is_that_of_its_own_surface() -> None:
     }
 
 
-def jam(surface: str, position_deg: float) -> Published:
+def jam(surface: str, position_deg: float) -> Event:
     fault = Fault("stuck", 10.0, 10.4, None, {"position_deg": Estimate(position_deg, 0.0, 0.0)}, 0.99, ())
-    return Published(10.9, surface, "named", "stuck", -2.0, 1.5, fault=fault, severity=Severity.CRITICAL)
+    return Event(10.9, surface, "named", "stuck", -2.0, 1.5, fault=fault, severity=Severity.CRITICAL)
 
 
 def texts(alerts: Alerts, now_s: float) -> list[str]:
@@ -67,10 +67,10 @@ def test_an_alarm_gets_through_whatever_else_is_said() -> None:
     for k in range(3000):
         now_s = 100.0 + 0.02 * k
         for name in NAMES:
-            alerts.take(Published(now_s, name, "no_data", text=f"no position since {now_s:.1f} s"), now_s)
+            alerts.take(Event(now_s, name, "no_data", text=f"no position since {now_s:.1f} s"), now_s)
         alerts.note("servofd: link 4 s late", now_s)
         if k == 1500:
-            alerts.take(Published(now_s, "servo_10", "alarm", "unknown", 3.0, 1.5, severity=Severity.WARNING), now_s)
+            alerts.take(Event(now_s, "servo_10", "alarm", "unknown", 3.0, 1.5, severity=Severity.WARNING), now_s)
         said += [(now_s, text) for text in texts(alerts, now_s)]
     alarms = [at_s for at_s, text in said if text == "SERVO_10 ALARM, off by 3.0 deg"]
     assert alarms == [pytest.approx(130.0), pytest.approx(131.0, abs=0.03)]
@@ -81,7 +81,7 @@ def test_an_alarm_gets_through_whatever_else_is_said() -> None:
 def test_what_came_back_meanwhile_is_not_said() -> None:
     alerts = Alerts(NAMES)
     for name in NAMES:
-        alerts.take(Published(1.0, name, "no_data", text="no command since 1.0 s"), 100.0)
+        alerts.take(Event(1.0, name, "no_data", text="no command since 1.0 s"), 100.0)
     for name in NAMES[1:]:
         alerts.watched(name)
     assert list(itertools.chain(*(texts(alerts, at_s) for at_s in (100.5, 101.5)))) == [
@@ -93,21 +93,21 @@ def test_nothing_is_said_of_a_fault_that_has_cleared() -> None:
     alerts = Alerts(NAMES)
     alerts.take(jam("servo_3", 2.0), 100.0)
     assert texts(alerts, 100.0) == ["SERVO_3 stuck at 2.0 deg"]
-    alerts.take(Published(11.0, "servo_3", "clear", "stuck"), 100.6)
+    alerts.take(Event(11.0, "servo_3", "clear", "stuck"), 100.6)
     assert texts(alerts, 105.0) == ["SERVO_3 moves as commanded again"]
 
 
 def test_a_surface_whose_residual_is_not_known_is_no_axis() -> None:
     """Where commands were lost, a test over a window may alarm at a position that has no residual."""
     alerts = Alerts(["rudder", "roll"])
-    alerts.take(Published(10.0, "rudder", "alarm", "unknown"), 100.0)
-    alerts.take(Published(10.0, "roll", "alarm", "unknown", text="aileron_left: alarm of its motion"), 100.0)
+    alerts.take(Event(10.0, "rudder", "alarm", "unknown"), 100.0)
+    alerts.take(Event(10.0, "roll", "alarm", "unknown", text="aileron_left: alarm of its motion"), 100.0)
     assert texts(alerts, 100.0) == ["RUDDER ALARM", "ROLL AXIS ALARM by its motion"]
 
 
 def test_severity_is_what_the_aircraft_feels() -> None:
     alerts = Alerts(NAMES)
-    alerts.take(Published(10.0, "servo_1", "alarm", "unknown", 0.1, 0.05, severity=Severity.NOTICE), 100.0)
+    alerts.take(Event(10.0, "servo_1", "alarm", "unknown", 0.1, 0.05, severity=Severity.NOTICE), 100.0)
     alerts.take(jam("servo_3", 2.0), 100.0)
     found = [(fields["severity"], fields["text"]) for _, fields in alerts.due(100.0)]
     assert found == [(5, "SERVO_1 off by 0.1 deg"), (2, "SERVO_3 stuck at 2.0 deg")]

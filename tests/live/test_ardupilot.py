@@ -20,7 +20,7 @@ from tests.live.vehicles import PLANE, ask, command, plane_file, said, vehicle
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from servofd.live.alarms import Published
+    from servofd.detection.event import Event
 
 EPOCH_S = 1.7e9
 
@@ -32,7 +32,7 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     return load_aircraft(path)
 
 
-def watched(aircraft: Aircraft, *troubles: Trouble, **options: Any) -> tuple[Session, list[Published]]:
+def watched(aircraft: Aircraft, *troubles: Trouble, **options: Any) -> tuple[Session, list[Event]]:
     """A flight of 40 s with a jam at 30 s, as it arrives."""
     flight = lively(**({"duration_s": 40.0, "stuck_s": 30.0} | options))
     codec, air, session, events = Codec(1, 1), Air(troubles), Session(Codec(0, 191), {0: aircraft}), []

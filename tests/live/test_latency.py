@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from servofd.live.alarms import Published
+    from servofd.detection.event import Event
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def frames() -> list[tuple[float, bytes]]:
     ]
 
 
-def heard(frames: list[tuple[float, bytes]], aircraft: Aircraft) -> tuple[list[Published], list[str]]:
+def heard(frames: list[tuple[float, bytes]], aircraft: Aircraft) -> tuple[list[Event], list[str]]:
     session, events, stepped_s = Session(Codec(0, 191), {0: aircraft}), [], 0.0
     for now_s, frame in frames:
         events += session.take(now_s, frame)
@@ -65,7 +65,7 @@ def later(frames: list[tuple[float, bytes]], delay: Callable[[float], float]) ->
     return [(at_s, frame) for at_s, (_, frame) in zip(arrivals_s, frames, strict=True)]
 
 
-def told(events: list[Published]) -> list[tuple[str, str, str, float]]:
+def told(events: list[Event]) -> list[tuple[str, str, str, float]]:
     return [
         (e.surface, e.event, e.kind, e.time_s)
         for e in events
