@@ -326,7 +326,7 @@ class Fitter:
         def residual(there: FloatArray) -> FloatArray:
             return self._seen_deg(self._servo(numbers, there, start))
 
-        return Problem(low, high, prior, np.zeros(x.size), residual, self._noise, steps)
+        return Problem(low, high, residual, self._noise, prior, step=steps)
 
     @property
     def _noise(self) -> Noise:

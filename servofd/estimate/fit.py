@@ -346,7 +346,7 @@ class _Flights:
         if held is not None:
             low[_SIZES] = high[_SIZES] = held[_SIZES]
         return Problem(
-            low, high, 1.0 / _SIGMAS, _VALUES, lambda theta: self.left(theta)[0], noise, derivatives=self.slopes
+            low, high, lambda theta: self.left(theta)[0], noise, 1.0 / _SIGMAS, _VALUES, derivatives=self.slopes
         )
 
 

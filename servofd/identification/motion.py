@@ -246,7 +246,7 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, steps: int = 60) -
     def errors(x: FloatArray) -> FloatArray:
         return np.concatenate(evaluated(runs, start.with_vector(x))[0])
 
-    problem = Problem.free(errors, (lower, upper), Noise(), _KINKED_STEP if kinked else _SMOOTH_STEP)
+    problem = Problem(lower, upper, errors, Noise(), step=_KINKED_STEP if kinked else _SMOOTH_STEP)
     found = fit(problem, np.clip(start.vector(), lower + 1e-3, upper - 1e-3), steps=steps)
     parts, offsets_deg = evaluated(runs, start.with_vector(found.x))
     return MotionFit(start.with_vector(found.x), offsets_deg, parts, found)

@@ -193,7 +193,7 @@ class _Servo:
         low, high = (np.array([getattr(prior, end) for prior in PRIORS]) for end in ("low", "high"))
         white = Noise(huber=_ORDINARY, sigma=flight.noise_deg[rows][used])
         steps = np.array([prior.step for prior in PRIORS])
-        problem = Problem(low, high, 1.0 / before, known.theta, error_deg, white, steps)
+        problem = Problem(low, high, error_deg, white, 1.0 / before, known.theta, steps)
         found = fit(problem, known.theta, close=_CLOSE)
         # Samples count as few as what was left of them is correlated.
         kappa = correlation_factor([found.error], max(1, round(_MEMORY_S / record.period_s)))
