@@ -137,8 +137,7 @@ def judged(selection: Selection, names: Sequence[str], *, is_known: bool) -> Jud
     offered = [{"delay" if name == "clock_offset" else name for name in each} for each in offered]
     missing = [name for name in names if not any(name in each for each in offered)]
     per_name = float(np.mean([len(each) for each in offered])) if offered else 1.0
-    record = selection.fitter.record
-    held_out_deg = float(np.sqrt(selection.final.held_out / max(int(record.counts.sum()), 1)))
+    held_out_deg = float(np.sqrt(selection.final.held_out))
     is_right = not missing and (not is_known or len(named) == len(names))
     if not is_known:
         return Judged(len(missing) / max(len(names), 1), is_right, per_name, held_out_deg)

@@ -19,7 +19,7 @@ from fleet import FleetServo, Truth, deflection
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.simulation.commands import COMMANDS
-from servofd.wear.estimate import FlightEstimate, estimate_flight
+from servofd.wear.estimate import estimate_flight
 from servofd.wear.trend import FlownLog, trend_of
 
 if TYPE_CHECKING:
@@ -80,11 +80,10 @@ def followed(fleet: dict[str, list[tuple[FleetServo, float]]], seed: int, durati
     plane = plain_aircraft(fleet, "hs225bb-eq31")
     logs = []
     for number, row in enumerate(zip(*fleet.values(), strict=True), start=1):
-        name, flights = f"flight{number}.csv", []
+        flights = {}
         for index, (surface, (servo, width_deg)) in enumerate(zip(fleet, row, strict=True)):
-            told = _told(surface, servo, (seed, number, index), width_deg, duration_s)
-            flights.append(FlightEstimate(name, "", surface, None, duration_s, *told))
-        logs.append(FlownLog(name, "", None, "", tuple(flights), ()))
+            flights[surface] = _told(surface, servo, (seed, number, index), width_deg, duration_s)
+        logs.append(FlownLog(f"flight{number}.csv", "", None, "", flights, ()))
     return trend_of(logs, plane)
 
 

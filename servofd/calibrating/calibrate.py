@@ -88,7 +88,9 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     sizes = detectable([watched(known, record) for record in records])
     logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
     servo = linear_servo(fitted.theta, f"fitted to {logs}")
-    estimates = {key: _estimate(fitted, first, place) for place, key in enumerate(NAMES)}
+    # The first fit knows what other servos would have done as well.
+    deviations = np.maximum(fitted.estimates[:, 1], first.estimates[:, 1])
+    estimates = {key: Estimate.of(*each) for key, *each in zip(NAMES, fitted.estimates[:, 0], deviations, strict=True)}
     estimates["delay_s"] = fitted.delay_s
     return CalibratedSurface(
         name,
@@ -118,12 +120,6 @@ def _scaled(theta: FloatArray) -> FloatArray:
     for place in (6, 7, 8, 10, 11, 12):
         out[place] /= gain
     return out
-
-
-def _estimate(fitted: Fit, first: Fit, place: int) -> Estimate:
-    """What the flights say of a parameter; the first fit knows what other servos would have done as well."""
-    value, deviation = fitted.estimates[place].tolist()
-    return Estimate.of(value, max(deviation, float(first.estimates[place, 1])))
 
 
 _LINEAR: Final = ("gain", "bias_deg", "delay_s", "ln_bandwidth", "ln_damping", "ln_rate")
@@ -239,9 +235,8 @@ def calibrate_aircraft(
     `force`: calibrate also where the loss of a third of travel and of two thirds of speed would not show.
     """
     kept = {name: "not asked for" for name in aircraft.surfaces if name not in flights}
-    kept |= {name: "no measured deflection" for name, those in flights.items() if not those}
     for name, those in flights.items():
-        reason = hardly_moved(those) if those else ""
+        reason = hardly_moved(those) if those else "no measured deflection"
         if reason:
             kept[name] = reason
     wanted = [name for name in aircraft.surfaces if name not in kept]
@@ -273,13 +268,9 @@ def calibrate_aircraft(
 
 def _refusal(one: CalibratedSurface) -> str:
     """Why these flights are not enough for a surface, and what to fly; nothing if they are."""
-    if is_blind(one.detectable):
-        return _blind(one)
-    what = what_is_unknown(one.estimates["gain"], None)
-    return f"these flights do not tell {what}; --force calibrates it all the same" if what else ""
-
-
-def _blind(one: CalibratedSurface) -> str:
+    if not is_blind(one.detectable):
+        what = what_is_unknown(one.estimates["gain"], None)
+        return f"these flights do not tell {what}; --force calibrates it all the same" if what else ""
     lost = one.detectable.loss_share
     least = "no loss of travel" if lost is None else f"no less than the loss of {lost:.0%} of its travel"
     return (

@@ -108,29 +108,22 @@ class Problem:
     low: FloatArray
     high: FloatArray
     """Bounds; where they are equal a number is held."""
-    prior: FloatArray
-    """One over the standard deviation of what is known of each number; 0 where nothing is."""
-    centre: FloatArray
-    """What the prior expects."""
     residual: Callable[[FloatArray], FloatArray]
     """Errors (n,) of numbers (k,)."""
     noise: Noise
+    prior: FloatArray | float = 0.0
+    """One over the standard deviation of what is known of each number; 0 where nothing is."""
+    centre: FloatArray | float = 0.0
+    """What the prior expects."""
     step: FloatArray | float = 1e-6
     """Step of the differences that give slopes, in the units of the numbers."""
     derivatives: Callable[[FloatArray], FloatArray] | None = None
     """Derivatives (n, k) of the errors at numbers (k,), if they are cheap: then they are taken anew at every step."""
 
-    @classmethod
-    def free(
-        cls,
-        residual: Callable[[FloatArray], FloatArray],
-        bounds: tuple[FloatArray, FloatArray],
-        noise: Noise,
-        step: FloatArray | float,
-    ) -> Problem:
-        """One without a prior."""
-        nothing = np.zeros(bounds[0].size)
-        return cls(*bounds, nothing, nothing, residual, noise, step)
+    def curvature(self, weighted: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Half of the second derivatives of the misfit, shape (k, k), by those of the errors (n, k), also weighted."""
+        curvature: FloatArray = weighted.T @ slopes + np.diag(np.square(self.prior) * np.ones(self.low.size))
+        return curvature
 
     def misfit(self, x: FloatArray, error: FloatArray) -> float:
         """Misfit of some numbers, which leave some errors."""
@@ -167,18 +160,20 @@ class Solution:
         """Derivatives of the errors, shape (n, k)."""
         return self.problem.slopes(self.x, self.error)
 
+    @cached_property
+    def weighted(self) -> FloatArray:
+        """The same, each times how much its error counts."""
+        return self.slopes * self.problem.noise.weights(self.error)[:, None]
+
     @property
     def curvature(self) -> FloatArray:
         """Half of the second derivatives of the misfit, shape (k, k)."""
-        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
-        curvature: FloatArray = weighted.T @ self.slopes + np.diag(self.problem.prior**2)
-        return curvature
+        return self.problem.curvature(self.weighted, self.slopes)
 
     def changes(self, parts: Sequence[IntArray]) -> FloatArray:
         """By how much the numbers change where each of some parts of the samples is left out, shape (p, k)."""
-        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
-        whole, free = self.curvature, self.problem.high > self.problem.low
-        pull = -(weighted.T @ self.error + self.problem.prior**2 * (self.x - self.problem.centre))
+        weighted, whole, free = self.weighted, self.curvature, self.problem.high > self.problem.low
+        pull = -(weighted.T @ self.error + np.square(self.problem.prior) * (self.x - self.problem.centre))
         found = np.zeros((len(parts), self.x.size))
         for change, part in zip(found, parts, strict=True):
             left = whole - weighted[part].T @ self.slopes[part]
@@ -198,18 +193,18 @@ class Solution:
         --------
         >>> error = np.random.default_rng(0).standard_normal(10_000)
         >>> bounds = np.full(1, -np.inf), np.full(1, np.inf)
-        >>> mean = fit(Problem.free(lambda x: error - x[0], bounds, Noise(), 1e-3), np.zeros(1))
+        >>> mean = fit(Problem(*bounds, lambda x: error - x[0], Noise(), step=1e-3), np.zeros(1))
         >>> mean.covariance(count=8, lasting=5.0).round(6).tolist()
         [[0.0001]]
         >>> drifts = error + np.linspace(-1.0, 1.0, error.size)
-        >>> mean = fit(Problem.free(lambda x: drifts - x[0], bounds, Noise(), 1e-3), np.zeros(1))
+        >>> mean = fit(Problem(*bounds, lambda x: drifts - x[0], Noise(), step=1e-3), np.zeros(1))
         >>> bool(mean.covariance(count=8)[0, 0] > 100.0 * mean.covariance()[0, 0])
         True
         """
         by_noise: FloatArray = memory * inverse(self.curvature)
         if not count:
             return by_noise
-        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
+        weighted = self.weighted
         parts = np.array_split(np.arange(self.error.size), count)
         pulls = np.array([weighted[part].T @ self.error[part] for part in parts])
         pulls -= pulls.mean(axis=0)
@@ -242,7 +237,7 @@ def fit(
     >>> x, y = np.arange(10.0), 2.0 * np.arange(10.0) + 1.0
     >>> y[4] = 500.0
     >>> anything = np.full(2, -np.inf), np.full(2, np.inf)
-    >>> line = Problem.free(lambda p: p[0] * x + p[1] - y, anything, Noise(huber=2.0, sigma=1e-3), 1e-6)
+    >>> line = Problem(*anything, lambda p: p[0] * x + p[1] - y, Noise(huber=2.0, sigma=1e-3))
     >>> fit(line, np.zeros(2)).x.round(2)
     array([2., 1.])
     """
@@ -254,9 +249,9 @@ def fit(
         if is_behind:
             slopes, is_behind = problem.slopes(x, error), False
         weighted = slopes * problem.noise.weights(error)[:, None]
-        whole = weighted.T @ slopes + np.diag(problem.prior**2)
+        whole = problem.curvature(weighted, slopes)
         curvature = whole + np.diag(damping * np.diag(whole) + _NO_CURVATURE)
-        down = -(weighted.T @ error + problem.prior**2 * (x - problem.centre))
+        down = -(weighted.T @ error + np.square(problem.prior) * (x - problem.centre))
         step = bounded_step(curvature, down, problem.low - x, problem.high - x)
         if is_fresh and float(step @ (2.0 * down - whole @ step)) <= close:
             break

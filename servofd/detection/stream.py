@@ -361,9 +361,7 @@ class Stream(Following):
         time_s, measured_deg = ready
         load, power = loads(self._context, time_s, known.airspeed_m_s), powers(self._context, time_s, known.supply_v)
         usable = usable & (load <= load_at(known.last_judged_m_s))
-        held = self._filled.commands()
-        commands = held.effective_s, held.command_deg, held.slope_deg_s
-        moved = moving.moved(Asked(commands, time_s, load, power, start_deg))
+        moved = moving.moved(Asked(self._filled.commands(), time_s, load, power, start_deg))
         noise_deg, lost_deg = moving.noise_deg(moved, measured_deg), np.zeros(time_s.size)
         if self._filled is not self.logged:
             arrived = self.logged.commands()

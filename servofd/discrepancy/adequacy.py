@@ -53,31 +53,20 @@ class Adequacy:
 
     floor_deg: float
     """Noise floor."""
-    ratio: float
-    """Held-out error over it, of the worst run."""
-    predicted: float
-    """Share of what is left that command and motion predict."""
-    worst: tuple[float, float]
-    """The two seconds with the largest error: when they begin [s], and their rms [deg]."""
     reasons: tuple[str, ...]
     """Why it is more than noise; empty if it is not."""
 
 
 def floor_of(record: Record, fit: Fit) -> float:
     """Noise floor as this fit shows it [deg]: a converter's steps at least, no more than its error, but not nothing."""
-    noise_deg = max(noise_floor_deg(record, fit.error_deg), _floor_of_steps(record, fit))
-    return max(min(noise_deg, float(np.sqrt(fit.train / max(float(record.counts.sum()), 1.0)))), SMALLEST_DEG)
-
-
-def _floor_of_steps(record: Record, fit: Fit) -> float:
-    """What a converter's steps, and the noise before it, leave of a true model [deg], even where readings stand."""
     step_deg = record.step_deg or 0.0
-    if step_deg < COARSE_STEP_DEG:
-        return step_deg / float(np.sqrt(12.0))
-    below_deg = _below_deg(record, fit, step_deg)
-    if Quantization in fit.effects:
-        return stepped_noise_deg(below_deg, step_deg)
-    return float(np.hypot(below_deg, step_deg / np.sqrt(12.0)))
+    steps_deg = step_deg / float(np.sqrt(12.0))
+    if step_deg >= COARSE_STEP_DEG:  # with the noise before them, even where readings stand
+        below_deg = _below_deg(record, fit, step_deg)
+        is_rounded = Quantization in fit.effects
+        steps_deg = stepped_noise_deg(below_deg, step_deg) if is_rounded else float(np.hypot(below_deg, steps_deg))
+    noise_deg = max(noise_floor_deg(record, fit.error_deg), steps_deg)
+    return max(min(noise_deg, float(np.sqrt(fit.train))), SMALLEST_DEG)
 
 
 def _below_deg(record: Record, fit: Fit, step_deg: float) -> float:
@@ -103,7 +92,8 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     chance = _SIGMAS * float(
         np.hypot(floor_uncertainty(record), np.sqrt(2.0 * memory / max(int(record.counts.sum()), 1)))
     )
-    ratios = _ratios(record, fit, floor_deg)
+    runs_deg2 = fit.run_deg2[fit.run_deg2 > 0.0].tolist() if len(record.runs) > 1 else []
+    ratios = [float(np.sqrt(each)) / floor_deg for each in (fit.held_out, *runs_deg2)]
     reasons = []
     ratio = max(ratios)
     predicted = predicted_share(record, error_deg, simulated_deg)
@@ -125,14 +115,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     start_s, worst_deg, sigmas = _worst_block(record, error_deg, block_floor_deg, memory)
     if sigmas > _BLOCK_SIGMAS:
         reasons.append(f"from {start_s:.1f} to {start_s + _BLOCK_S:.1f} s {worst_deg:.3g} deg rms are left")
-    return Adequacy(floor_deg, ratio, predicted, (start_s, worst_deg), tuple(reasons))
-
-
-def _ratios(record: Record, fit: Fit, floor_deg: float) -> list[float]:
-    """Held-out error over the floor, of the whole and of each run."""
-    held = float(np.sqrt(fit.held_out / max(int(record.counts.sum()), 1)))
-    runs = np.sqrt(fit.run_deg2[fit.run_deg2 > 0.0]).tolist() if len(record.runs) > 1 else []
-    return [each / floor_deg for each in (held, *runs)]
+    return Adequacy(floor_deg, tuple(reasons))
 
 
 def _quiet(record: Record) -> BoolArray:
@@ -174,9 +157,8 @@ def _centred(errors_deg: FloatArray, piece: IntArray, least: float) -> tuple[Flo
     return (errors_deg - mean[piece])[enough[piece]], usual
 
 
-def predicted_share(record: Record, error_deg: FloatArray, moved_deg: FloatArray | None = None) -> float:
+def predicted_share(record: Record, error_deg: FloatArray, moved_deg: FloatArray) -> float:
     """Share of an error that a regression on command and motion predicts in blocks to which it was not fitted."""
-    moved_deg = record.measured_deg - error_deg if moved_deg is None else moved_deg
     counts = record.counts
     error = error_deg[counts]
     if error.size < 10 * (len(_LAGS_S) + 12 + _BINS):

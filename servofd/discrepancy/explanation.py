@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -16,7 +17,7 @@ from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.known import A_TYPE, Known
 from servofd.discrepancy.locate import Block, Oscillation, blocks, oscillation, sentences
 from servofd.discrepancy.noise import at_rest, noise_floor_deg, rest_sentence
-from servofd.discrepancy.record import Record, joined, record_of, simulate
+from servofd.discrepancy.record import Record, joined, per_second, record_of, simulate
 from servofd.discrepancy.search import STEPS_OF_TWO_SIZES, step_size_deg
 from servofd.discrepancy.select import Selection, select
 from servofd.discrepancy.separate import Separation, separations
@@ -44,10 +45,7 @@ def fault_start_s(record: Record, selection: Selection) -> float | None:
     of those after which it is larger: a jam that passes leaves a servo that is well behind it, too.
     """
     error = selection.nominal.error_deg
-    start_s = float(record.time_s[0])
-    second = (record.time_s - start_s).astype(np.int64)[record.counts]
-    count = np.bincount(second).astype(float)
-    energy = np.bincount(second, weights=error[record.counts] ** 2)
+    start_s, (count, energy) = float(record.time_s[0]), per_second(record, error)
     sums, counts = np.cumsum(energy), np.cumsum(count)
     edge = np.arange(int(_HEALTHY_S) - 1, sums.size - 2)
     if not edge.size:
@@ -174,20 +172,52 @@ class Explanation:
 
     @property
     def answer(self) -> str:
-        """The answer in a sentence or two: what it is, how much, whether that is a fault, and what to do next."""
-        return _answer(self)
+        """The answer in a few sentences: what it is, how much, whether that is a fault, and what to do next."""
+        (before, after), reasons, steps = self.held_out_deg, self.selection.adequacy.reasons, self.selection.steps
+        parts = []
+        if self.fault_s is not None:
+            parts.append(f"FAULT from {self.fault_s:.1f} s on: the servo no longer does what its command asks")
+        elif self.undriven:
+            parts.append("The servo was not driven for part of the record (times below); that part was left out")
+        if self.oscillation is not None:
+            parts.append(self.oscillation.sentence)
+        if not steps and not reasons:
+            text = "Nothing is missing" if self.fault_s is None else "Before that, nothing is missing"
+            parts.append(f"{text}: what is left is noise of {self.selection.sigma_deg:.3g} deg")
+        elif not steps:
+            lacks = "and no effect that is known accounts for it"
+            parts.append(f"Unexplained: the model is wrong by {after:.3g} deg, {lacks}")
+            if not self.has_fault:
+                parts.append("That alone is no sign of a fault")
+        else:
+            mostly = self.is_mostly_left
+            named = [_named(self, k, judged=not mostly) for k in range(len(steps))]
+            if mostly:
+                parts.append(f"Mostly unexplained: {after:.3g} of {before:.3g} deg remain on data not fitted")
+                parts.append(f"A part of it looks like {' and '.join(named)}")
+            else:
+                parts += [each[:1].upper() + each[1:] for each in named]
+                parts.append(f"With this the error falls from {before:.3g} to {after:.3g} deg on data not fitted")
+                parts += [f"Not all is explained: {reason}" for reason in reasons[:1]]
+        advice = _advice(self)
+        return ". ".join(parts) + (f". Next: {'; '.join(advice)}." if advice else ".")
 
     @property
     def has_fault(self) -> bool:
         """Whether a fault sets in, or the answer calls an effect more than a sound servo has."""
-        worn = not (self.record.known.starts or _is_mostly_left(self)) and bool(_beyond_sound(self))
+        worn = not (self.record.known.starts or self.is_mostly_left) and bool(_beyond_sound(self))
         return self.fault_s is not None or worn or self.oscillation is not None
+
+    @property
+    def is_mostly_left(self) -> bool:
+        """Whether the names account for less than half of what was wrong."""
+        before, after = self.held_out_deg
+        return bool(self.selection.adequacy.reasons) and after**2 > _MOSTLY * before**2
 
     @property
     def held_out_deg(self) -> tuple[float, float]:
         """Error on data that were not fitted, of the servo as it was known and with everything that was found [deg]."""
-        before, after = self.selection.nominal, self.selection.final
-        return self.rms_deg(before)["held_out_rms_deg"], self.rms_deg(after)["held_out_rms_deg"]
+        return float(np.sqrt(self.selection.nominal.held_out)), float(np.sqrt(self.selection.final.held_out))
 
     @property
     def physics(self) -> Physics:
@@ -235,25 +265,24 @@ class Explanation:
         slow_rad_s = known * self.physics.slow_scale
         return bool(np.isclose(split(there / there[0])[0], slow_rad_s, rtol=_SAME_POLE))
 
-    def rms_deg(self, fit: Fit) -> dict[str, float]:
-        """Error of a fit [deg] on what was searched: fitted to it, and each fold predicted from the other."""
-        count = max(int(self.selection.fitter.record.counts.sum()), 1)
+    def rms_deg(self, fit: Fit) -> dict[str, Any]:
+        """Error of a fit [deg]: fitted, each of two folds predicted from the other, and on the fold no search used.
+
+        The last is None if there is no such fold.
+        """
+        untouched = self.record.untouched
         return {
-            "train_rms_deg": float(np.sqrt(fit.train / count)),
-            "held_out_rms_deg": float(np.sqrt(fit.held_out / count)),
+            "train_rms_deg": float(np.sqrt(fit.train)),
+            "held_out_rms_deg": float(np.sqrt(fit.held_out)),
+            "untouched_rms_deg": rms(fit.error_deg[untouched]) if untouched.any() else None,
         }
 
-    def untouched_rms_deg(self, fit: Fit) -> float | None:
-        """Error of a fit on the fold that no search used [deg]; None if there is none."""
-        untouched = self.record.untouched
-        return rms(fit.error_deg[untouched]) if untouched.any() else None
-
-    def step_errors(self, index: int) -> dict[str, float | bool | None]:
+    def step_errors(self, index: int) -> dict[str, Any]:
         """Errors of a step [deg], and whether that on the untouched fold falls as well."""
         fits = self.selection.nominal, *(step.fit for step in self.selection.steps)
-        before, after = (self.untouched_rms_deg(fit) for fit in fits[index : index + 2])
-        confirmed = None if before is None or after is None else after < before
-        return {**self.rms_deg(fits[index + 1]), "untouched_rms_deg": after, "confirmed": confirmed}
+        before, after = map(self.rms_deg, fits[index : index + 2])
+        there, here = before["untouched_rms_deg"], after["untouched_rms_deg"]
+        return {**after, "confirmed": None if here is None else here < there}
 
     def document(self) -> dict[str, Any]:
         """Plain dictionaries and lists, schema servofd.explain/1."""
@@ -264,10 +293,7 @@ class Explanation:
             "surface": self.surface,
             "conclusion": self.conclusion,
             "noise_floor_rms_deg": selection.sigma_deg,
-            "nominal": {
-                **self.rms_deg(selection.nominal),
-                "untouched_rms_deg": self.untouched_rms_deg(selection.nominal),
-            },
+            "nominal": self.rms_deg(selection.nominal),
             "where": list(self.where),
             "bad_seconds": [block.start_s for block in self.blocks if block.bad],
             "steps": [
@@ -277,7 +303,7 @@ class Explanation:
                     "parameters": _effect_values(selection, len(step.fit.effects) - 1),
                     **self.step_errors(k),
                     "rivals": [
-                        {"effect": rival.names[-1], "held_out_rms_deg": self.rms_deg(rival)["held_out_rms_deg"]}
+                        {"effect": rival.names[-1], "held_out_rms_deg": float(np.sqrt(rival.held_out))}
                         for rival in step.rivals
                     ],
                 }
@@ -287,7 +313,6 @@ class Explanation:
             "separating": [each.document() for each in self.separating],
             "final": {
                 **self.rms_deg(final),
-                "untouched_rms_deg": self.untouched_rms_deg(final),
                 "model": {
                     effect.name: {name: each["value"] for name, each in _effect_values(selection, k).items()}
                     for k, effect in enumerate(final.effects)
@@ -302,7 +327,7 @@ class Explanation:
             "runs": [each._asdict() for each in self.runs],
             "varying": [each.document() for each in self.varying],
             "oscillation": self.oscillation and self.oscillation._asdict(),
-            "simulations": selection.simulations,
+            "simulations": selection.fitter.simulations,
         }
 
 
@@ -395,13 +420,15 @@ def explain_gap(
         tuple(where),
         tuple(notes),
         fault_s,
+        # Manoeuvres are simulated, and how the servo moves must be known for that.
+        () if record.side is not None else separations(selection),
         runs=errors,
         undriven=tuple(undriven),
         oscillation=wave,
     )
-    found = replace(found, notes=(*found.notes, *_unconfirmed(found)))
-    # Manoeuvres are simulated, and how the servo moves must be known for that.
-    return replace(found, separating=() if record.side is not None else separations(selection))
+    unconfirmed = [step for k, step in enumerate(selection.steps) if found.step_errors(k)["confirmed"] is False]
+    said = "is not confirmed: on a tenth of the log that was left out the error does not fall"
+    return replace(found, notes=(*found.notes, *(f"{step.fit.names[-1]} {said}" for step in unconfirmed)))
 
 
 def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven], Fitter | None]:
@@ -410,26 +437,16 @@ def driven_part(records: Sequence[Record]) -> tuple[Record, list[Undriven], Fitt
     if record.side is not None:
         return record, [], None
     fitter = Fitter(record.searched)
-    kept, stood = driven(records, fitter.linear()[0].physics)
+    kept, stood = driven(records, fitter.linear[0].physics)
     if not stood:
         return record, [], fitter
     # The servo had been fitted to what no servo does.
     clear = joined([at_rest(each) for each in clear_of(records, stood)])
     if int(clear.counts.sum()) >= _FEWEST_SAMPLES:
-        again = driven(records, Fitter(clear).linear()[0].physics)
+        again = driven(records, Fitter(clear).linear[0].physics)
         kept, stood = again if len(again[1]) >= len(stood) else (kept, stood)
     part = joined([at_rest(each) for each in kept])
     return (part, stood, None) if int(part.counts.sum()) >= _FEWEST_SAMPLES else (record, [], fitter)
-
-
-def _unconfirmed(found: Explanation) -> list[str]:
-    """A sentence for each step that does not help on data that no search used."""
-    steps = enumerate(found.selection.steps)
-    return [
-        f"{step.fit.names[-1]} is not confirmed: on a tenth of the log that was left out the error does not fall"
-        for k, step in steps
-        if found.step_errors(k)["confirmed"] is False
-    ]
 
 
 def _notes(record: Record, selection: Selection) -> list[str]:
@@ -482,7 +499,7 @@ def _healthy_part(
 def _stands_out(before: Record, later: BoolArray, final: Fit) -> bool:
     """Whether a servo fitted to one part of a record is far worse on the other, or a search there is in vain."""
     fitter = Fitter(before)
-    for fit in (fitter.descended(final.effects, final.physics), fitter.linear()[0]):
+    for fit in (fitter.descended(final.effects, final.physics), fitter.linear[0]):
         error_deg = fitter.judged(fit.effects, fit.physics).error_deg
         if np.mean(error_deg[later] ** 2) > _MUCH_WORSE * np.mean(error_deg[before.counts] ** 2):
             return True
@@ -564,51 +581,13 @@ _ANOTHER = "compare it with a second servo of its kind"
 _TELLING = "record steps of two sizes, a slow triangle and a sine of 3 Hz"
 
 
-def _answer(found: Explanation) -> str:
-    """A few sentences, the most important first."""
-    before, after = found.held_out_deg
-    reasons, steps = found.selection.adequacy.reasons, found.selection.steps
-    parts = []
-    if found.fault_s is not None:
-        parts.append(f"FAULT from {found.fault_s:.1f} s on: the servo no longer does what its command asks")
-    elif found.undriven:
-        parts.append("The servo was not driven for part of the record (times below); that part was left out")
-    if found.oscillation is not None:
-        parts.append(found.oscillation.sentence)
-    if not steps and not reasons:
-        text = "Before that, nothing is missing" if found.fault_s is not None else "Nothing is missing"
-        parts.append(f"{text}: what is left is noise of {found.selection.sigma_deg:.3g} deg")
-    elif not steps:
-        parts.append(f"Unexplained: the model is wrong by {after:.3g} deg, and no effect that is known accounts for it")
-        if not found.has_fault:
-            parts.append("That alone is no sign of a fault")
-    else:
-        mostly = _is_mostly_left(found)
-        named = [_named(found, k, judged=not mostly) for k in range(len(steps))]
-        if mostly:
-            parts.append(f"Mostly unexplained: {after:.3g} of {before:.3g} deg remain on data not fitted")
-            parts.append(f"A part of it looks like {' and '.join(named)}")
-        else:
-            parts += [each[:1].upper() + each[1:] for each in named]
-            parts.append(f"With this the error falls from {before:.3g} to {after:.3g} deg on data not fitted")
-            parts += [f"Not all is explained: {reason}" for reason in reasons[:1]]
-    advice = _advice(found)
-    return ". ".join(parts) + (f". Next: {'; '.join(advice)}." if advice else ".")
-
-
-def _is_mostly_left(found: Explanation) -> bool:
-    """Whether the names account for less than half of what was wrong."""
-    before, after = found.held_out_deg
-    return bool(found.selection.adequacy.reasons) and after**2 > _MOSTLY * before**2
-
-
 KEEP = "keep the model"
 """Advice where the model that was found may be used by an audit."""
 
 
 def _advice(found: Explanation) -> list[str]:
     """What to do next."""
-    steps, is_unknown, mostly = found.selection.steps, bool(found.record.known.starts), _is_mostly_left(found)
+    steps, is_unknown, mostly = found.selection.steps, bool(found.record.known.starts), found.is_mostly_left
     beyond = [] if mostly else _beyond_sound(found)
     advice = [effect.advice for effect in beyond if effect.advice]
     if is_unknown and (beyond or (not steps and found.selection.adequacy.reasons)):
@@ -655,9 +634,7 @@ def _named(found: Explanation, index: int, *, judged: bool) -> str:
 
 def _beyond_sound(found: Explanation) -> list[type[Effect]]:
     """Effects that are larger than a sound servo has them."""
-    larger = []
-    for k, effect in enumerate(found.selection.final.effects):
-        value = next(iter(_effect_values(found.selection, k).values()))["value"]
-        if effect.sound is not None and abs(value) > effect.sound:
-            larger.append(effect)
-    return larger
+    effects = found.selection.final.effects
+    sizes = [next(iter(_effect_values(found.selection, k).values()))["value"] for k in range(len(effects))]
+    limits = [math.inf if effect.sound is None else effect.sound for effect in effects]
+    return [effect for effect, size, limit in zip(effects, sizes, limits, strict=True) if abs(size) > limit]

@@ -1,26 +1,22 @@
-r"""One structure fitted to one record: effects, and the servo's own numbers within what servos of a type differ by.
+"""One structure fitted to one record: effects, and the servo's own numbers within what servos of a type differ by.
 
-The misfit of a structure is
-
-.. math:: \sum_r \frac{n_r}{\kappa_r} \ln s_r^2 + \sum_k \left(\frac{\theta_k - \theta_{0k}}{\sigma_k}\right)^2
-
-with the mean square :math:`s_r^2` that it leaves of run r, the run's samples :math:`n_r` over their memory
-:math:`\kappa_r`, and the servo's own numbers :math:`\theta` (poles, damping, gain, delay, zero) with their priors. Near
-the noise it is chi-squared; far from it a run counts by how many times better it is predicted, whatever its size.
+The misfit is that of `servofd.core.fitting`: its groups are the runs, and its prior is that of poles, damping, gain,
+delay and zero.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from servofd.core.fitting import Noise, Problem, inverse
+from servofd.core.fitting import Noise, Problem, Solution, inverse
 from servofd.core.fitting import fit as minimum
-from servofd.core.types import BoolArray, FloatArray, IntArray
+from servofd.core.types import BoolArray, FloatArray
 from servofd.discrepancy.known import A_TYPE
 from servofd.discrepancy.noise import (
     COARSE_STEP_DEG,
@@ -100,23 +96,26 @@ class Fit:
     """A servo with some effects, as well as they fit."""
 
     effects: tuple[type[Effect], ...]
-    values: FloatArray
-    """Parameters of the effects in order, shape (p,)."""
     physics: Physics
     """The servo with them, and with its own numbers refitted."""
-    error_deg: FloatArray
-    """Measured minus simulated position, shape (n,)."""
-    train: float
-    """Sum of squares over the samples that count [deg^2]."""
-    held_out: float
-    """The same, each of two folds predicted by the servo as the other one tells it."""
-    unstepped_deg: FloatArray
-    """The error of the position before the steps of its converter, shape (n,); where there are none, `error_deg`."""
-    misfit: float = np.inf
-    run_deg2: FloatArray = field(default_factory=lambda: np.zeros(0))
+    run_deg2: FloatArray
     """Mean square that is left of each run."""
+    misfit: float = np.inf
     idle: tuple[int, ...] = ()
     """Which of the effects change nothing: a limit that is never reached."""
+    error_deg: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Measured minus simulated position, shape (n,)."""
+    unstepped_deg: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """The error of the position before the steps of its converter, shape (n,); where there are none, `error_deg`."""
+    train: float = 0.0
+    """Mean square over the samples that count [deg^2]."""
+    held_out: float = 0.0
+    """The same, each of two folds predicted by the servo as the other one tells it."""
+
+    @property
+    def values(self) -> FloatArray:
+        """Parameters of the effects in order, shape (p,)."""
+        return np.array([getattr(self.physics, p.fields[0]) for p in self.parameters])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -136,9 +135,11 @@ class Fit:
     @property
     def ran_away(self) -> tuple[int, ...]:
         """Which of the effects have a parameter at its bound: no answers, but failures."""
-        values = iter(self.values.tolist())
-        at_bound = [[p.at_bound(next(values)) for p in effect.parameters] for effect in self.effects]
-        return tuple(k for k, each in enumerate(at_bound) if any(each))
+        return tuple(
+            k
+            for k, effect in enumerate(self.effects)
+            if any(p.at_bound(getattr(self.physics, p.fields[0])) for p in effect.parameters)
+        )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -146,46 +147,31 @@ class Fit:
         return tuple(p for effect in self.effects for p in effect.parameters)
 
 
-@dataclass(slots=True, eq=False)
 class Fitter:
-    """Fits structures to a record; counts its simulations."""
+    """Fits structures to a record; counts its simulations.
 
-    record: Record
-    simulations: int = field(default=0, init=False)
-    part: Record = field(init=False)
-    """Samples that are fitted: all of them, or of a long record enough."""
-    kappa: FloatArray = field(init=False)
-    """Correlation factor of the errors, for each run."""
-    _where: IntArray = field(init=False)
-    _run: IntArray = field(init=False)
-    _count: FloatArray = field(init=False)
-    _least: float = field(init=False)
-    _size: float = field(default=1.0, init=False)
-    _period_s: float = field(init=False)
-    _below_deg: float = field(default=0.0, init=False)
-    _linear: list[Fit] = field(default_factory=list, init=False)
-    _root: Fit | None = field(default=None, init=False)
-    _halves: dict[tuple[Hashable, ...], list[tuple[BoolArray, Fit]]] = field(default_factory=dict, init=False)
+    `part`: samples that are fitted, all of them or of a long record enough. `kappa` (shape (r,)): correlation factor
+    of the errors, for each run.
+    """
 
-    def __post_init__(self) -> None:
-        part = self.part = thinned(self.record)
-        self._where = np.flatnonzero(part.counts)
-        self._run = part.run[self._where]
-        self._period_s = self.record.period_s
-        self._count = np.maximum(np.bincount(self._run, minlength=max(len(part.runs), 1)).astype(float), 1.0)
+    def __init__(self, record: Record) -> None:
+        self.record, self.simulations = record, 0
+        self._samples = max(float(record.counts.sum()), 1.0)
+        self.part = thinned(record)
+        self._where = np.flatnonzero(self.part.counts)
+        self._run = self.part.run[self._where]
+        self._count = np.maximum(np.bincount(self._run, minlength=max(len(self.part.runs), 1)).astype(float), 1.0)
         self.kappa = np.ones(self._count.size)
-        floor_deg = noise_floor_deg(part, part.measured_deg)
-        self._least = max(0.2 * floor_deg, 0.29 * (part.step_deg or 0.0), _NOTHING_DEG) ** 2
+        floor_deg = noise_floor_deg(self.part, self.part.measured_deg)
+        self._least = max(0.2 * floor_deg, 0.29 * (self.part.step_deg or 0.0), _NOTHING_DEG) ** 2
+        self._size, self._below_deg = 1.0, 0.0
+        self._fastest = max(_FASTEST_SLOW, _SAMPLES / (_SLOW_RAD_S * record.period_s))
+        self._halves: dict[tuple[Hashable, ...], list[tuple[BoolArray, Fit]]] = {}
 
     @property
     def effective(self) -> float:
         """Number of samples, over their memory."""
         return float((self._count / self.kappa).sum())
-
-    @property
-    def _fastest(self) -> float:
-        """Scale of a slow pole that is faster than the log shows."""
-        return max(_FASTEST_SLOW, _SAMPLES / (_SLOW_RAD_S * self._period_s))
 
     def remember(self, fit: Fit) -> None:
         """Take the correlation of what a fit leaves for that of the noise."""
@@ -195,36 +181,35 @@ class Fitter:
 
     def reweighed(self, fit: Fit) -> Fit:
         """The same servo with the misfit that the correlation of the noise gives it now."""
-        misfit = float((self._count / self.kappa) @ np.log(fit.run_deg2 + self._least)) + self.prior(fit)
-        return replace(fit, misfit=misfit)
+        own = [n for n in self._numbers(fit.effects, fit.physics) if n.prior]
+        misfit = float((self._count / self.kappa) @ np.log(fit.run_deg2 + self._least))
+        return replace(fit, misfit=misfit + float(np.sum(self._x(own, fit.physics) ** 2)))
 
     def nominal(self) -> Fit:
         """The servo as it is known; of an unknown one, the best linear one."""
-        return self.halved(self.root()) if self.record.known.starts else self.judged((), self.record.plant.neutral)
+        return self.halved(self.root) if self.record.known.starts else self.judged((), self.record.plant.neutral)
 
+    @cached_property
     def linear(self) -> list[Fit]:
         """Linear servos with their own numbers refitted as if errors were uncorrelated, the best first."""
-        if not self._linear:
-            neutral, known, kappa = self.record.plant.neutral, self.record.known, self.kappa
-            self.kappa = np.ones(kappa.size)
-            coarse = [neutral._replace(**point) for point in known.grid]
-            coarse.sort(key=lambda physics: self._noise.misfit(self._seen_deg(physics)))
-            starts = [neutral, *coarse[:_ROOTS], *(neutral._replace(**start) for start in known.starts)]
-            self._linear = sorted((self.descended((), start, LONG) for start in starts), key=lambda fit: fit.misfit)
-            self.kappa = kappa
-        return self._linear
+        neutral, known, kappa = self.record.plant.neutral, self.record.known, self.kappa
+        self.kappa = np.ones(kappa.size)
+        coarse = [neutral._replace(**point) for point in known.grid]
+        coarse.sort(key=lambda physics: self._noise.misfit(self._seen_deg(physics)))
+        starts = [neutral, *coarse[:_ROOTS], *(neutral._replace(**start) for start in known.starts)]
+        found = sorted((self.descended((), start, LONG) for start in starts), key=lambda fit: fit.misfit)
+        self.kappa = kappa
+        return found
 
+    @cached_property
     def root(self) -> Fit:
         """The linear servo with its own numbers refitted; the correlation of what it leaves counts as the noise's."""
-        if self._root is None:
-            fits = self.linear()
-            self.remember(fits[0])
-            again = [self.descended((), fit.physics, LONG) for fit in fits[:_ROOTS]]
-            self._root = min(again, key=lambda fit: fit.misfit)
-            if self.record.known.starts:
-                rms = float(np.sqrt(self._root.run_deg2.max()))
-                self._size = min(1.0, rms / _USUAL_GAP_DEG)
-        return self._root
+        fits = self.linear
+        self.remember(fits[0])
+        found = min((self.descended((), fit.physics, LONG) for fit in fits[:_ROOTS]), key=lambda fit: fit.misfit)
+        if self.record.known.starts:
+            self._size = min(1.0, float(np.sqrt(found.run_deg2.max())) / _USUAL_GAP_DEG)
+        return found
 
     def judged(self, effects: tuple[type[Effect], ...], physics: Physics) -> Fit:
         """A servo with given numbers on the whole record."""
@@ -234,12 +219,11 @@ class Fitter:
         unstepped = error
         if Quantization in effects:
             unstepped = record.measured_deg - simulate(record, physics._replace(output_step_deg=0.0))
-        square = float(error[record.counts] @ error[record.counts])
+        square = float(error[record.counts] @ error[record.counts]) / self._samples
         runs = record.run[record.counts]
         squares = np.bincount(runs, weights=error[record.counts] ** 2, minlength=max(len(record.runs), 1))
-        count = np.maximum(np.bincount(runs, minlength=squares.size), 1)
-        values = self._values(effects, physics)
-        return Fit(effects, values, physics, error, square, square, unstepped, run_deg2=squares / count)
+        left = squares / np.maximum(np.bincount(runs, minlength=squares.size), 1)
+        return Fit(effects, physics, left, error_deg=error, unstepped_deg=unstepped, train=square, held_out=square)
 
     def is_own(self, effect: type[Effect]) -> bool:
         """Whether an effect is one of the servo's own numbers, beyond what servos of a type differ by."""
@@ -288,7 +272,7 @@ class Fitter:
 
         What is fitted already gives way as far as its slopes tell.
         """
-        grids = [self._sized(p, p.grid if not p.aside else p.grid[:1]) for p in effect.parameters]
+        grids = [[self._scale(p) * value for value in (p.grid[:1] if p.aside else p.grid)] for p in effect.parameters]
         if effect is Quantization:
             grids = [[self.record.step_deg or 0.0]]
         tried: dict[tuple[float, ...], tuple[float, Physics]] = {}
@@ -320,7 +304,7 @@ class Fitter:
     def slopes(self, fit: Fit) -> FloatArray:
         """Slope of the errors over each number that is fitted, and its prior in the last row, shape (m + 1, q)."""
         numbers = self._numbers(fit.effects, fit.physics)
-        return np.vstack([self._curved(numbers, fit.physics)[0], [float(n.prior) for n in numbers]])
+        return np.vstack([self._at(numbers, fit.physics).slopes, [float(n.prior) for n in numbers]])
 
     def descended(
         self, effects: tuple[type[Effect], ...], start: Physics, steps: int = SHORT, enough: float = np.inf
@@ -331,8 +315,7 @@ class Fitter:
         found = minimum(problem, self._x(numbers, start), steps=steps, close=_CLOSE, enough=enough)
         physics = self._servo(numbers, found.x, start)
         idle = _idle(effects, found.followed[:, sum(n.prior for n in numbers) :])
-        fit = Fit(effects, self._values(effects, physics), physics, np.zeros(0), 0.0, 0.0, np.zeros(0))
-        return replace(fit, misfit=found.misfit, run_deg2=self._noise.squares(found.error), idle=idle)
+        return Fit(effects, physics, self._noise.squares(found.error), found.misfit, idle)
 
     def _problem(self, numbers: list[_Number], start: Physics) -> Problem:
         x = self._x(numbers, start)
@@ -343,7 +326,7 @@ class Fitter:
         def residual(there: FloatArray) -> FloatArray:
             return self._seen_deg(self._servo(numbers, there, start))
 
-        return Problem(low, high, prior, np.zeros(x.size), residual, self._noise, steps)
+        return Problem(low, high, residual, self._noise, prior, step=steps)
 
     @property
     def _noise(self) -> Noise:
@@ -353,22 +336,13 @@ class Fitter:
         """A fit with the errors that each of two folds has, predicted by the servo as the other one tells it."""
         whole, counts = self.judged(fit.effects, fit.physics), self.record.counts
         error = self._beside_mean_reading(whole)[counts]
-        others = [self._beside_mean_reading(judged)[held] for held, judged in self._folds_predicted(fit)]
-        held_out = float(sum(each @ each for each in others))
-        return replace(whole, train=float(error @ error), held_out=held_out, misfit=fit.misfit)
-
-    def prior(self, fit: Fit) -> float:
-        """What it costs that the servo's own numbers are not those of its type."""
-        numbers = [n for n in self._numbers(fit.effects, fit.physics) if n.prior]
-        return float(np.sum(self._x(numbers, fit.physics) ** 2))
-
-    def _folds_predicted(self, fit: Fit) -> list[tuple[BoolArray, Fit]]:
-        """Each of two folds, and the servo fitted to the other one alone on the whole record."""
         key = fit.effects, fit.physics, self.kappa.tobytes()
         if key not in self._halves:
-            folds = [self.record.counts & (self.record.fold % 2 == fold) for fold in (1, 0)]
+            folds = [counts & (self.record.fold % 2 == fold) for fold in (1, 0)]
             self._halves[key] = list(zip(folds, self.without(fit, folds), strict=True))
-        return self._halves[key]
+        others = [self._beside_mean_reading(judged)[fold] for fold, judged in self._halves[key]]
+        train, held_out = float(error @ error), float(sum(each @ each for each in others))
+        return replace(whole, train=train / self._samples, held_out=held_out / self._samples, misfit=fit.misfit)
 
     def without(self, fit: Fit, left_out: Sequence[BoolArray]) -> list[Fit]:
         """The servo fitted without some of the samples (n,), each time to all others, on the whole record.
@@ -385,9 +359,9 @@ class Fitter:
             return [self.judged(fit.effects, physics)] * len(others)
         numbers = self._numbers(fit.effects, physics)
         x, prior = self._x(numbers, physics), np.array([float(n.prior) for n in numbers])
-        slopes, curvature = self._curved(numbers, physics)
+        there = self._at(numbers, physics)
         # What a part does not tell stays as all samples tell it.
-        near = 1.0 / (_FROM_ALL * np.sqrt(np.diag(inverse(curvature))))
+        near = 1.0 / (_FROM_ALL * np.sqrt(np.diag(inverse(there.curvature))))
         prior, centre = np.where(prior > 0.0, prior, near), np.where(prior > 0.0, 0.0, x)
         found = []
         for counts in others:
@@ -396,9 +370,9 @@ class Fitter:
             part._size = self._size
             problem = replace(part._problem(numbers, physics), prior=prior, centre=centre)
             rows = part.part.counts[self._where]
-            there = minimum(problem, x, steps=_NEARBY, close=_CLOSE, slopes=slopes[rows])
+            best = minimum(problem, x, steps=_NEARBY, close=_CLOSE, slopes=there.slopes[rows])
             self.simulations += part.simulations
-            found.append(self.judged(fit.effects, self._servo(numbers, there.x, physics)))
+            found.append(self.judged(fit.effects, self._servo(numbers, best.x, physics)))
         return found
 
     def covariance(self, fit: Fit) -> FloatArray:
@@ -407,9 +381,9 @@ class Fitter:
         count = len(fit.values)
         if not count:
             return np.zeros((0, 0))
-        _, curvature = self._curved(numbers, fit.physics)
+        curvature = self._at(numbers, fit.physics).curvature
         seen = np.diag(curvature) > _SAME
-        spread = np.full((len(numbers), len(numbers)), 0.0)
+        spread = np.zeros(curvature.shape)
         spread[np.ix_(seen, seen)] = np.linalg.pinv(curvature[np.ix_(seen, seen)], rcond=1e-12)
         own = len(numbers) - count
         units = np.array(
@@ -461,9 +435,6 @@ class Fitter:
             changes |= dict.fromkeys(number.fields, number.value(each))
         return start._replace(**changes)
 
-    def _values(self, effects: tuple[type[Effect], ...], physics: Physics) -> FloatArray:
-        return np.array([getattr(physics, p.fields[0]) for effect in effects for p in effect.parameters])
-
     def _seen_deg(self, physics: Physics) -> FloatArray:
         """Errors of the samples that count."""
         self.simulations += 1
@@ -488,15 +459,10 @@ class Fitter:
         measured_deg = self.record.measured_deg
         return measured_deg - mean_reading_deg(measured_deg - judged.unstepped_deg, step_deg, self._below_deg)
 
-    def _curved(self, numbers: list[_Number], physics: Physics) -> tuple[FloatArray, FloatArray]:
-        """Slopes of the errors over some numbers where a servo is, (m, q), and the curvature of its misfit, (q, q)."""
-        error = self._seen_deg(physics)
-        slopes = self._problem(numbers, physics).slopes(self._x(numbers, physics), error)
-        prior = np.diag([float(n.prior) for n in numbers])
-        return slopes, (slopes * self._noise.weights(error)[:, None]).T @ slopes + prior
-
-    def _sized(self, parameter: Parameter, grid: tuple[float, ...]) -> list[float]:
-        return [self._scale(parameter) * value for value in grid]
+    def _at(self, numbers: list[_Number], physics: Physics) -> Solution:
+        """A servo as if its numbers had been found: the slopes of its errors, and the curvature of its misfit."""
+        error, x = self._seen_deg(physics), self._x(numbers, physics)
+        return Solution(self._problem(numbers, physics), x, np.inf, error, np.zeros((0, 0)))
 
     def _scale(self, parameter: Parameter) -> float:
         """Scale of a number: degrees as the record is off, a load as it was logged."""

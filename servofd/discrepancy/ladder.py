@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from servofd.discrepancy.fit import Fit
 from servofd.discrepancy.search import Search, common_places, taken_off
@@ -54,7 +53,7 @@ def _steps(search: Search, best: Fit) -> tuple[Step, ...]:
     def held_out(effects: tuple[type[Effect], ...]) -> Fit:
         key = frozenset(effects)
         if key not in halves:
-            halves[key] = search.fitter.halved(_reordered(prefix(search, best, effects), effects))
+            halves[key] = search.fitter.halved(replace(prefix(search, best, effects), effects=effects))
         return halves[key]
 
     def climb(known: tuple[type[Effect], ...], before: float) -> tuple[type[Effect], ...]:
@@ -73,23 +72,21 @@ def _steps(search: Search, best: Fit) -> tuple[Step, ...]:
     order = climb((), search.fitter.nominal().held_out)
     steps = []
     for count in range(1, len(order) + 1):
-        fit = _reordered(held_out(order[:count]), order[:count])
+        fit = replace(held_out(order[:count]), effects=order[:count])
         steps.append(Step(fit, _rivals(search, fit)))
     return tuple(steps)
 
 
 def _rivals(search: Search, fit: Fit) -> tuple[Fit, ...]:
     """Servos with another effect in the place of the last one, best first."""
-    known, last = sorted(fit.names[:-1]), fit.names[-1]
+    known, last = Counter(fit.names[:-1]), fit.names[-1]
     rivals: dict[str, Fit] = {}
     for other in sorted(search.visited.values(), key=lambda each: each.misfit):
-        rest = list(other.names)
-        for name in known:
-            if name in rest:
-                rest.remove(name)
+        rest = list((Counter(other.names) - known).elements())
         if len(other.effects) == len(fit.effects) and len(rest) == 1 and rest[0] != last and search.is_physical(other):
             effect = next(each for each in other.effects if each.name == rest[0])
-            rivals.setdefault(rest[0], _reordered(other, (*(e for e in other.effects if e is not effect), effect)))
+            others = (each for each in other.effects if each is not effect)
+            rivals.setdefault(rest[0], replace(other, effects=(*others, effect)))
     shown = [search.fitter.halved(each) for each in list(rivals.values())[:_RIVALS]]
     return tuple(sorted(shown, key=lambda each: each.held_out))
 
@@ -98,20 +95,11 @@ def prefix(search: Search, best: Fit, effects: tuple[type[Effect], ...]) -> Fit:
     """The servo with some of its effects."""
     if len(effects) == len(best.effects):
         return best
-    known = [
-        fit
-        for fit in search.visited.values()
-        if sorted(e.key() for e in fit.effects) == sorted(e.key() for e in effects)
-        and (fit.place == best.place or best.place not in common_places(effects))
-    ]
+    keys, is_anywhere = tuple(sorted(effect.key() for effect in effects)), best.place not in common_places(effects)
+    known = [fit for (of, place), fit in search.visited.items() if of == keys and (place == best.place or is_anywhere)]
     if known:
         return min(known, key=lambda fit: fit.misfit)
     gone = [effect for effect in best.effects if effect not in effects]
     fit = search.fitter.descended(effects, taken_off(best.physics, search.fitter.record.plant.neutral, gone))
     search.keep(fit)
     return fit
-
-
-def _reordered(fit: Fit, effects: tuple[type[Effect], ...]) -> Fit:
-    values = np.array([getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters])
-    return replace(fit, effects=effects, values=values)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from servofd.core.series import stretches
 from servofd.core.types import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from servofd.discrepancy.record import Record
+from servofd.discrepancy.record import Record, per_second
 
 _BINS, _FEWEST_PER_BIN = 14, 12
 """Bins of a quantity, and samples in each at least."""
@@ -52,12 +50,6 @@ def binned(quantity: Map, error_deg: FloatArray, counts: BoolArray) -> Bins:
         if np.count_nonzero(index == k) >= _FEWEST_PER_BIN
     ]
     return Bins(*np.array(rows).reshape(-1, 4).T)
-
-
-def smooth(values: FloatArray) -> FloatArray:
-    """Mean of each value and the two on either side."""
-    smoothed: FloatArray = np.convolve(np.pad(values, 2, mode="edge"), np.full(5, 0.2), mode="valid")
-    return smoothed
 
 
 _PIECE_S, _PIECES, _FEWEST_SAMPLES = 4.0, 5.5, 32
@@ -219,14 +211,6 @@ def maps(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Map, 
     return tuple(sorted(found, key=lambda each: -each.share))
 
 
-def speed_deg_s(record: Record, error_deg: FloatArray) -> FloatArray:
-    """Speed of the simulation that leaves this error [deg/s], shape (n,)."""
-    known = np.isfinite(error_deg)
-    moved = np.interp(record.time_s, record.time_s[known], (record.measured_deg - error_deg)[known])
-    speed: FloatArray = np.asarray(np.gradient(moved, record.time_s), dtype=float)
-    return speed
-
-
 def since_reversal_s(time_s: FloatArray, moved_deg: FloatArray, least_deg: float) -> FloatArray:
     """Time since a motion last turned after a swing of at least so much [s], shape (n,); infinite before the first."""
     since = np.full(time_s.size, np.inf)
@@ -253,10 +237,11 @@ def since_reversal_s(time_s: FloatArray, moved_deg: FloatArray, least_deg: float
 def _quantities(record: Record, error_deg: FloatArray) -> list[tuple[str, str, FloatArray, bool]]:
     """Name, unit, values where they count, and whether they have a sign."""
     where = record.counts
-    simulated = (record.measured_deg - error_deg)[where]
-    command = record.commands.at(record.time_s)
-    speed = speed_deg_s(record, error_deg)[where]
-    rate = np.gradient(smooth(command), record.time_s)[where]
+    known, moved = np.isfinite(error_deg), record.measured_deg - error_deg
+    simulated, command = moved[where], record.commands.at(record.time_s)
+    speed = np.gradient(np.interp(record.time_s, record.time_s[known], moved[known]), record.time_s)[where]
+    smooth = np.convolve(np.pad(command, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    rate = np.gradient(smooth, record.time_s)[where]
     found: list[tuple[str, str, FloatArray, bool]] = [
         ("command rate", "deg/s", rate, True),
         ("speed", "deg/s", speed, True),
@@ -324,10 +309,7 @@ def blocks(record: Record, error_deg: FloatArray, sigma_deg: float) -> tuple[Blo
     """
     from scipy.stats import chi2
 
-    start_s = float(record.time_s[0])
-    second = (record.time_s - start_s).astype(np.int64)[record.counts]
-    count = np.bincount(second)
-    energy = np.bincount(second, weights=error_deg[record.counts] ** 2)
+    start_s, (count, energy) = float(record.time_s[0]), per_second(record, error_deg)
     used = np.flatnonzero(count >= 5)
     # The noise floor is itself uncertain by a few per cent.
     chance: FloatArray = np.asarray(chi2.sf(energy[used] / sigma_deg**2 / (1.0 + _EXCESS), count[used]), dtype=float)
@@ -344,10 +326,9 @@ def bad_seconds(record: Record, error_deg: FloatArray, sigma_deg: float) -> tupl
     """Seconds whose error is more than noise, joined, as (start, end) [s]."""
     pieces: list[tuple[float, float]] = []
     for block in blocks(record, error_deg, sigma_deg):
-        if block.bad and pieces and block.start_s - pieces[-1][1] < 0.5:
-            pieces[-1] = (pieces[-1][0], block.end_s)
-        elif block.bad:
-            pieces.append((block.start_s, block.end_s))
+        if block.bad:
+            begin_s = pieces.pop()[0] if pieces and block.start_s - pieces[-1][1] < 0.5 else block.start_s
+            pieces.append((begin_s, block.end_s))
     return tuple(pieces)
 
 
@@ -356,7 +337,7 @@ def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[s
     error = error_deg[record.counts]
     rms = float(np.sqrt(np.mean(error**2)))
     bad = bad_seconds(record, error_deg, sigma_deg)
-    total = float(np.unique((record.time_s - record.time_s[0]).astype(int)[record.counts]).size)
+    total = np.count_nonzero(per_second(record, error_deg)[0])
     if not bad:
         return [f"nowhere: {rms:.3g} deg rms, the noise floor is {sigma_deg:.3g} deg, and no second stands out"]
     length = sum(end - start for start, end in bad)
@@ -365,7 +346,7 @@ def sentences(record: Record, error_deg: FloatArray, sigma_deg: float) -> list[s
     more = f" and {len(bad) - 4} more" if len(bad) > 4 else ""
     texts = [
         f"disagreement above the noise floor ({rms:.3g} against {sigma_deg:.3g} deg rms) in {length:.0f} of "
-        f"{total:.0f} seconds: {shown}{more}"
+        f"{total} seconds: {shown}{more}"
     ]
     if rms**2 < (1.0 + 2.0 * _EXCESS) * sigma_deg**2:
         return texts

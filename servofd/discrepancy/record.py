@@ -142,14 +142,6 @@ class Record:
     condition_names: tuple[str, ...] = ()
 
     @property
-    def is_zeroed(self) -> bool:
-        """Whether readings are counted from where each run began: all of several begin at zero, to a converter step."""
-        if len(self.runs) < _SOME_RUNS:
-            return False
-        least_deg = _STEPS_OF_ZERO * (self.step_deg or 0.0)
-        return all(abs(float(each.measured_deg[0])) <= least_deg for each in self.runs)
-
-    @property
     def run(self) -> IntArray:
         """Number of the run that each sample belongs to."""
         sizes = [each.time_s.size for each in self.runs] or [self.time_s.size]
@@ -241,7 +233,7 @@ def joined(records: Sequence[Record]) -> Record:
     runs, later_s, count = [], 0.0, 0
     for k, each in enumerate(records):
         shift_s = later_s - float(each.time_s[0])
-        moved = replace(each.commands, effective_s=each.commands.effective_s + shift_s)
+        moved = each.commands._replace(effective_s=each.commands.effective_s + shift_s)
         load = each.pushed and replace(each.pushed, load_s=each.pushed.load_s + shift_s)
         own = 2 if k % _CYCLE == _ASIDE else (k - (k + _CYCLE - _ASIDE) // _CYCLE) % 2
         fold = np.full_like(each.fold, own) if len(records) >= FEW_RUNS else each.fold
@@ -252,17 +244,16 @@ def joined(records: Sequence[Record]) -> Record:
     every: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in runs]) for name in _PER_SAMPLE}
     in_all = [name for name in runs[0].logged if all(name in each.logged for each in runs)]
     sides = [each.side for each in runs if each.side is not None]
+    # Where no load was logged, nothing pushed.
+    pushed = [each.pushed for each in runs if each.pushed is not None]
+    loads = {name: np.concatenate([getattr(each, name) for each in pushed]) for name in ("load_s", "load") if pushed}
     return replace(
         records[0],
-        commands=Commands(
-            np.concatenate([each.commands.effective_s for each in runs]),
-            np.concatenate([each.commands.command_deg for each in runs]),
-            np.concatenate([each.commands.slope_deg_s for each in runs]),
-        ),
+        commands=Commands(*map(np.concatenate, zip(*(each.commands for each in runs), strict=True))),
         **every,
         logged={name: np.concatenate([each.logged[name] for each in runs]) for name in in_all},
         side=np.concatenate(sides) if len(sides) == len(runs) else None,
-        pushed=_joined_load([each.pushed for each in runs]),
+        pushed=Context(**loads) if pushed else None,
         step_deg=comb_step_deg(np.concatenate([each.measured_deg for each in runs])),
         runs=tuple(runs),
         conditions=(),
@@ -299,7 +290,7 @@ def _is_new(commands: Commands) -> BoolArray:
 
 def _without_repeats(commands: Commands) -> Commands:
     new = _is_new(commands)
-    return Commands(commands.effective_s[new], commands.command_deg[new], commands.slope_deg_s[new])
+    return Commands(*(each[new] for each in commands))
 
 
 def liveliest(record: Record, error_deg: FloatArray) -> Record:
@@ -334,14 +325,11 @@ def only(record: Record, where: IntArray) -> Record:
     return replace(record, **there, logged=logged, side=side, runs=runs)
 
 
-def _joined_load(loads: Sequence[Context | None]) -> Context | None:
-    """What was logged in any run: where none was, nothing pushed."""
-    there = [each for each in loads if each is not None]
-    if not there:
-        return None
-    return Context(
-        load_s=np.concatenate([each.load_s for each in there]), load=np.concatenate([each.load for each in there])
-    )
+def per_second(record: Record, error_deg: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Of each second of a record: how many samples count, and their summed squared error [deg^2]."""
+    second = (record.time_s - float(record.time_s[0])).astype(np.int64)[record.counts]
+    energy: FloatArray = np.bincount(second, weights=error_deg[record.counts] ** 2).astype(np.float64)
+    return np.bincount(second).astype(np.int64), energy
 
 
 def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray:
@@ -357,12 +345,11 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
         tight = physics._replace(**dict.fromkeys(loose_shares(), 0.0))
         lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
         return lying_deg
-    moved = _from_where_it_lay if loose_deg > 0.0 and record.is_zeroed else _from_first
     if not record.runs or physics.run_slope == 0.0:
-        return moved(record, at_run(physics, record.conditions), finer)
+        return _moved(record, at_run(physics, record.conditions), finer)
     moved_deg = np.empty(record.time_s.size)
     for where, alike in _by_condition(record):
-        moved_deg[where] = moved(alike, at_run(physics, alike.runs[0].conditions), finer)
+        moved_deg[where] = _moved(alike, at_run(physics, alike.runs[0].conditions), finer)
     return moved_deg
 
 
@@ -388,11 +375,6 @@ def _starts(record: Record) -> tuple[IntArray, BoolArray, FloatArray]:
     return first, anew, start_deg
 
 
-def _from_first(record: Record, physics: Physics, finer: float) -> FloatArray:
-    """Positions of each run from rest where it was first measured [deg]."""
-    return _moved_from(record, physics, finer, _starts(record)[2])
-
-
 def _moved_from(record: Record, physics: Physics, finer: float, start_deg: FloatArray) -> FloatArray:
     """Positions of each run from rest at a place (r,) [deg]; all runs are one journey of the stepper, shape (n,)."""
     first, anew, _ = _starts(record)
@@ -406,15 +388,11 @@ def _moved_from(record: Record, physics: Physics, finer: float, start_deg: Float
     for each, held, from_s, until_s in zip(
         record.runs or (record,), held_deg.tolist(), begin_s, [*begin_s[1:], np.inf], strict=True
     ):
-        sent = each.commands
-        effective_s, command_deg, slope_deg_s = received(
-            physics, (sent.effective_s, sent.command_deg, sent.slope_deg_s)
-        )
+        effective_s, command_deg, slope_deg_s = received(physics, each.commands)
         pieces.append((np.array([from_s]), np.array([held]), np.zeros(1)))
         pieces.append((np.minimum(effective_s, until_s), command_deg, slope_deg_s))
-    effective_s, command_deg, slope_deg_s = map(np.concatenate, zip(*pieces, strict=True))
     moved_deg = machine.run(
-        machine.new_state(), (effective_s, command_deg, slope_deg_s), record.time_s,
+        machine.new_state(), Commands(*map(np.concatenate, zip(*pieces, strict=True))), record.time_s,
         anew=anew, measured_deg=measured_deg,
         around=_around(record, physics.load_late_s) if physics.needs else _NOTHING_LOGGED,
     )[0][:, 0]  # fmt: skip
@@ -443,15 +421,20 @@ def _around(record: Record, late_s: float) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _from_where_it_lay(record: Record, physics: Physics, finer: float) -> FloatArray:
-    """Reading of runs that are counted from where the servo lay within its dead band when each began [deg].
+def _moved(record: Record, physics: Physics, finer: float) -> FloatArray:
+    """Positions of each run from rest where it was first measured [deg].
 
-    Where that was is not logged. Once the servo has moved, it only shifts the readings: by what agrees best, in
-    the runs that are held out as well.
+    Where all runs begin at zero, readings are counted from where the servo lay within its dead band. That is not
+    logged. Once the servo has moved, it only shifts the readings: by what agrees best, in the runs that are held out
+    as well.
     """
     first, _, start_deg = _starts(record)
-    counts = np.concatenate([each.counts for each in record.runs])
     moved_deg = _moved_from(record, physics, finer, start_deg)
+    zero_deg = _STEPS_OF_ZERO * (record.step_deg or 0.0)
+    is_zeroed = all(abs(float(each.measured_deg[0])) <= zero_deg for each in record.runs)
+    if physics.loose_deg == 0.0 or len(record.runs) < _SOME_RUNS or not is_zeroed:
+        return moved_deg
+    counts = np.concatenate([each.counts for each in record.runs])
     run, shift_deg = record.run, np.zeros(first.size)
     left = (np.abs(moved_deg - start_deg[run]) > _MOVED_DEG).astype(np.int64)
     ever = np.cumsum(left)

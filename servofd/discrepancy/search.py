@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -103,21 +104,40 @@ _USUAL_S = (*(k / 1000.0 for k in range(10, 26)), 0.004, 0.005, 0.03, 0.04, 0.05
 """Whole milliseconds, and common frame rates that are not."""
 
 
-def frames_like(
+def best_frame(
     record: Record, physics: Physics, rival_deg: FloatArray | None = None, sigma_deg: float = 0.0
-) -> list[tuple[float, float]]:
-    """Frames that explain the seconds with most motion best; none where a rival's error [deg] is clearly smaller there.
+) -> tuple[float, float] | None:
+    """Period [s] and phase of the frames that explain a record best; None where a rival's error [deg] is much smaller.
 
-    A window of length L tells periods T apart that differ by T²/L. They are tried at that spacing in a short window,
-    and those around the best in one three times as long.
+    A window of length L tells periods T apart that differ by T²/L. They are tried at that spacing in the seconds with
+    most motion, and those around the best in windows that are ever longer.
     """
-    longer_s, centre_s = _WINDOW_S * _ZOOM, _busiest_s(record, _WINDOW_S)
-    best = _grid(_SHORTEST_S, _LONGEST_S, _WINDOW_S, _ROUGHLY_S)
-    part = _window(record, centre_s, _WINDOW_S)
-    best = _best(part, physics, best, _KEPT, _rival_loss(record, part, rival_deg) + _WORSE_AT_FIRST * sigma_deg**2)
-    near = [frame for one in best for frame in _around(one, centre_s, longer_s)]
-    part = _window(record, centre_s, longer_s)
-    return _best(part, physics, near, _KEPT // 3, _rival_loss(record, part, rival_deg) + _WORSE * sigma_deg**2)
+    centre_s, kept = _busiest_s(record, _WINDOW_S), _KEPT
+    windows_s = [_WINDOW_S, _WINDOW_S * _ZOOM]
+    while windows_s[-1] < record.time_s[-1] - record.time_s[0]:
+        windows_s.append(windows_s[-1] * _ZOOM)
+    frames = _grid(_SHORTEST_S, _LONGEST_S, _WINDOW_S, _ROUGHLY_S)
+    usual = [(period_s, phase) for period_s in _USUAL_S for phase in _phases(period_s, _NEARLY_S)]
+    for window_s, worse in zip_longest(windows_s, (_WORSE_AT_FIRST, _WORSE)):
+        part = _window(record, centre_s, window_s)
+        losses = [_loss(part, physics, frame) for frame in frames]
+        if rival_deg is not None and worse is not None:
+            rival = rival_deg[np.isin(record.time_s, part.time_s[part.counts])]
+            if min(losses) > float(rival @ rival) + worse * sigma_deg**2:
+                return None
+        best = [frames[k] for k in np.argsort(losses, kind="stable")[:kept]]
+        if worse == _WORSE:
+            usual.sort(key=lambda frame: _loss(part, physics, frame))
+        kept = max(kept // 3, 1)
+        frames = [frame for one in best for frame in _around(one, centre_s, window_s * _ZOOM)]
+    found: tuple[float, float] = min([best[0], *usual[:_LIKELY]], key=lambda frame: _loss(record, physics, frame))
+    for finer in _FINER:
+        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
+    turned = [(found[0], phase) for phase in _phases(found[0], _PRECISELY_S)]
+    found = min([found, *turned], key=lambda frame: _loss(record, physics, frame))
+    for finer in _FINER if found in turned else ():
+        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
+    return found
 
 
 def _grid(shortest_s: float, longest_s: float, window_s: float, apart_s: float) -> list[tuple[float, float]]:
@@ -126,46 +146,6 @@ def _grid(shortest_s: float, longest_s: float, window_s: float, apart_s: float) 
     while periods[-1] < longest_s:
         periods.append(periods[-1] * (1.0 + _SHARE_OF_BEAT * periods[-1] / window_s))
     return [(period, phase) for period in periods for phase in _phases(period, apart_s)]
-
-
-def _best(
-    part: Record, physics: Physics, frames: list[tuple[float, float]], kept: int, most: float
-) -> list[tuple[float, float]]:
-    """Those that explain a part of a record best, if any leaves no more than that."""
-    losses = [_loss(part, physics, frame) for frame in frames]
-    return [frames[k] for k in np.argsort(losses, kind="stable")[:kept]] if min(losses, default=np.inf) <= most else []
-
-
-def _rival_loss(record: Record, part: Record, rival_deg: FloatArray | None) -> float:
-    there = np.isin(record.time_s, part.time_s[part.counts])
-    return np.inf if rival_deg is None else float(rival_deg[there] @ rival_deg[there])
-
-
-def best_frame(record: Record, physics: Physics, begin: Sequence[tuple[float, float]] = ()) -> tuple[float, float]:
-    """Period [s] and phase of the frames that explain a record best, from those that explain its part with most motion.
-
-    The window that separated these is widened step by step around the best.
-    """
-    window_s, kept = _WINDOW_S * _ZOOM, _KEPT // 3
-    best = list(begin) or frames_like(record, physics)
-    centre_s = _busiest_s(record, _WINDOW_S)
-    total_s = float(record.time_s[-1] - record.time_s[0])
-    part = _window(record, centre_s, window_s)
-    usual = [(period_s, phase) for period_s in _USUAL_S for phase in _phases(period_s, _NEARLY_S)]
-    usual.sort(key=lambda frame: _loss(part, physics, frame))
-    while window_s < total_s:
-        window_s, kept = window_s * _ZOOM, max(kept // 3, 1)
-        part = _window(record, centre_s, window_s)
-        near = [frame for one in best for frame in _around(one, centre_s, window_s)]
-        best = sorted(near, key=lambda frame: _loss(part, physics, frame))[:kept]
-    found = min([best[0], *usual[:_LIKELY]], key=lambda frame: _loss(record, physics, frame))
-    for finer in _FINER:
-        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
-    turned = [(found[0], phase) for phase in _phases(found[0], _PRECISELY_S)]
-    found = min([found, *turned], key=lambda frame: _loss(record, physics, frame))
-    for finer in _FINER if found in turned else ():
-        found = min(_around(found, centre_s, window_s, finer), key=lambda frame: _loss(record, physics, frame))
-    return found
 
 
 def _phases(period_s: float, step_s: float) -> list[float]:
@@ -206,8 +186,7 @@ def _window(record: Record, centre_s: float, window_s: float) -> Record:
     counts = record.counts & (record.time_s >= record.time_s[inside][0] + 0.3)
     sent_s = record.commands.effective_s
     sent = slice(*np.searchsorted(sent_s, (record.time_s[inside][0] - _REMEMBERED_S, record.time_s[inside][-1])))
-    commands = Commands(sent_s[sent], record.commands.command_deg[sent], record.commands.slope_deg_s[sent])
-    commands = commands if commands.effective_s.size else record.commands
+    commands = Commands(*(each[sent] for each in record.commands)) if sent_s[sent].size else record.commands
     return only(replace(record, commands=commands, counts=counts), np.flatnonzero(inside))
 
 
@@ -230,32 +209,32 @@ _LATE = (Delay, SensorLag, SlowDynamics)
 """Effects that make a servo late."""
 
 
-@dataclass(slots=True, eq=False)
 class Search:
-    """Of one record: what fits it, the effects that it can show, and all structures that were fitted."""
+    """Of one record: what fits it, the effects that it can show, and all structures that were fitted.
 
-    fitter: Fitter
-    able: list[type[Effect]]
-    progress: Callable[[str], None]
-    visited: dict[tuple[tuple[str, ...], float], Fit] = field(default_factory=dict)
-    grown: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
-    part: Fitter = field(init=False)
-    _began: tuple[tuple[str, ...], float] = field(init=False)
+    `part` fits the liveliest part of the record, which screens candidates.
+    """
 
-    def begin(self, root: Fit) -> None:
-        """From the servo as it is known; the liveliest part of the record screens candidates."""
-        record = self.fitter.record
-        self.part = Fitter(liveliest(record, self.fitter.judged((), root.physics).error_deg))
-        self.look_again()
-        self.keep(root)
-        self._began = root.key
+    def __init__(self, fitter: Fitter, able: list[type[Effect]], progress: Callable[[str], None]) -> None:
+        root = fitter.root
+        self.fitter, self.able, self.progress = fitter, able, progress
+        self.visited, self._began = {root.key: root}, root.key
+        self.grown: set[tuple[tuple[str, ...], float]] = set()
+        self.part = Fitter(liveliest(fitter.record, fitter.judged((), root.physics).error_deg))
+        self._count_alike()
 
     @property
     def root(self) -> Fit:
         """The servo without effects as it fits best."""
         return self.visited[self._began]
 
-    def look_again(self) -> None:
+    def remember(self, fit: Fit) -> None:
+        """Take the correlation of what a fit leaves for that of the noise, in all misfits."""
+        self.fitter.remember(fit)
+        self._count_alike()
+        self.visited = {key: self.fitter.reweighed(each) for key, each in self.visited.items()}
+
+    def _count_alike(self) -> None:
         """Count the part's samples as the whole's."""
         self.part._size = self.fitter._size
         if self.part.kappa.size == self.fitter.kappa.size:
@@ -269,7 +248,7 @@ class Search:
         What changes nothing is no part of it: the rest has been fitted from another start.
         """
         if fit.idle:
-            fit = without_idle(fit, self.fitter.record.plant.neutral)
+            fit = self.without(fit, fit.idle)
         if fit.key not in self.visited or fit.misfit < self.visited[fit.key].misfit:
             self.visited[fit.key] = fit
         return self.is_physical(fit)
@@ -280,13 +259,10 @@ class Search:
 
     def _too_small(self, fit: Fit) -> list[int]:
         """Places of the effects of a fit that are so small that they are none."""
-        neutral, first, small = self.fitter.record.plant.neutral, 0, []
+        neutral, small = self.fitter.record.plant.neutral, []
         for k, effect in enumerate(fit.effects):
-            sizes = []
-            for p, value in zip(effect.parameters, fit.values[first:].tolist(), strict=False):
-                if p.smallest and not p.aside:
-                    sizes.append(p.away(value, neutral) >= self.fitter.smallest(p))
-            first += len(effect.parameters)
+            judged = [p for p in effect.parameters if p.smallest and not p.aside]
+            sizes = [p.away(getattr(fit.physics, p.fields[0]), neutral) >= self.fitter.smallest(p) for p in judged]
             if sizes and not any(sizes):
                 small.append(k)
         return small
@@ -350,12 +326,17 @@ class Search:
 
     def _without_small(self, fit: Fit, enough: float) -> None:
         """The rest of a fit, of which an effect that stood for another became nothing beside it."""
-        small = self._too_small(fit)
-        rest = tuple(effect for k, effect in enumerate(fit.effects) if k not in small)
-        start = taken_off(fit.physics, self.fitter.record.plant.neutral, [fit.effects[k] for k in small])
-        start = placed(start, rest)
-        if rest and (tuple(sorted(effect.key() for effect in rest)), start.slow_place) not in self.visited:
-            self._fitted(rest, start, enough)
+        rest = self.without(fit, self._too_small(fit))
+        if rest.effects and rest.key not in self.visited:
+            self._fitted(rest.effects, rest.physics, enough)
+
+    def without(self, fit: Fit, places: Sequence[int]) -> Fit:
+        """The servo as it is without some of its effects."""
+        effects = tuple(effect for k, effect in enumerate(fit.effects) if k not in places)
+        start = taken_off(fit.physics, self.fitter.record.plant.neutral, [fit.effects[k] for k in places])
+        # The slow pole lies inside the loop where its place does not matter to any effect.
+        is_placed = start.slow_place in common_places(effects)
+        return replace(fit, effects=effects, physics=start if is_placed else start._replace(slow_place=INSIDE), idle=())
 
     def exchange(self, fit: Fit, enough: float, known: int = 0) -> None:
         """Each effect of a fit, but for so many that are known, in its other forms, started from what it came to.
@@ -363,14 +344,12 @@ class Search:
         What sticks, is dead or loose passes for one another until each has been fitted as well, at each place; so do
         the ways in which a speed is limited.
         """
-        record, first = self.fitter.record, 0
+        record = self.fitter.record
         is_placed = record.plant.has_places and record.side is None
-        for k, effect in enumerate(fit.effects):
-            size, first = float(fit.values[first]), first + len(effect.parameters)
-            if k < known:
-                continue
+        for k, effect in list(enumerate(fit.effects))[known:]:
+            size = getattr(fit.physics, effect.parameters[0].fields[0])
             rest = (*fit.effects[:k], *fit.effects[k + 1 :])
-            without = fit.physics._replace(**{f: getattr(record.plant.neutral, f) for f in fields_of(effect)})
+            without = fit.physics._replace(**{name: getattr(record.plant.neutral, name) for name in fields_of(effect)})
             is_loose = effect.family == "hysteresis"
             for other in self.able:
                 if other.name in excluded(rest) or not (_is_like(effect, other) or (is_loose and other is effect)):
@@ -395,31 +374,17 @@ class Search:
         known = self.fitter.starts(base)[-1]._replace(delay_s=record.plant.neutral.delay_s)
         rival = self.fitter.judged((), min(fits, key=lambda fit: fit.misfit).physics)
         sigma = float(np.sqrt(rival.run_deg2.mean()))
-        likely = frames_like(record, known, rival.error_deg, sigma)
-        if not likely:
+        frame = best_frame(record, known, rival.error_deg, sigma)
+        if frame is None:
             return []
-        period_s, phase = best_frame(record, known, likely)
-        start = known._replace(frame_s=period_s, frame_phase=phase)
+        start = known._replace(frame_s=frame[0], frame_phase=frame[1])
         return [self._fitted((*base.effects, PwmFrame), start)]
-
-
-def without_idle(fit: Fit, neutral: Physics) -> Fit:
-    """A fit without the effects that change nothing."""
-    effects = tuple(effect for k, effect in enumerate(fit.effects) if k not in fit.idle)
-    values = [getattr(fit.physics, p.fields[0]) for effect in effects for p in effect.parameters]
-    physics = placed(taken_off(fit.physics, neutral, [fit.effects[k] for k in fit.idle]), effects)
-    return replace(fit, effects=effects, values=np.array(values), physics=physics, idle=())
 
 
 def taken_off(physics: Physics, neutral: Physics, effects: Iterable[type[Effect]]) -> Physics:
     """A servo whose parameters of some effects are neutral."""
     fields = [name for effect in effects for p in effect.parameters for name in p.fields]
     return physics._replace(**{name: getattr(neutral, name) for name in fields})
-
-
-def placed(physics: Physics, effects: tuple[type[Effect], ...]) -> Physics:
-    """A servo whose slow pole lies inside the loop where its place does not matter to its effects."""
-    return physics if physics.slow_place in common_places(effects) else physics._replace(slow_place=INSIDE)
 
 
 def fields_of(effect: type[Effect]) -> tuple[str, ...]:

@@ -27,7 +27,6 @@ from servofd.discrepancy.search import (
     fields_of,
     judgeable,
     load_slope,
-    placed,
     step_size_deg,
     taken_off,
 )
@@ -79,8 +78,6 @@ class Selection:
     steps: tuple[Step, ...]
     rivals: Rivals
     """What the data cannot tell from an effect, and the servos that have it instead; only of those of which some is."""
-    sigma_deg: float
-    """Noise floor."""
     unjudged: tuple[type[Effect], ...]
     """Effects that need what the log does not hold."""
     covariance: FloatArray
@@ -90,18 +87,16 @@ class Selection:
     """The servo with all effects."""
     adequacy: Adequacy
     """What of its errors is not noise."""
-    probability: float = 1.0
-    """Of the names, among all structures that were fitted."""
+
+    @property
+    def sigma_deg(self) -> float:
+        """Noise floor."""
+        return self.adequacy.floor_deg
 
     @property
     def ties(self) -> tuple[tuple[str, ...], ...]:
         """Effects that the data cannot tell apart, the named one first."""
         return tuple((name, *others) for name, others in self.rivals.items())
-
-    @property
-    def simulations(self) -> int:
-        """How many it took."""
-        return self.fitter.simulations
 
 
 def select(
@@ -116,10 +111,8 @@ def searched(
 ) -> Search:
     """All structures that come into question, fitted."""
     fitter = begun or Fitter(record.searched)
-    root = fitter.root()
     search = Search(fitter, judgeable(record)[0], progress)
-    search.begin(root)
-    _widened(search, root)
+    _widened(search)
     return search
 
 
@@ -128,15 +121,13 @@ def concluded(search: Search) -> Selection:
     fitter = search.fitter
     record = fitter.record
     best = _chosen(search)
-    fitter.remember(best)
-    search.look_again()
-    _reweighed(search)
+    search.remember(best)
     best = _chosen(search)
     nominal = fitter.nominal()
-    names, sets = _shares(search, best, fitter.reweighed(nominal))
+    names = _shares(search, best, fitter.reweighed(nominal))
     linear = _better_linear(search, names[0])
     if linear is not None:
-        names, sets = [linear], 1.0
+        names = [linear]
     steps = climbed(search, names[0])
     final = steps[-1].fit if steps else fitter.halved(search.root)
     found = adequacy(record, final)
@@ -148,20 +139,18 @@ def concluded(search: Search) -> Selection:
         nominal,
         steps,
         {name: each for name, each in rivals.items() if each},
-        found.floor_deg,
         tuple(judgeable(record)[1]),
         fitter.covariance(final),
         fitter,
         final,
         found,
-        sets,
     )
 
 
-def _widened(search: Search, root: Fit) -> None:
+def _widened(search: Search) -> None:
     """Forward with a beam, and back: what came first may stand in for what is found later."""
     record = search.fitter.record
-    beam, best = [root], root
+    beam, best = [search.root], search.root
     for size in range(_MOST_ON_BENCH if record.runs else _MOST):
         for base in beam:
             least = min(f.misfit for f in search.visited.values())
@@ -169,9 +158,7 @@ def _widened(search: Search, root: Fit) -> None:
             if base is best and _suffices(search, best, size + 1):
                 break
         # The correlation of what the best leaves is that of the noise; without an effect there is more.
-        search.fitter.remember(min(search.visited.values(), key=lambda fit: fit.misfit))
-        search.look_again()
-        _reweighed(search)
+        search.remember(min(search.visited.values(), key=lambda fit: fit.misfit))
         best, beam = search.visited[best.key], []
         _polished(search, size + 1)
         _by_condition(search, size + 1)
@@ -229,7 +216,7 @@ def _by_condition(search: Search, size: int) -> None:
         for k, effect in enumerate(fit.effects):
             if not effect.varies:
                 continue
-            value = float(fit.values[sum(len(e.parameters) for e in fit.effects[:k])])
+            value = getattr(fit.physics, effect.parameters[0].fields[0])
             for number, name in enumerate(fitter.record.condition_names):
                 search.progress(f"{effect.key()} by {name}")
                 law = by_condition(effect, number, name)
@@ -244,24 +231,20 @@ def _by_condition(search: Search, size: int) -> None:
 
 def _without(search: Search, fit: Fit, k: int) -> Fit:
     """The servo without one of its effects, started from where it is with it."""
-    effects = tuple(effect for j, effect in enumerate(fit.effects) if j != k)
-    start = placed(taken_off(fit.physics, search.fitter.record.plant.neutral, [fit.effects[k]]), effects)
-    key = tuple(sorted(effect.key() for effect in effects)), start.slow_place
-    known = search.visited.get(key)
-    found = search.fitter.descended(effects, start)
+    start = search.without(fit, [k])
+    known = search.visited.get(start.key)
+    found = search.fitter.descended(start.effects, start.physics)
     search.keep(found)
     return found if known is None or found.misfit < known.misfit else known
 
 
 def _best_of_size(search: Search, size: int) -> list[Fit]:
     """The best fit of each set of names of a size, best first."""
+    fits = [fit for fit in search.visited.values() if len(fit.effects) == size and search.is_physical(fit)]
     best: dict[tuple[str, ...], Fit] = {}
-    for fit in search.visited.values():
-        if len(fit.effects) == size and search.is_physical(fit):
-            key = tuple(sorted(fit.names))
-            if key not in best or _cost(search, fit) < _cost(search, best[key]):
-                best[key] = fit
-    return sorted(best.values(), key=lambda fit: _cost(search, fit))
+    for fit in sorted(fits, key=lambda fit: _cost(search, fit)):
+        best.setdefault(tuple(sorted(fit.names)), fit)
+    return list(best.values())
 
 
 def _cost(search: Search, fit: Fit) -> float:
@@ -355,18 +338,12 @@ def _better_linear(search: Search, best: Fit) -> Fit | None:
 def _share_of_excess(search: Search, fewer: Fit, best: Fit) -> float:
     """Of what a servo without an effect leaves beyond the noise, how much the effect takes away."""
     fitter = search.fitter
-    before, after = (fitter.halved(fit).held_out / max(float(fitter.record.counts.sum()), 1.0) for fit in (fewer, best))
+    before, after = (fitter.halved(fit).held_out for fit in (fewer, best))
     excess = before - floor_of(fitter.record, fitter.judged(best.effects, best.physics)) ** 2
     return (before - after) / excess if excess > 0.0 else 0.0
 
 
-def _reweighed(search: Search) -> None:
-    """Misfits of all that comes into question, counted by another memory."""
-    for key, fit in list(search.visited.items()):
-        search.visited[key] = search.fitter.reweighed(fit)
-
-
-def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
+def _shares(search: Search, best: Fit, nominal: Fit) -> list[Fit]:
     """Fits of each set of names that belongs to those that share 95 % of the probability, likeliest first."""
     size = len(best.effects)
     weight: dict[tuple[str, ...], float] = {}
@@ -383,8 +360,6 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
         weight[key] = weight.get(key, 0.0) + share / _forms(search, fit)
         if key not in first or _cost(search, fit) < _cost(search, first[key]):
             first[key] = fit
-    if not weight:
-        return [best], 1.0
     total, reached = sum(weight.values()), 0.0
     names: list[Fit] = []
     most = max(weight.values())
@@ -399,15 +374,14 @@ def _shares(search: Search, best: Fit, nominal: Fit) -> tuple[list[Fit], float]:
             break
         names.append(first[key])
         reached += weight[key]
-    return names, max(weight.values()) / total
+    return names
 
 
 def _beyond_noise(search: Search, best: Fit) -> float:
     """Share of what the best leaves that is no noise but its own error."""
     record = search.fitter.record
     whole = search.fitter.judged(best.effects, best.physics)
-    left = whole.train / max(float(record.counts.sum()), 1.0)
-    return max(0.0, 1.0 - (_MODEL_RATIO * floor_of(record, whole)) ** 2 / max(left, 1e-30))
+    return max(0.0, 1.0 - (_MODEL_RATIO * floor_of(record, whole)) ** 2 / max(whole.train, 1e-30))
 
 
 def _forms(search: Search, fit: Fit) -> float:
@@ -458,8 +432,7 @@ def _or_slow(search: Search, best: Fit, rivals: Rivals, step_deg: float) -> None
         rival = min((search.fitter.descended(effects, s, LONG) for s in starts), key=lambda fit: fit.misfit)
     if rival is None:
         return
-    halves = (search.fitter.halved(fit).held_out for fit in (rival, best))
-    there, here = (half / max(float(search.fitter.record.counts.sum()), 1.0) for half in halves)
+    there, here = (search.fitter.halved(fit).held_out for fit in (rival, best))
     by_shape_deg = float(np.sqrt(max(there - here, 0.0)))
     if by_shape_deg <= _OF_STEP * step_deg or _share_of_excess(search, rival, best) <= _FAR_WORSE:
         rivals[mine.name][theirs] = rival

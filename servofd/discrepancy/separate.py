@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from servofd.core.series import rms
 from servofd.core.types import FloatArray
-from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.record import Record, simulate
 from servofd.discrepancy.search import LIMITS, STEPS_OF_TWO_SIZES
 from servofd.discrepancy.select import Selection
@@ -143,28 +143,22 @@ def separations(selection: Selection) -> tuple[Separation, ...]:
     Both servos as they were fitted to the record are sent through a library of manoeuvres. The one in which they
     differ most, in the rms of 24 s, is named; a simpler one, if it shows nearly as much.
     """
-    sigma_deg = selection.sigma_deg
-    return tuple(
-        _separation(selection.fitter, (name, other), selection.final, rival, sigma_deg)
-        for name, rivals in selection.rivals.items()
-        for other, rival in rivals.items()
-    )
-
-
-def _separation(fitter: Fitter, names: tuple[str, str], best: Fit, rival: Fit, sigma_deg: float) -> Separation:
-    one, two = best.physics, rival.physics
-    rms, most = [], []
-    library = _BY_SIZE if set(names) & set(LIMITS) and "slow_dynamics" in names else MANOEUVRES
-    for manoeuvre in library:
-        flown = _flown(fitter.record, manoeuvre)
-        apart = (simulate(flown, one) - simulate(flown, two))[flown.counts]
-        rms.append(float(np.sqrt(np.mean(apart**2))))
-        most.append(float(np.max(np.abs(apart))))
-    if not max(most) >= _TELLING_SIGMAS * sigma_deg:
-        return Separation(names, None, max(most), max(most) / sigma_deg)
-    shows = (np.array(rms) >= _AS_GOOD * max(rms)) & (np.array(most) >= _TELLING_SIGMAS * sigma_deg)
-    first = int(np.argmax(shows)) if shows.any() else int(np.argmax(most))
-    return Separation(names, library[first].name, most[first], most[first] / sigma_deg)
+    record, sigma_deg, found = selection.fitter.record, selection.sigma_deg, []
+    pairs = [(name, other, rival) for name, rivals in selection.rivals.items() for other, rival in rivals.items()]
+    for name, other, rival in pairs:
+        library = _BY_SIZE if {name, other} & set(LIMITS) and "slow_dynamics" in (name, other) else MANOEUVRES
+        flown = [_flown(record, manoeuvre) for manoeuvre in library]
+        physics = selection.final.physics, rival.physics
+        apart = [np.subtract(*(simulate(each, servo)[each.counts] for servo in physics)) for each in flown]
+        rms_deg = np.array([rms(each) for each in apart])
+        most_deg = np.array([np.max(np.abs(each)) for each in apart])
+        tells = most_deg >= _TELLING_SIGMAS * sigma_deg
+        shows = tells & (rms_deg >= _AS_GOOD * rms_deg.max())
+        best = int(np.argmax(shows)) if shows.any() else int(np.argmax(most_deg))
+        size_deg = float(most_deg[best] if tells.any() else most_deg.max())
+        told_by = library[best].name if tells.any() else None
+        found.append(Separation((name, other), told_by, size_deg, size_deg / sigma_deg))
+    return tuple(found)
 
 
 def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:

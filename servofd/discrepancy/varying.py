@@ -77,26 +77,19 @@ def varying(selection: Selection, conditions: Mapping[str, FloatArray]) -> tuple
     `selection`: what was found in several runs; in a single one there is nothing to compare. `conditions` (shape (r,)):
     what was logged beside the servo, one number for each run, by the name of its channel.
     """
-    final, first = selection.final, 0
-    found = []
-    for effect in final.effects:
-        if is_law(effect):
-            found.append(_law(selection, first, effect, conditions))
-        first += len(effect.parameters)
-    return tuple(found)
+    return tuple(_law(selection, effect, conditions) for effect in selection.final.effects if is_law(effect))
 
 
-def _law(selection: Selection, index: int, effect: type[Effect], known: Mapping[str, FloatArray]) -> Varying:
-    """What an effect goes with whose first value is so manieth of all."""
+def _law(selection: Selection, effect: type[Effect], known: Mapping[str, FloatArray]) -> Varying:
+    """What an effect goes with."""
     record, physics = selection.fitter.record, selection.final.physics
     name, parameter = record.condition_names[int(physics.run_condition)], effect.parameters[0]
-    of, value = known[name], float(selection.final.values[index])
+    of, value = known[name], getattr(physics, parameter.fields[0])
     slope = 2.0 * physics.run_slope / float(np.ptp(of))
     at_zero = value - physics.run_slope - slope * float(of.min())
     fitter, alike_in_all = selection.fitter, tuple(plain(each) for each in selection.final.effects)
     common = fitter.halved(fitter.descended(alike_in_all, physics._replace(run_slope=0.0), LONG))
-    count = float(record.counts.sum())
-    common_deg, line_deg = (float(np.sqrt(fit.held_out / count)) for fit in (common, selection.final))
+    common_deg, line_deg = (float(np.sqrt(fit.held_out)) for fit in (common, selection.final))
     alike = [
         other for other, its in known.items()
         if other != name and np.ptp(its) > 0.0 and abs(np.corrcoef(its, of)[0, 1]) > ALIKE

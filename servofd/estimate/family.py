@@ -80,28 +80,15 @@ def variants(theta: FloatArray, *, patterns: bool = True, middle_deg: float = 0.
     """Servos to be simulated side by side, shape (V, 14): the servo itself, one per sensitivity, one per pattern.
 
     Their gains act about `middle_deg`; the table holds their offsets at a command of 0.
-
-    Examples
-    --------
-    >>> theta = np.array([prior.value for prior in PRIORS])
-    >>> variants(theta).shape, variants(theta, patterns=False).shape
-    ((12, 14), (10, 14))
     """
     base = np.append(theta, 0.0)
     table = np.tile(base, (_TRACKS + patterns * len(PATTERNS), 1))
     table[np.arange(1, _TRACKS), _SIMULATED] += _STEPS
     if patterns:
-        table[_TRACKS:] = patterns_of(base)
+        table[_TRACKS, _POWER] += np.log(0.5)
+        table[_TRACKS + 1, _PLAY] += 2.0
     table[:, _BIAS] += middle_deg * (1.0 - table[:, _GAIN])
     return table
-
-
-def patterns_of(base: FloatArray) -> list[FloatArray]:
-    """Servos with each of the finite changes."""
-    weak, play = (base.copy() for _ in PATTERNS)
-    weak[_POWER] += np.log(0.5)
-    play[_PLAY] += 2.0
-    return [weak, play]
 
 
 @dataclass(slots=True, eq=False)
@@ -120,13 +107,7 @@ class Progress:
 
 
 def new_state(count: int) -> Progress:
-    """State of several servos before their first position.
-
-    Examples
-    --------
-    >>> new_state(2).received
-    0
-    """
+    """State of several servos before their first position."""
     return Progress(_at_rest(count).copy())
 
 

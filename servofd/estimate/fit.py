@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -91,13 +91,24 @@ def predicted(
     theta: FloatArray, record: Record, reach_deg: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """How parameters predict a record: reading (m,) [deg], sensitivities (m, parameters), top speed (m,) [deg/s]."""
-    table = variants(theta, patterns=False, middle_deg=middle_of(reach_deg))
-    state = new_state(table.shape[0])
-    position_deg, speed_deg_s = simulated(
-        table, state, record.commands, record.time_s, record.load, record.power, record.start_deg
-    )
+    position_deg, speed_deg_s = _moved(theta, record, reach_deg, slice(None))
     reading_deg, slopes = sensitivities(position_deg, speed_deg_s, theta, reach_deg)
     return reading_deg, slopes, peaks(speed_deg_s, record.time_s)
+
+
+def reading(theta: FloatArray, record: Record, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Reading of one servo (m,) [deg], and its speeds (m, 2) [deg/s]."""
+    position_deg, speed_deg_s = _moved(theta, record, reach_deg, slice(1))
+    return position_deg[:, 0] + bent(position_deg[:, 0], theta, reach_deg)[0], speed_deg_s
+
+
+def _moved(
+    theta: FloatArray, record: Record, reach_deg: tuple[float, float], which: slice
+) -> tuple[FloatArray, FloatArray]:
+    """Positions (m, V) [deg] of some of the servo's variants, and speeds (m, 2) [deg/s]."""
+    table = variants(theta, patterns=False, middle_deg=middle_of(reach_deg))[which]
+    around = record.load, record.power, record.start_deg
+    return simulated(table, new_state(table.shape[0]), record.commands, record.time_s, *around)
 
 
 def peaks(speed_deg_s: FloatArray, time_s: FloatArray, memory: FloatArray | None = None) -> FloatArray:
@@ -120,6 +131,17 @@ def _hold(top: FloatArray, time_s: FloatArray, memory: FloatArray, out: FloatArr
         out[k] = memory[0]
 
 
+def bandwidth(theta: FloatArray) -> tuple[float, dict[str, float]]:
+    """Logarithm of the -3 dB bandwidth of a servo (13,) [rad/s], and its slopes over those of frequency and damping.
+
+    Of two poles, omega^2 / (s^2 + 2 zeta omega s + omega^2), it is omega sqrt(a + sqrt(a^2 + 1)), a = 1 - 2 zeta^2.
+    """
+    damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[_LN_DAMPING]))
+    root = float(np.hypot(damped, 1.0))
+    value = float(theta[_LN_BANDWIDTH]) + 0.5 * float(np.log(damped + root))
+    return value, {"ln_bandwidth": 1.0, "ln_damping": (damped - 1.0) / root}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """Parameters, noise, and how sure they are."""
@@ -130,10 +152,8 @@ class Fit:
     reach_deg: tuple[float, float]
     held_out_deg: tuple[FloatArray, ...]
     """Of each record: reading of a servo fitted to the other folds (m,) [deg]."""
-    error_deg: tuple[FloatArray, ...]
     held_out_rms_deg: float
     explained_share: float
-    usable: tuple[BoolArray, ...]
     sigma_deg: FloatArray
     """Of the noise, in the usable samples of all records."""
     estimates: FloatArray
@@ -149,17 +169,10 @@ class Fit:
 
     @property
     def bandwidth_rad_s(self) -> Estimate:
-        """Frequency at which the fitted servo's gain is 3 dB below that at rest [rad/s].
-
-        Of two poles, omega^2 / (s^2 + 2 zeta omega s + omega^2), it is omega sqrt(a + sqrt(a^2 + 1)), a = 1 - 2 zeta^2.
-        """
-        theta = self.theta[[_LN_BANDWIDTH, _LN_DAMPING]]
-        damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[1]))
-        root = float(np.hypot(damped, 1.0))
-        slope = np.array([1.0, (damped - 1.0) / root])  # of its logarithm, over those of omega and zeta
-        pair = np.ix_([_LN_BANDWIDTH, _LN_DAMPING], [_LN_BANDWIDTH, _LN_DAMPING])
-        deviation = float(np.sqrt(slope @ self.scatter[pair] @ slope + _OTHER_POLES**2))
-        value = float(theta[0]) + 0.5 * float(np.log(damped + root))
+        """Frequency at which the fitted servo's gain is 3 dB below that at rest [rad/s]."""
+        value, slopes = bandwidth(self.theta)
+        slope = np.array([slopes.get(name, 0.0) for name in NAMES])
+        deviation = float(np.sqrt(slope @ self.scatter @ slope + _OTHER_POLES**2))
         return Estimate(*np.exp(Estimate.of(value, deviation)).tolist())
 
     @property
@@ -188,7 +201,8 @@ def fit(
     flights = _Flights(records, reach_of(records) if reach_deg is None else reach_deg)
     begin = _delayed(records, flights.reach_deg, is_alone) if start is None else np.clip(start, _LOWS, _HIGHS)
     if is_alone:
-        begin = min((begin, _as_fast_as_seen(begin, records)), key=flights.rough_misfit)
+        likely = begin, _as_fast_as_seen(begin, records)
+        begin = min(likely, key=lambda theta: float(np.abs(flights.left(theta)[0]).mean()))
     if start is None or is_alone:  # another part of the log may have begun with a fault
         begin = minimum(flights.problem(_rough_sigma(flights, begin)), begin, steps=_STEPS, close=_CLOSE).x
     sigma = flights.sigma(begin)
@@ -320,10 +334,6 @@ class _Flights:
         found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
         return found
 
-    def rough_misfit(self, theta: FloatArray) -> float:
-        """Mean size of what a servo leaves [deg]."""
-        return float(np.abs(self.left(theta)[0]).mean())
-
     def sigma(self, theta: FloatArray) -> FloatArray:
         """Standard deviation of the noise that a servo leaves, in the usable rows (n,) [deg]."""
         error, speed = self.left(theta)
@@ -336,17 +346,8 @@ class _Flights:
         if held is not None:
             low[_SIZES] = high[_SIZES] = held[_SIZES]
         return Problem(
-            low, high, 1.0 / _SIGMAS, _VALUES, lambda theta: self.left(theta)[0], noise, derivatives=self.slopes
+            low, high, lambda theta: self.left(theta)[0], noise, 1.0 / _SIGMAS, _VALUES, derivatives=self.slopes
         )
-
-
-def reading(theta: FloatArray, record: Record, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-    """Reading of one servo (m,) [deg], and its speeds (m, 2) [deg/s]."""
-    table = variants(theta, patterns=False, middle_deg=middle_of(reach_deg))[:1]
-    position_deg, speed_deg_s = simulated(
-        table, new_state(1), record.commands, record.time_s, record.load, record.power, record.start_deg
-    )
-    return position_deg[:, 0] + bent(position_deg[:, 0], theta, reach_deg)[0], speed_deg_s
 
 
 def _rough_sigma(flights: _Flights, theta: FloatArray) -> FloatArray:
@@ -365,57 +366,31 @@ def _finished(flights: _Flights, best: Solution, others: Sequence[Solution]) -> 
     kappa, sigma = _colour_length(noise), noise.sigma_deg(speed)
     alike = kappa + _SHARE * best.misfit
     near = np.array([theta, *(each.x for each in others if each.misfit - best.misfit < _NEAR * alike)])
-    best = _reweighed(best, sigma, kappa)
-    left = _left_out(records, best)
+    # With the noise that it left, and a prior that is content with it.
+    weighed = replace(best.problem.noise, sigma=sigma, kappa=np.array([kappa]))
+    best = replace(best, problem=replace(best.problem, noise=weighed, centre=theta))
+    fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
+    parts = [np.flatnonzero(fold == k) for k in (0, 1)]
+    changes, left_deg, most_deg = best.changes(parts), best.error.copy(), 6.0 * sigma
+    for part, change in zip(parts, changes, strict=True):
+        left_deg[part] += best.slopes[part] @ change
+    rms_deg = float(np.sqrt(np.mean(np.clip(left_deg, -most_deg, most_deg) ** 2)))
     covariance = best.covariance()
     unseen = _unseen_speed(best)
     covariance[_RATE, _RATE] = max(covariance[_RATE, _RATE], min(unseen, float(_SIGMAS[_RATE]) ** 2))
-    halves = left.changes[0] - left.changes[1]
-    apart = np.hypot(np.abs(near - theta).max(axis=0) / np.sqrt(2.0), 0.5 * halves)
+    apart = np.hypot(np.abs(near - theta).max(axis=0) / np.sqrt(2.0), 0.5 * (changes[0] - changes[1]))
     scatter = best.covariance(count=_PARTS, lasting=_LASTING, least=_LASTING)
     estimates = _unshrunk(theta, np.diag(covariance), alike / kappa, np.hypot(apart, np.sqrt(np.diag(scatter))))
     power = float(np.var(flights.whole.measured_deg[flights.whole.usable]))
-    share = 1.0 - float(np.mean(left.error_deg**2)) / power if power > 0.0 else 0.0
-    cuts = np.cumsum([np.count_nonzero(record.usable) for record in records])[:-1]
-    whole = []
-    for part, record in zip(np.split(left.error_deg, cuts), records, strict=True):
-        full = np.full(record.time_s.size, np.nan)
-        full[record.usable] = part
-        whole.append(full)
-    return Fit(
-        theta, covariance, noise, flights.reach_deg, tuple(whole),
-        tuple(np.split(error, cuts)), left.rms_deg, share, tuple(r.usable for r in records), sigma, estimates, scatter,
-    )  # fmt: skip
+    share = 1.0 - float(np.mean(left_deg**2)) / power if power > 0.0 else 0.0
+    whole = np.full(flights.whole.time_s.size, np.nan)
+    whole[flights.whole.usable] = left_deg
+    held_out_deg = tuple(np.split(whole, np.cumsum([record.time_s.size for record in records])[:-1]))
+    return Fit(theta, covariance, noise, flights.reach_deg, held_out_deg, rms_deg, share, sigma, estimates, scatter)
 
 
 def _best_of(tried: Sequence[Solution]) -> Solution:
     return min(tried, key=lambda each: each.misfit)
-
-
-def _reweighed(solution: Solution, sigma: FloatArray, kappa: float) -> Solution:
-    """A solution with the noise that it left, and a prior that is content with it."""
-    noise = replace(solution.problem.noise, sigma=sigma, kappa=np.array([kappa]))
-    return replace(solution, problem=replace(solution.problem, noise=noise, centre=solution.x))
-
-
-class _LeftOut(NamedTuple):
-    """What a servo that was fitted to every other fold leaves."""
-
-    error_deg: FloatArray
-    changes: FloatArray
-    """Of the parameters, from all records to each half of them; shape (2, parameters)."""
-    rms_deg: float
-
-
-def _left_out(records: Sequence[Record], fitted: Solution) -> _LeftOut:
-    fold = np.concatenate([(np.floor(r.time_s[r.usable] / _FOLD_S).astype(int) + k) % 2 for k, r in enumerate(records)])
-    parts = [np.flatnonzero(fold == k) for k in (0, 1)]
-    changes = fitted.changes(parts)
-    left = fitted.error.copy()
-    for part, change in zip(parts, changes, strict=True):
-        left[part] += fitted.slopes[part] @ change
-    most = 6.0 * fitted.problem.noise.sigma
-    return _LeftOut(left, changes, float(np.sqrt(np.mean(np.clip(left, -most, most) ** 2))))
 
 
 def _unshrunk(theta: FloatArray, variance: FloatArray, wider: float, apart: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -52,8 +52,7 @@ def put_back(
     return subdivided(command_s, command_deg, pieces)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Commands:
+class Commands(NamedTuple):
     """Commands as they reach the servo: at each instant a value, from which the command runs on at a slope."""
 
     effective_s: FloatArray
@@ -82,13 +81,7 @@ def commands_at_servo(segment: Series, longest_gap_s: float) -> Commands:
 
 
 def new_memory() -> FloatArray:
-    """Memory of `unknown_deg`: place among the commands, time, variance per second, and what the lag holds.
-
-    Examples
-    --------
-    >>> new_memory().shape
-    (4,)
-    """
+    """Memory of `unknown_deg`: place among the commands, time, variance per second, and what the lag holds."""
     return np.array([0.0, np.nan, 0.0, 0.0])
 
 
@@ -185,8 +178,6 @@ class Record:
     """Longest time between two of them that is no hole."""
     is_lossy: bool = False
     """Whether they came over a link, which loses some."""
-    slope_deg_s: FloatArray | None = None
-    """How fast each command runs on; None: it holds until the next."""
 
     @classmethod
     def of(
@@ -242,10 +233,9 @@ class Record:
         return unknown_deg(self.arrived, self.beat, theta, self.time_s, new_memory(), self.longest_gap_s)
 
     @property
-    def commands(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Times, values, and how fast each runs on."""
-        slope_deg_s = np.zeros(self.command_s.size) if self.slope_deg_s is None else self.slope_deg_s
-        return self.command_s, self.command_deg, slope_deg_s
+    def commands(self) -> Commands:
+        """Commands that hold until the next."""
+        return Commands(self.command_s, self.command_deg, np.zeros(self.command_s.size))
 
 
 def joined(records: Sequence[Record]) -> Record:
@@ -265,7 +255,7 @@ def joined(records: Sequence[Record]) -> Record:
         later_s += float(np.ptp(edges_s)) + _APART_S
     names = ("command_s", "command_deg", "time_s", "measured_deg", "load", "power", "start_deg", "usable")
     whole: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in moved]) for name in names}
-    return replace(records[0], **whole, slope_deg_s=np.concatenate([each.commands[2] for each in moved]))
+    return replace(records[0], **whole)
 
 
 def straightened(command_s: FloatArray, command_deg: FloatArray, longest_gap_s: float) -> tuple[FloatArray, FloatArray]:
@@ -348,13 +338,7 @@ def loads(context: Context, time_s: FloatArray, usual_m_s: float | None = None) 
 
 
 def load_at(airspeed_m_s: float) -> float:
-    """Dynamic pressure over 300 Pa.
-
-    Examples
-    --------
-    >>> round(load_at(22.1), 2)
-    1.0
-    """
+    """Dynamic pressure over 300 Pa."""
     return 0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA
 
 

@@ -165,13 +165,9 @@ def _better(old: MotionFit, new: MotionFit) -> MotionFit:
 
 def _best_of(runs: Sequence[Run], starts: Sequence[ServoCandidate]) -> MotionFit:
     """Fit from the few most promising of many starts."""
-    scored = sorted(starts, key=lambda start: _score(runs, start))
+    scored = sorted(starts, key=lambda start: sum(float(error @ error) for error in evaluated(runs, start)[0]))
     rough = [fit_motion(runs, start, steps=_FEW) for start in scored[:_STARTS]]
     return fit_motion(runs, min(rough, key=lambda fit: fit.rms_deg).servo)
-
-
-def _score(runs: Sequence[Run], start: ServoCandidate) -> float:
-    return float(sum(error @ error for error in evaluated(runs, start)[0]))
 
 
 def _grid(order: int) -> list[LinearServo]:

@@ -110,20 +110,21 @@ def identify(
     progress("linear servo")
     _check_follows(free, tests)
     _check_drift(free, tests)
-    fit = free = _with_effects(tests, free, order)
+    everything = free if len(free.errors_deg) == len(tests.runs) else fit_motion(tests.runs, free.servo)
+    if not everything.is_white:
+        free = choose_nonlinear(tests.runs, everything, free.servo.linear if tests.small else None, order)
     progress("rate limits and dead band")
-    unity = with_unity_gain(tests.fitted(fit), fit)
+    unity = with_unity_gain(tests.fitted(free), free)
     if unity is not None:
-        fit = unity
         notes.append("dc gain does not differ from 1 within its interval, and is set to 1 (thesis Appendix A)")
-    final = fit.servo
+    final = (unity or free).servo
     if final.rate_up_deg_s is None:
         notes.append(_no_rate(tests.runs))
     parts, offsets = evaluated(tests.runs, final)
     choice = Choice(free, choice.further if free is choice.fit else None)
     intervals = intervals_of(choice, final)
     progress("intervals")
-    notes += notes_on_servo(choice, tests.fitted(free), intervals, tests.span_rad_s)
+    notes += notes_on_servo(choice, tests.fitted(free), intervals, tests.band_rad_s)
     result = Identification(
         surface=sets[0][0].surface,
         method="response" if tests.nominal is not None else "motion",
@@ -163,14 +164,20 @@ class _Tests:
         runs, labels = [], []
         for servo, (segments, name) in enumerate(zip(sets, names, strict=True)):
             for segment in segments:
-                if len(segments) == 1 or _is_usable(segment):
+                try:
                     check_segment(segment, name)
-                    runs.append(prepared(segment, servo))
-                    labels.append(name)
+                except IdentificationError:
+                    if len(segments) == 1:
+                        raise
+                    continue  # of a file with many runs some may hold no test, such as those without motion
+                runs.append(prepared(segment, servo))
+                labels.append(name)
         if not runs:
             raise IdentificationError(f"{names[0]}: no test long enough; a chirp or steps are needed")
         uniform = [longest_uniform(run) for run in runs]
-        _check_all(runs, uniform, labels)
+        moving = [k for k, u in enumerate(uniform) if np.ptp(u.command_deg) > 0.0]
+        _refuse_most([(uniform[k], labels[k]) for k in moving], check_order_of_columns)
+        _refuse_most([(runs[k], labels[k]) for k in moving if not is_stepwise(runs[k])], check_clipping)
         sweeps = [(run, u, response) for run, u in zip(runs, uniform, strict=True) if (response := _sweep(run, u))]
         responses = tuple(
             average([response for run, _, response in sweeps if run.servo == servo])
@@ -191,33 +198,13 @@ class _Tests:
         small = tuple(run for run, _, _ in sweeps)
         return cls(tuple(names), tuple(runs), small, responses, nominal, band, tuple(notes))
 
-    @property
-    def span_rad_s(self) -> float | None:
-        return self.band_rad_s[1] if self.band_rad_s else None
-
     def fitted(self, fit: MotionFit) -> tuple[Run, ...]:
         """The runs a fit rests on."""
         return self.runs if len(fit.errors_deg) == len(self.runs) else self.small
 
 
-def _is_usable(segment: Series) -> bool:
-    """False for runs of a file with many that hold no test, such as those without motion."""
-    try:
-        check_segment(segment, segment.surface)
-    except IdentificationError:
-        return False
-    return True
-
-
-def _check_all(runs: Sequence[Run], uniform: Sequence[Uniform], labels: Sequence[str]) -> None:
-    """Refuse what most runs refuse; among many runs a single one may be odd."""
-    moving = [k for k, u in enumerate(uniform) if np.ptp(u.command_deg) > 0.0]
-    smooth = [k for k in moving if not is_stepwise(runs[k])]
-    _refuse_most([(uniform[k], labels[k]) for k in moving], check_order_of_columns)
-    _refuse_most([(runs[k], labels[k]) for k in smooth], check_clipping)
-
-
 def _refuse_most(tests: Sequence[tuple[_T, str]], check: Callable[[_T, str], None]) -> None:
+    """Refuse what most runs refuse; among many runs a single one may be odd."""
     refusals = []
     for test, label in tests:
         try:
@@ -286,14 +273,6 @@ def _check_explained(result: Identification, tests: _Tests) -> None:
 
 def _deviation_deg(runs: Sequence[Run]) -> float:
     return float(np.std(np.concatenate([run.measured_deg - run.measured_deg.mean() for run in runs])))
-
-
-def _with_effects(tests: _Tests, linear: MotionFit, order: int | None) -> MotionFit:
-    """Rate limits and a dead band, if the errors of the linear servo ask for them."""
-    everything = linear if len(linear.errors_deg) == len(tests.runs) else fit_motion(tests.runs, linear.servo)
-    if everything.is_white:
-        return linear
-    return choose_nonlinear(tests.runs, everything, linear.servo.linear if tests.small else None, order)
 
 
 def _no_rate(runs: Sequence[Run]) -> str:

@@ -89,9 +89,11 @@ class LinearServo:
 
     def sampled_response(self, frequency_rad_s: FloatArray, sample_time_s: float) -> ComplexArray:
         """Exact response of sampled position to sampled, held command (modified z-transform)."""
-        poles = self._distinct_poles()
-        transfer = self.transfer
-        residues = transfer.numerator[0] / np.array([np.prod(p - poles[poles != p]) for p in poles])
+        poles = self.poles_rad_s.copy()
+        for k in range(1, poles.size):  # those that coincide are moved apart: the response changes by a millionth
+            if np.min(np.abs(poles[:k] - poles[k])) < 1e-3 * abs(poles[k]):
+                poles[k] *= 1.0 + 1e-3 * k
+        residues = self.transfer.numerator[0] / np.array([np.prod(p - poles[poles != p]) for p in poles])
         whole = np.floor(max(self.delay_s, 0.0) / sample_time_s)
         rest_s = self.delay_s - whole * sample_time_s
         z = np.exp(1j * frequency_rad_s * sample_time_s)[:, np.newaxis]
@@ -99,14 +101,6 @@ class LinearServo:
         parts = residues / poles * ((late - 1.0) + (full - late) / z) / (z - full)
         response: ComplexArray = parts.sum(axis=1) * z[:, 0] ** -whole
         return response
-
-    def _distinct_poles(self) -> ComplexArray:
-        """Poles moved apart by a thousandth where they coincide; the response changes by a millionth."""
-        poles = self.poles_rad_s.copy()
-        for k in range(1, poles.size):
-            if np.min(np.abs(poles[:k] - poles[k])) < 1e-3 * abs(poles[k]):
-                poles[k] *= 1.0 + 1e-3 * k
-        return poles
 
 
 _OUT_OF_REACH_DEG = 1e4
@@ -252,7 +246,7 @@ def fit_motion(runs: Sequence[Run], start: ServoCandidate, *, steps: int = 60) -
     def errors(x: FloatArray) -> FloatArray:
         return np.concatenate(evaluated(runs, start.with_vector(x))[0])
 
-    problem = Problem.free(errors, (lower, upper), Noise(), _KINKED_STEP if kinked else _SMOOTH_STEP)
+    problem = Problem(lower, upper, errors, Noise(), step=_KINKED_STEP if kinked else _SMOOTH_STEP)
     found = fit(problem, np.clip(start.vector(), lower + 1e-3, upper - 1e-3), steps=steps)
     parts, offsets_deg = evaluated(runs, start.with_vector(found.x))
     return MotionFit(start.with_vector(found.x), offsets_deg, parts, found)
@@ -281,12 +275,12 @@ def evaluated(runs: Sequence[Run], servo: ServoCandidate) -> tuple[tuple[FloatAr
     except DesignError:
         errors = [np.full(run.measured_deg.size, _OUT_OF_REACH_DEG) for run in runs]
         return tuple(errors), np.zeros(max(run.servo for run in runs) + 1)
-    offsets = np.array(
-        [
-            np.concatenate([e for e, run in zip(errors, runs, strict=True) if run.servo == servo_]).mean()
-            for servo_ in range(max(run.servo for run in runs) + 1)
-        ]
-    )
+    of_servo: dict[int, list[FloatArray]] = {}
+    for error, run in zip(errors, runs, strict=True):
+        of_servo.setdefault(run.servo, []).append(error)
+    offsets = np.zeros(max(of_servo) + 1)
+    for servo_, those in of_servo.items():
+        offsets[servo_] = np.concatenate(those).mean()
     return tuple(e - offsets[run.servo] for e, run in zip(errors, runs, strict=True)), offsets
 
 

@@ -82,13 +82,6 @@ def longest_uniform(run: Run) -> Uniform:
     """Longest stretch without a gap, on uniform stamps at the pace of the commands or the measurements.
 
     Positions between two stamps are interpolated, commands held, if the stamps are not uniform already.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.series import Series
-    >>> t = np.arange(100) / 50.0
-    >>> longest_uniform(prepared(Series("x", t, np.sin(t), t, np.sin(t)))).resampled
-    False
     """
     steps_s = np.diff(run.measured_s)
     period_s = float(np.median(steps_s))

@@ -74,8 +74,8 @@ def estimate(command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: f
     window = 0.5 * (1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / reach))
     u, y = command_deg - command_deg.mean(), measured_deg - measured_deg.mean()
     size = 2 * max(_FREQUENCIES, 1 << int(np.ceil(np.log2(2 * reach + 1))))
-    spectra = [_spectrum(window * _covariance(a, b, reach), reach, size) for a, b in ((y, u), (u, u), (y, y))]
-    cross, command, position = spectra[0], *(np.maximum(s.real, _LEAST_POWER) for s in spectra[1:])
+    cross, *powers = (_spectrum(a, b, window, size) for a, b in ((y, u), (u, u), (y, y)))
+    command, position = (np.maximum(power.real, _LEAST_POWER) for power in powers)
     frequency_rad_s: FloatArray = np.arange(size // 2 + 1, dtype=float) * (2.0 * np.pi / (size * sample_time_s))
     coherence = np.minimum(np.abs(cross) ** 2 / (command * position), 1.0)
     inner = slice(1, -1)
@@ -85,13 +85,7 @@ def estimate(command_deg: FloatArray, measured_deg: FloatArray, sample_time_s: f
 
 
 def raw_response(command_deg: FloatArray, measured_deg: FloatArray) -> ComplexArray:
-    """Ratio of the plain Fourier transforms, the thesis' "raw" response, shape (n // 2 + 1,); NaN where unexcited.
-
-    Examples
-    --------
-    >>> bool(np.allclose(raw_response(np.array([2.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])), 0.5))
-    True
-    """
+    """Ratio of the plain Fourier transforms, the thesis' "raw" response, shape (n // 2 + 1,); NaN where unexcited."""
     command, measured = np.fft.rfft(command_deg), np.fft.rfft(measured_deg)
     excited = np.abs(command) > 1e-12 * np.abs(command).max()
     ratio: ComplexArray = np.full(command.size, np.nan, dtype=complex)
@@ -116,20 +110,15 @@ def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     )
 
 
-def _covariance(a: FloatArray, b: FloatArray, reach: int) -> FloatArray:
-    """Biased covariance of a(t + k) and b(t) for k from -reach to reach."""
+def _spectrum(a: FloatArray, b: FloatArray, window: FloatArray, size: int) -> ComplexArray:
+    """Fourier transform of the biased covariance of a(t + k) and b(t), windowed over k, lag zero in the middle."""
     from scipy.fft import irfft, next_fast_len, rfft
 
-    size = next_fast_len(a.size + reach, real=True)
-    circular = irfft(rfft(a, size) * np.conj(rfft(b, size)), size)
-    covariance: FloatArray = np.concatenate([circular[-reach:], circular[: reach + 1]]) / a.size
-    return covariance
-
-
-def _spectrum(covariance: FloatArray, reach: int, size: int) -> ComplexArray:
-    """Fourier transform of a windowed covariance, lag zero in the middle."""
+    reach = window.size // 2
+    padded = next_fast_len(a.size + reach, real=True)
+    circular = irfft(rfft(a, padded) * np.conj(rfft(b, padded)), padded) / a.size
     folded = np.zeros(size)
-    folded[: reach + 1], folded[-reach:] = covariance[reach:], covariance[:reach]
+    folded[: reach + 1], folded[-reach:] = window[reach:] * circular[: reach + 1], window[:reach] * circular[-reach:]
     spectrum: ComplexArray = np.fft.rfft(folded)
     return spectrum
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -26,7 +24,6 @@ _UNIDENTIFIABLE = 1.0
 """Standard deviation of the logarithm of a pole: a factor of e either way is no knowledge."""
 _OTHER_BANDWIDTH, _OTHER_LAG_S = 1.4, 0.02
 """Servos of one kind differ by 10 % in bandwidth and 3 ms in delay; these are of different kinds."""
-_FAR = 1.0
 _KNOWN_SHARE, _KNOWN_LAG_S = 0.1, 1e-3
 """Width of the interval of a lag that may be called known, of the lag or in seconds."""
 _NO_DELAY_S = 2e-6
@@ -52,9 +49,9 @@ def intervals_of(choice: Choice, servo: ServoCandidate) -> dict[str, Estimate]:
         "lag_s": lambda s: s.linear.lag_s,
     }
     for k, pole in enumerate(servo.linear.poles_rad_s):
-        quantities[f"pole_{k}_real_rad_s"] = partial(_pole_part, index=k, part="real")
+        quantities[f"pole_{k}_real_rad_s"] = _of_pole(k, lambda p: p.real)
         if pole.imag != 0.0:
-            quantities[f"pole_{k}_imag_rad_s"] = partial(_pole_part, index=k, part="imag")
+            quantities[f"pole_{k}_imag_rad_s"] = _of_pole(k, lambda p: p.imag)
     if fit.servo.rate_up_deg_s is not None:
         quantities["rate_up_deg_s"] = lambda s: s.rate_up_deg_s or 0.0
         quantities["rate_down_deg_s"] = lambda s: s.rate_down_deg_s or 0.0
@@ -75,12 +72,8 @@ def intervals_of(choice: Choice, servo: ServoCandidate) -> dict[str, Estimate]:
     return found
 
 
-def _pole_part(servo: ServoCandidate, index: int, part: Literal["real", "imag"]) -> float:
-    return float(getattr(servo.linear.poles_rad_s[index], part))
-
-
-def _log_of_pole(servo: ServoCandidate, index: int) -> float:
-    return float(np.log(abs(servo.linear.poles_rad_s[index].real)))
+def _of_pole(index: int, part: Callable[[complex], float]) -> Callable[[ServoCandidate], float]:
+    return lambda servo: part(complex(servo.linear.poles_rad_s[index]))
 
 
 def _bounded(interval: Estimate, value: float, *, positive: bool) -> Estimate:
@@ -90,7 +83,7 @@ def _bounded(interval: Estimate, value: float, *, positive: bool) -> Estimate:
 
 
 def notes_on_servo(
-    choice: Choice, runs: Sequence[Run], intervals: dict[str, Estimate], highest_rad_s: float | None
+    choice: Choice, runs: Sequence[Run], intervals: dict[str, Estimate], band_rad_s: tuple[float, float] | None
 ) -> list[str]:
     """What must be said about the numbers."""
     notes, linear = [], choice.fit.servo.linear
@@ -99,12 +92,11 @@ def notes_on_servo(
             f"errors are correlated (von Neumann ratio {choice.fit.whiteness:.2f}, noise has 2): something that the "
             "servo or its sensor does is not in the model; intervals are widened for it, and the truth may lie beyond"
         )
-    poles = linear.poles_rad_s
-    vague = [
-        f"{abs(pole.real):.4g}"
-        for k, pole in enumerate(poles)
-        if pole.imag == 0.0 and choice.fit.interval(partial(_log_of_pole, index=k)).deviation > _UNIDENTIFIABLE
-    ]
+    vague = []
+    for k in np.flatnonzero(linear.poles_rad_s.imag == 0.0).tolist():
+        interval = choice.fit.interval(_of_pole(k, lambda p: float(np.log(abs(p.real)))))
+        if interval.deviation > _UNIDENTIFIABLE:
+            vague.append(f"{abs(linear.poles_rad_s[k].real):.4g}")
     lag = intervals.get("lag_s")
     known = lag is not None and lag.high - lag.low <= max(_KNOWN_SHARE * linear.lag_s, _KNOWN_LAG_S)
     total = f"total lag {MS_PER_S * linear.lag_s:.2f} ms is {'well known' if known else 'not well known either'}"
@@ -114,9 +106,9 @@ def notes_on_servo(
         which = "far pole" if linear.order == 1 else f"a pole beyond these {linear.order}, if there is one, is"
         notes.append(f"{which} not identifiable, merged into delay; {total}")
     bandwidth = linear.transfer.bandwidth_rad_s
-    if highest_rad_s is not None and bandwidth > _FAR * highest_rad_s:
-        notes.append(f"bandwidth {bandwidth:.4g} rad/s lies beyond the tested {highest_rad_s:.4g} rad/s: extrapolated")
-    if highest_rad_s is None and choice.fit.servo.rate_up_deg_s is not None:
+    if band_rad_s is not None and bandwidth > band_rad_s[1]:
+        notes.append(f"bandwidth {bandwidth:.4g} rad/s lies beyond the tested {band_rad_s[1]:.4g} rad/s: extrapolated")
+    if band_rad_s is None and choice.fit.servo.rate_up_deg_s is not None:
         notes.append(
             "poles and delay rest on motion at the rate limit alone: a chirp of small amplitude shows them better"
         )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -17,13 +16,13 @@ import numpy as np
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.aircraft.series import Series
 from servofd.core.errors import NoMeasurement
-from servofd.core.fitting import Noise, Problem, Solution, fit
+from servofd.core.fitting import Noise, Problem, fit
 from servofd.core.statistics import Estimate, correlation_factor
 from servofd.core.types import FloatArray
 from servofd.detection.moving import Watched
 from servofd.detection.residual import noise_deg
 from servofd.detection.seen import Seen, healthy_of
-from servofd.estimate.fit import reading, residual
+from servofd.estimate.fit import WIDTHS, bandwidth, reading, residual
 from servofd.estimate.record import usual_supply_v
 
 if TYPE_CHECKING:
@@ -76,28 +75,6 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
 """By name, in the order in which they are shown."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlightEstimate:
-    """One servo in one flight."""
-
-    path: str
-    run: str
-    surface: str
-    start_utc: datetime | None
-    duration_s: float
-    values: Mapping[str, Estimate]
-    """Of `QUANTITIES`, with 95 % intervals; what the flight does not show is left out."""
-    missing: Mapping[str, str]
-    """Why, for those that are left out."""
-    alarm: str = ""
-    """What was found at fault in this flight; empty if nothing."""
-
-    @property
-    def name(self) -> str:
-        """Path, and the run where there are several."""
-        return f"{self.path} (run {self.run})" if self.run else self.path
-
-
 _MOST_SAMPLES = 12_000
 """Four minutes at 50 Hz tell the width to 0.01 deg, which is less than it varies from flight to flight."""
 _ORDINARY, _CLOSE = 3.0, 0.1
@@ -114,21 +91,19 @@ _LEAST_SAMPLES = 300
 _SURE_SHARE, _BLOCKS = 0.999, 10
 """Quantile of the residual over its threshold that is the margin, and the blocks that give its uncertainty."""
 _NOT_SHOWN = "its motion shows no more of it than is known of any servo"
-_WIDTHS = {"deadband_deg": 1.0, "play_deg": 1.0, "friction_deg": 2.0}
-"""How much of a change of direction each takes, in times its size."""
 _RESTING = {"deadband_deg": "deadband_deg", "play_deg": "backlash_deg", "friction_deg": "friction_deg"}
 """The same of a model."""
 
 
 class ServoEstimate(NamedTuple):
-    """What a flight tells of a servo, with 95 % intervals."""
+    """What a flight tells of a servo, or of an axis."""
 
-    values: dict[str, Estimate]
-    """Of `QUANTITIES`."""
-    missing: dict[str, str]
-    """Why others are not among them."""
+    values: Mapping[str, Estimate]
+    """Of `QUANTITIES`, with 95 % intervals; what the flight does not show is left out."""
+    missing: Mapping[str, str]
+    """Why, for those that are left out."""
     alarm: str = ""
-    """What was found at fault; empty if nothing."""
+    """What was found at fault in this flight; empty if nothing."""
 
 
 def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> ServoEstimate:
@@ -153,15 +128,15 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
     usual: dict[str, float] = {}
     if seen.flight.own is not None:
         usual = {name: float(getattr(model.physics, field)) for name, field in _RESTING.items()}
-    width_deg = sum(_WIDTHS[name] * size for name, size in usual.items()) if usual else None
+    width_deg = sum(WIDTHS[name] * size for name, size in usual.items()) if usual else None
     own = {
-        "dead_band_deg": found.shown(_WIDTHS, width_deg),
+        "dead_band_deg": found.shown(WIDTHS, width_deg),
         "play_deg": found.shown({"play_deg": 1.0}, usual.get("play_deg")),
         "friction_deg": found.shown({"friction_deg": 1.0}, usual.get("friction_deg")),
         "bias_deg": found.shown({"bias_deg": 1.0}),
         "gain": found.shown({"gain": 1.0}, 1.0),
         "delay_s": found.shown({"delay_s": 1.0}, model.delay_s),
-        "bandwidth_hz": found.shown(_bandwidth(found.known), np.log(model.transfer.bandwidth_rad_s / (2.0 * np.pi))),
+        "bandwidth_hz": found.shown(bandwidth(found.known)[1], np.log(model.transfer.bandwidth_rad_s / (2.0 * np.pi))),
         "rate_limit_deg_s": found.shown({"ln_rate": 1.0}),
     }
     for name, estimate in own.items():
@@ -188,12 +163,6 @@ def _quantile(values: FloatArray, share: float) -> Estimate:
     """Quantile; its deviation comes from those of ten parts of the flight."""
     parts = [float(np.quantile(part, share)) for part in np.array_split(values, _BLOCKS)]
     return Estimate.of(float(np.quantile(values, share)), float(np.std(parts, ddof=1)) / np.sqrt(_BLOCKS))
-
-
-def _bandwidth(theta: FloatArray) -> dict[str, float]:
-    """Slopes of the logarithm of the -3 dB bandwidth of two poles over those of their frequency and damping."""
-    damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[NAMES.index("ln_damping")]))
-    return {"ln_bandwidth": 1.0, "ln_damping": (damped - 1.0) / float(np.hypot(damped, 1.0))}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,9 +193,11 @@ class _Servo:
         low, high = (np.array([getattr(prior, end) for prior in PRIORS]) for end in ("low", "high"))
         white = Noise(huber=_ORDINARY, sigma=flight.noise_deg[rows][used])
         steps = np.array([prior.step for prior in PRIORS])
-        problem = Problem(low, high, 1.0 / before, known.theta, error_deg, white, steps)
+        problem = Problem(low, high, error_deg, white, 1.0 / before, known.theta, steps)
         found = fit(problem, known.theta, close=_CLOSE)
-        found = fit(_with_memory(found, record.period_s), found.x, close=_CLOSE)
+        # Samples count as few as what was left of them is correlated.
+        kappa = correlation_factor([found.error], max(1, round(_MEMORY_S / record.period_s)))
+        found = fit(replace(problem, noise=replace(white, kappa=np.array([kappa]))), found.x, close=_CLOSE)
         covariance = found.covariance(count=_PARTS, lasting=_LASTING, least=_LEAST)
         # The disagreement of parts makes no number less known than before, and what changes nothing is no number.
         share = np.minimum(1.0, before / np.sqrt(np.diag(covariance))) * found.slopes.any(axis=0)
@@ -244,13 +215,6 @@ class _Servo:
             return None
         start = float(slope @ self.known) if usual is None else usual
         return Estimate.of(start + float(slope @ (self.x - self.known)), deviation)
-
-
-def _with_memory(found: Solution, period_s: float) -> Problem:
-    """The same problem, with samples that count as few as what was left of them is correlated."""
-    kappa = correlation_factor([found.error], max(1, round(_MEMORY_S / period_s)))
-    noise = replace(found.problem.noise, kappa=np.array([kappa]))
-    return replace(found.problem, noise=noise)
 
 
 def _rows(flight: Watched) -> slice:

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA, Estimate
 from servofd.core.types import FloatArray
-from servofd.wear.estimate import QUANTITIES, FlightEstimate
+from servofd.wear.estimate import QUANTITIES, ServoEstimate
 
 CHANCE = 1e-6
 """Of a change where there is none: six surfaces with nine numbers, in a hundred fleets, are 5400 chances for one."""
@@ -35,15 +35,13 @@ class Line:
     """A line through the flights of one piece.
 
     `centre`: flight number at which the line has its intercept. `level`, `slope`: at the centre, and per flight.
-    `covariance` (shape (2, 2)): of level and slope. `scatter`: standard deviation from flight to flight, beyond what
-    each flight's own interval explains. `freedom`: number of flights less two.
+    `covariance` (shape (2, 2)): of level and slope. `freedom`: number of flights less two.
     """
 
     centre: float
     level: float
     slope: float
     covariance: FloatArray
-    scatter: float
     freedom: int
 
     def at(self, number: float) -> Estimate:
@@ -119,17 +117,14 @@ def fit_line(number: FloatArray, value: FloatArray, deviation: FloatArray) -> Li
     slope = float(theilslopes(value, x)[0])
     level = float(np.median(value - slope * x))
     freedom = number.size - 2
-    scatter, weight = 0.0, np.ones(x.size)
-    covariance = np.zeros((2, 2))
+    design, covariance = np.column_stack([np.ones(x.size), x]), np.zeros((2, 2))
     for _ in range(_ROUNDS):
         error = value - level - slope * x
-        scatter = _scatter(error, deviation, freedom)
-        sigma = np.sqrt(deviation**2 + scatter**2 + _SMALLEST**2)
+        sigma = np.sqrt(deviation**2 + _scatter(error, deviation, freedom) ** 2 + _SMALLEST**2)
         weight = np.minimum(1.0, _CLIPPED / np.maximum(np.abs(error) / sigma, _SMALLEST)) / sigma**2
-        design = np.column_stack([np.ones(x.size), x])
         covariance = np.linalg.inv(design.T @ (weight[:, None] * design))
         level, slope = (float(v) for v in covariance @ (design.T @ (weight * value)))
-    return Line(centre, level, slope, covariance, scatter, freedom)
+    return Line(centre, level, slope, covariance, freedom)
 
 
 def _scatter(error: FloatArray, deviation: FloatArray, freedom: int) -> float:
@@ -146,18 +141,17 @@ def _scatter(error: FloatArray, deviation: FloatArray, freedom: int) -> float:
     return float(brentq(excess, 0.0, most, xtol=1e-3 * most))
 
 
-def pieces(number: FloatArray, value: FloatArray, deviation: FloatArray) -> tuple[Piece, ...]:
+def pieces(whole: Piece) -> tuple[Piece, ...]:
     """Cut flights where one line does not do, and two lines do: a jump, or another slope.
 
     A cut must be less likely by chance than `CHANCE`, by the F test of two lines against one with clipped squares,
     times the number of places where it could be; then both parts are cut in the same way.
     """
-    whole = Piece(number, value, deviation)
     cut = _best_cut(whole)
     if cut is None:
         return (whole,)
-    sides = slice(0, cut), slice(cut, None)
-    return tuple(piece for side in sides for piece in pieces(number[side], value[side], deviation[side]))
+    sides = whole.between(-np.inf, whole.number[cut]), whole.between(whole.number[cut], np.inf)
+    return tuple(piece for side in sides if side for piece in pieces(side))
 
 
 def _best_cut(whole: Piece) -> int | None:
@@ -216,8 +210,7 @@ _SAME_EVENT = 1
 _NUMBERS_OF_ANOTHER_SERVO = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Jump:
+class Jump(NamedTuple):
     """One number before and after."""
 
     before: float
@@ -242,9 +235,8 @@ def find_events(series: Mapping[str, Piece], telling: Mapping[str, float]) -> tu
     found: list[tuple[int, str, Jump]] = []
     for name in _OF_THE_SERVO:
         if name in series:
-            one = series[name]
-            cut = pieces(one.number, one.value, one.deviation)
-            found += [(b.first, name, jump) for a, b in itertools.pairwise(cut) if (jump := _jump(a, b, telling[name]))]
+            cut = itertools.pairwise(pieces(series[name]))
+            found += [(b.first, name, jump) for a, b in cut if (jump := _jump(a, b, telling[name]))]
     groups: list[list[tuple[int, str, Jump]]] = []
     for one_cut in sorted(found, key=lambda cut: cut[0]):
         if groups and one_cut[0] - groups[-1][-1][0] <= _SAME_EVENT:
@@ -423,9 +415,11 @@ class SurfaceTrend:
         return tuple(one for one in self.quantities.values() if one.forecast.is_alarm)
 
 
-def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: Wear) -> SurfaceTrend:
-    """Follow one surface."""
-    known, notes = _known_swaps(flights, wear)
+def follow(
+    surface: str, flights: Mapping[int, ServoEstimate], days: Mapping[int, date | None], wear: Wear
+) -> SurfaceTrend:
+    """Follow one surface over flights, by their numbers, that were flown on some days."""
+    known, notes = _known_swaps(days, wear)
     series = {name: one for name in QUANTITIES if (one := _series(name, flights)) is not None}
     bounds = [number for number, _ in known]
     events: list[Event] = []
@@ -434,7 +428,7 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
         events += find_events(parts, wear.telling)
     bounds = sorted({*bounds, *(event.first for event in events if event.kind == "swap")})
     quantities = {name: _quantity(name, one, bounds, wear.limits.get(name)) for name, one in series.items()}
-    last = flights[-1][1]
+    last = flights[max(flights)]
     told_by = {QUANTITIES[name].of for name in (*series, *last.missing)}
     missing = {
         name: last.missing.get(name, "not in these flights")
@@ -445,18 +439,16 @@ def follow(surface: str, flights: Sequence[tuple[int, FlightEstimate]], wear: We
     return SurfaceTrend(surface, serials, quantities, tuple(events), missing, notes)
 
 
-def _known_swaps(
-    flights: Sequence[tuple[int, FlightEstimate]], wear: Wear
-) -> tuple[tuple[tuple[int, str], ...], tuple[str, ...]]:
+def _known_swaps(days: Mapping[int, date | None], wear: Wear) -> tuple[tuple[tuple[int, str], ...], tuple[str, ...]]:
     """First flight of each new servo and its serial number, by the dates in the aircraft file."""
     if not wear.swaps:
         return (), ()
-    if any(flight.start_utc is None for _, flight in flights):
+    if None in days.values():
         return (), ("the swaps of the aircraft file are not used: not every log holds the date of its flight",)
     after = [*(removed for _, removed in wear.swaps[1:]), wear.serial]
     found = []
     for (day, _), serial in zip(wear.swaps, after, strict=True):
-        later = [number for number, flight in flights if flight.start_utc and flight.start_utc.date() >= day]
+        later = [number for number, flown in days.items() if flown and flown >= day]
         if later:
             found.append((later[0], serial))
     return tuple(found), ()
@@ -475,15 +467,15 @@ def _spans(bounds: Sequence[int]) -> list[tuple[float, float]]:
     return list(itertools.pairwise([-np.inf, *bounds, np.inf]))
 
 
-def _series(name: str, flights: Sequence[tuple[int, FlightEstimate]]) -> Piece | None:
-    known = [(number, flight.values[name]) for number, flight in flights if name in flight.values]
+def _series(name: str, flights: Mapping[int, ServoEstimate]) -> Piece | None:
+    known = [(number, flight.values[name]) for number, flight in flights.items() if name in flight.values]
     rows = [(number, each.value, each.deviation) for number, each in known if np.all(np.isfinite(each))]
     return Piece(*np.array(rows, dtype=float).T) if rows else None
 
 
 def _quantity(name: str, whole: Piece, bounds: Sequence[int], limit: float | None) -> QuantityTrend:
     parts = [part for from_, to in _spans(bounds) if (part := whole.between(from_, to))]
-    cut = tuple(piece for part in parts for piece in pieces(part.number, part.value, part.deviation))
+    cut = tuple(piece for part in parts for piece in pieces(part))
     last = cut[-1]
     has_line = last.number.size >= FEWEST_FLIGHTS
     now = last.line.at(last.last) if has_line else _last_estimate(last)

@@ -31,7 +31,7 @@ from servofd.current.wear import followed_limits, quantities_of
 from servofd.detection.audit import audit_segment
 from servofd.detection.kinds import STANDS_STILL
 from servofd.feedback.flown import layout_of, logs_of, surfaces_of
-from servofd.wear.estimate import QUANTITIES, FlightEstimate, ServoEstimate, estimate_flight
+from servofd.wear.estimate import QUANTITIES, ServoEstimate, estimate_flight
 from servofd.wear.series import FEWEST_FOR_LINE, Piece, QuantityTrend, SurfaceTrend, Wear, follow
 
 _SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV")
@@ -46,7 +46,8 @@ class FlownLog:
     start_utc: datetime | None
     identity: str
     """What the log says of the vehicle it comes from; empty if nothing."""
-    flights: tuple[FlightEstimate, ...]
+    flights: Mapping[str, ServoEstimate]
+    """By surface, or axis."""
     problems: tuple[str, ...]
     """Why it tells nothing of some surfaces, a line each."""
 
@@ -66,11 +67,11 @@ def estimate_log(source: LogSource, aircraft: Aircraft, surfaces: tuple[str, ...
         with fetched(source.path) as local:
             return tuple(_of_run(log, source.path, aircraft, surfaces) for log in logs_of(local, aircraft))
     except (LogError, ServofdError, OSError) as error:
-        return (FlownLog(source.path, "", None, "", (), (str(error).removeprefix(f"{source.path}: "),)),)
+        return (FlownLog(source.path, "", None, "", {}, (str(error).removeprefix(f"{source.path}: "),)),)
 
 
 def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, ...]) -> FlownLog:
-    flights, problems = [], []
+    flights, problems = {}, []
     if aircraft.surfaces:
         aircraft = surfaces_of(log, aircraft)
     bus = bus_of(log, aircraft)
@@ -90,15 +91,14 @@ def _of_run(log: FlightLog, path: str, aircraft: Aircraft, surfaces: tuple[str, 
                 missing |= found.missing
                 alarms += [found.alarm] * bool(found.alarm)
         if values or missing:
-            shown = values, missing, "; ".join(alarms)
-            flights.append(FlightEstimate(path, log.run, name, log.start_utc, log.duration_s, *shown))
+            flights[name] = ServoEstimate(values, missing, "; ".join(alarms))
         problems += reasons if not values else []
     if aircraft.motion is not None and not surfaces:
         try:
-            flights += _axes(log, path, aircraft.motion)
+            flights |= _axes(log, aircraft.motion)
         except NoMeasurement as error:
             problems.append(f"axes: {error}")
-    return FlownLog(path, log.run, log.start_utc, _identity(log), tuple(flights), tuple(problems))
+    return FlownLog(path, log.run, log.start_utc, _identity(log), flights, tuple(problems))
 
 
 def _by_position(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks]) -> ServoEstimate | None:
@@ -123,12 +123,12 @@ def _by_current(log: FlightLog, name: str, aircraft: Aircraft) -> ServoEstimate 
     return ServoEstimate(quantities_of(seen), {}, verdict.reason if verdict.faults else "")
 
 
-def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate]:
+def _axes(log: FlightLog, motion: MotionModel) -> dict[str, ServoEstimate]:
     """What the motion of a flight tells of each axis: the effect that was left, and where it stood."""
     from servofd.axes.judge import judge_motion
     from servofd.axes.read import motion_of
 
-    found = []
+    found = {}
     for audit in judge_motion(motion, motion_of(log, motion.rate_hz, motion.parameters)):
         if audit.axis not in SURFACE_AXES:
             continue
@@ -137,12 +137,10 @@ def _axes(log: FlightLog, path: str, motion: MotionModel) -> list[FlightEstimate
             if between is None or not audit.is_expected:
                 missing[name] = audit.reason
                 continue
-            sigma = between.deviation
-            values[name] = Estimate.of(1.0 - between.value if name == "effect" else between.value, sigma)
+            value = 1.0 - between.value if name == "effect" else between.value
+            values[name] = Estimate.of(value, between.deviation)
         alarm = audit.reason if audit.status in ("suspect", "fault") else ""
-        found.append(
-            FlightEstimate(path, log.run, audit.axis, log.start_utc, log.duration_s, values, missing, alarm=alarm)
-        )
+        found[audit.axis] = ServoEstimate(values, missing, alarm)
     return found
 
 
@@ -177,7 +175,7 @@ def _natural(log: FlownLog) -> list[list[tuple[int, str]]]:
 
     Examples
     --------
-    >>> cycles = [FlownLog("a.csv", run, None, "", (), ()) for run in ("10", "2", "1")]
+    >>> cycles = [FlownLog("a.csv", run, None, "", {}, ()) for run in ("10", "2", "1")]
     >>> [log.run for log in sorted(cycles, key=_natural)]
     ['1', '2', '10']
     """
@@ -205,17 +203,13 @@ class AircraftTrend:
         return any(surface.alarms for surface in self.surfaces)
 
 
-def _no_progress(_count: int) -> AbstractContextManager[Callable[[], None]]:
-    return nullcontext(lambda: None)
-
-
 def trend_logs(
     logs: str | Path | Sequence[str | Path],
     aircraft: Aircraft | str | Path,
     *,
     surfaces: tuple[str, ...] = (),
     workers: int | None = None,
-    progress: Callable[[int], AbstractContextManager[Callable[[], None]]] = _no_progress,
+    progress: Callable[[int], AbstractContextManager[Callable[[], None]]] = lambda _count: nullcontext(lambda: None),
 ) -> AircraftTrend:
     """Follow the servos of one aircraft over many flights.
 
@@ -274,17 +268,12 @@ def trend_of(
     followed = [(name, _wear(aircraft, name)) for name in aircraft.surfaces]
     surfaces = []
     for name, wear in [*followed, *((axis, Wear(AXIS_LIMITS, {})) for axis in axes)]:
-        flights = [(number, flight) for number, log in numbered for flight in log.flights if flight.surface == name]
+        flights = {number: log.flights[name] for number, log in numbered if name in log.flights}
         if flights:
-            surfaces.append(follow(name, flights, wear))
+            days = {number: log.start_utc and log.start_utc.date() for number, log in numbered if number in flights}
+            surfaces.append(follow(name, flights, days, wear))
     not_judged = (*problems, *(log.path for log in logs if not log.flights))
     return AircraftTrend(aircraft.name, order, tuple(surfaces), tuple(reasons), not_judged, skipped)
-
-
-def _wear(aircraft: Aircraft, name: str) -> Wear:
-    entry = aircraft.surfaces[name]
-    swaps = tuple((swap.date, swap.removed) for swap in entry.swaps)
-    return Wear(limits_of(aircraft, name), telling_steps(aircraft, name), entry.serial, swaps)
 
 
 _TOLERANCES = 3.0
@@ -299,52 +288,41 @@ AXIS_LIMITS = {"effect": 0.75, "offset_us": 60.0}
 """Of an axis: a quarter of its effect is gone, or an eighth of the usual travel goes into its trim."""
 
 
-def limits_of(aircraft: Aircraft, surface: str) -> dict[str, float]:
-    """Limit of each quantity of `servofd.wear.estimate.QUANTITIES` that has one."""
-    entry = aircraft.surfaces[surface]
+def _wear(aircraft: Aircraft, name: str) -> Wear:
+    """What a surface may come to, and the smallest sudden change of it that is reported."""
+    entry = aircraft.surfaces[name]
     drawn = {} if entry.healthy_current is None else followed_limits(entry.healthy_current)
     given = entry.limits.model_dump(exclude_none=True)
+    swaps = tuple((swap.date, swap.removed) for swap in entry.swaps)
     if not entry.names_servo:
-        return drawn | given
-    tolerance, servo = entry.tolerances, aircraft.servo(surface)
+        return Wear(drawn | given, {}, entry.serial, swaps)
+    tolerance, servo = entry.tolerances, aircraft.servo(name)
+    bandwidth_hz, rate_deg_s = servo.transfer.bandwidth_rad_s / (2.0 * np.pi), servo.rate_limit_deg_s or np.inf
     derived = {
         "bias_deg": entry.threshold_deg,
         "delay_s": servo.transport_delay_s + _DELAYS * tolerance.delay_s,
-        "bandwidth_hz": servo.transfer.bandwidth_rad_s / (2.0 * np.pi) * (1.0 - _TOLERANCES * tolerance.bandwidth),
+        "bandwidth_hz": bandwidth_hz * (1.0 - _TOLERANCES * tolerance.bandwidth),
         "noise_deg": _TOLERANCES * tolerance.noise_deg,
         "residual_p95_deg": entry.threshold_deg,
     }
     if servo.rate_limit_deg_s is not None:
-        derived["rate_limit_deg_s"] = servo.rate_limit_deg_s * (1.0 - _TOLERANCES * tolerance.rate)
-    return {name: float(value) for name, value in (drawn | derived | given).items() if value > 0.0 or name == "margin"}
-
-
-def telling_steps(aircraft: Aircraft, surface: str) -> dict[str, float]:
-    """Smallest sudden change that is reported, of each quantity that a position tells."""
-    if not aircraft.surfaces[surface].names_servo:
-        return {}
-    entry, servo = aircraft.surfaces[surface], aircraft.servo(surface)
-    tolerance = entry.tolerances
-    rate_deg_s = servo.rate_limit_deg_s or np.inf
-    return {
+        derived["rate_limit_deg_s"] = rate_deg_s * (1.0 - _TOLERANCES * tolerance.rate)
+    limits = {
+        name: float(value) for name, value in (drawn | derived | given).items() if value > 0.0 or name == "margin"
+    }
+    telling = {
         "dead_band_deg": _TELLING_WIDTH_DEG,
         "bias_deg": _TELLING * tolerance.bias_deg,
         "delay_s": _TELLING * tolerance.delay_s,
-        "bandwidth_hz": _TELLING * tolerance.bandwidth * servo.transfer.bandwidth_rad_s / (2.0 * np.pi),
+        "bandwidth_hz": _TELLING * tolerance.bandwidth * bandwidth_hz,
         "rate_limit_deg_s": _TELLING * tolerance.rate * rate_deg_s,
         "noise_deg": _TELLING * tolerance.noise_deg,
     }
+    return Wear(limits, telling, entry.serial, swaps)
 
 
 def trend_document(seen: AircraftTrend) -> dict[str, Any]:
-    """Everything that a trend found.
-
-    Examples
-    --------
-    >>> seen = trend_logs(["sample_logs/faser_healthy_flight.mat"], "faser", surfaces=("rudder",), workers=0)
-    >>> trend_document(seen)["surfaces"]["rudder"]["quantities"]["dead_band_deg"]["forecast"]["reason"]
-    'too few flights for a trend'
-    """
+    """Everything that a trend found."""
     return {
         "schema": "servofd.trend/1",
         "aircraft": seen.aircraft or None,
@@ -355,7 +333,7 @@ def trend_document(seen: AircraftTrend) -> dict[str, Any]:
                 "path": log.path,
                 "run": log.run or None,
                 "start_utc": log.start_utc.isoformat() if log.start_utc else None,
-                "alarms": {flight.surface: flight.alarm for flight in log.flights if flight.alarm},
+                "alarms": {name: flight.alarm for name, flight in log.flights.items() if flight.alarm},
             }
             for number, log in enumerate(seen.order.logs, start=1)
         ],
@@ -372,7 +350,7 @@ def _surface(surface: SurfaceTrend) -> dict[str, Any]:
                 "kind": event.kind,
                 "flight": event.first,
                 "reason": event.reason,
-                "changes": {name: asdict(jump) for name, jump in event.jumps.items()},
+                "changes": {name: jump._asdict() for name, jump in event.jumps.items()},
             }
             for event in surface.events
         ],
@@ -392,8 +370,8 @@ def _quantity(one: QuantityTrend) -> dict[str, Any]:
         "values": one.flights.value.tolist(),
         "deviations": one.flights.deviation.tolist(),
         "pieces": [_piece(piece) for piece in one.pieces],
-        "now": _estimate(one.now),
-        "per_flight": None if one.slope is None else _estimate(one.slope),
+        "now": one.now._asdict(),
+        "per_flight": None if one.slope is None else one.slope._asdict(),
         "limit": one.limit,
         "forecast": asdict(one.forecast),
     }
@@ -404,8 +382,5 @@ def _piece(piece: Piece) -> dict[str, Any]:
     ends = {"first": piece.first, "last": piece.last}
     if piece.number.size < FEWEST_FOR_LINE:
         return ends
-    return ends | {"begin": _estimate(piece.line.at(piece.first)), "end": _estimate(piece.line.at(piece.last))}
-
-
-def _estimate(estimate: Estimate) -> dict[str, float]:
-    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
+    begin, end = piece.line.at(piece.first), piece.line.at(piece.last)
+    return ends | {"begin": begin._asdict(), "end": end._asdict()}

@@ -35,7 +35,7 @@ def explained(name: str, folder: Path, where: str) -> Explanation:
 
 
 def final_deg(found: Explanation) -> float:
-    return found.rms_deg(found.selection.final)["held_out_rms_deg"]
+    return found.held_out_deg[1]
 
 
 def told(found: Explanation) -> set[str]:
@@ -44,7 +44,7 @@ def told(found: Explanation) -> set[str]:
 
 
 def nominal_deg(found: Explanation) -> float:
-    return found.rms_deg(found.selection.nominal)["held_out_rms_deg"]
+    return found.held_out_deg[0]
 
 
 @pytest.mark.nightly
@@ -133,7 +133,7 @@ def test_healthy_joints(name: str) -> None:
         assert found.fault_s is None
         assert not found.undriven
         fitter = found.selection.fitter
-        linear = fitter.halved(fitter.descended((Bias, Gain), fitter.linear()[0].physics, 30))
+        linear = fitter.halved(fitter.descended((Bias, Gain), fitter.linear[0].physics, 30))
         if not linear.ran_away:
             assert final_deg(found) <= 1.03 * found.rms_deg(linear)["held_out_rms_deg"]
         assert final_deg(found) <= 1.03 * nominal_deg(found)

@@ -109,6 +109,7 @@ def test_frames_are_found_whatever_their_phase(period_s: float, seed: int, phase
     noise = 0.1 * np.random.default_rng(seed).standard_normal(record.time_s.size)
     record = replace(record, measured_deg=simulate(record, framed) + noise)
     found = best_frame(record, record.plant.neutral)
+    assert found is not None
     assert found[0] == pytest.approx(period_s, rel=2e-4)
 
 
@@ -169,6 +170,6 @@ def test_what_is_held_out_was_not_fitted() -> None:
     record = flown((), [], 3)
     wave = np.repeat(np.random.default_rng(8).normal(0.0, 0.4, record.time_s.size // 25), 25)
     fitter = Fitter(replace(record, measured_deg=record.measured_deg + wave, known=NOTHING))
-    half = fitter.halved(fitter.root())
+    half = fitter.halved(fitter.root)
     assert fitter.effective < 0.1 * record.counts.sum()
     assert half.held_out > 1.005 * half.train

@@ -18,7 +18,7 @@ from servofd.discrepancy.explanation import explain_gap, fault_start_s
 from servofd.discrepancy.fit import Fitter
 from servofd.discrepancy.own import load_own_effect
 from servofd.discrepancy.record import simulate
-from servofd.discrepancy.search import best_frame, frames_like
+from servofd.discrepancy.search import best_frame
 from servofd.servo.effect import Parameter
 from servofd.servo.effects.commands import Delay
 from tests.recovery.test_honesty import KNOWN, flown
@@ -74,15 +74,16 @@ def test_a_frame_is_found_in_a_log_longer_than_the_window_it_was_seen_in() -> No
     framed = record.plant.neutral._replace(frame_s=0.047, frame_phase=0.41)
     noise_deg = 0.1 * np.random.default_rng(2).standard_normal(record.time_s.size)
     record = replace(record, measured_deg=simulate(record, framed) + noise_deg)
-    period_s, _ = best_frame(record, record.plant.neutral)
-    assert period_s == pytest.approx(0.047, rel=3e-4)
+    found = best_frame(record, record.plant.neutral)
+    assert found is not None
+    assert found[0] == pytest.approx(0.047, rel=3e-4)
 
 
 @pytest.mark.slow
 def test_no_frame_is_proposed_where_something_else_explains_the_error() -> None:
     record = flown((Delay,), [0.04], 2, duration_s=12.0)
     noise_deg = Fitter(record).judged((Delay,), record.plant.neutral._replace(delay_s=0.04)).error_deg
-    assert frames_like(record, record.plant.neutral, noise_deg, 0.1) == []
+    assert best_frame(record, record.plant.neutral, noise_deg, 0.1) is None
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servofd.aircraft.series import Series
-from servofd.discrepancy.adequacy import adequacy
+from servofd.discrepancy.adequacy import Adequacy
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.ladder import Step
 from servofd.discrepancy.record import Record, record_of
@@ -30,12 +30,11 @@ def record() -> Record:
 def tied(record: Record, *fits: Fit) -> Selection:
     fitter = Fitter(record)
     names = tuple(fit.names[0] for fit in fits)
-    steps, found = (Step(fits[0], ()),), adequacy(record, fits[0])
+    steps, found = (Step(fits[0], ()),), Adequacy(NOISE_DEG, ())
     return Selection(
         fitter.nominal(),
         steps,
         {names[0]: dict(zip(names[1:], fits[1:], strict=True))},
-        NOISE_DEG,
         (),
         np.zeros((1, 1)),
         fitter,

@@ -46,14 +46,14 @@ def test_the_interval_of_a_slope_holds_it_in_95_of_100() -> None:
 def test_two_flights_that_went_wrong_neither_bend_nor_cut() -> None:
     value = noisy(0.02 * NUMBER)
     value[[10, 11]] += 5.0
-    (whole,) = pieces(NUMBER, value, np.full(40, 0.01))
+    (whole,) = pieces(piece(value))
     assert whole.line.slope == pytest.approx(0.02, rel=0.1)
 
 
 @pytest.mark.parametrize("first", [4, 12, 25, 38])
 def test_a_jump_is_cut_where_it_is(first: int) -> None:
     value = noisy(np.where(first <= NUMBER, 0.0, 0.5))
-    assert [(one.first, one.last) for one in pieces(NUMBER, value, np.full(40, 0.01))] == [(1, first - 1), (first, 40)]
+    assert [(one.first, one.last) for one in pieces(piece(value))] == [(1, first - 1), (first, 40)]
 
 
 @pytest.mark.slow
@@ -61,13 +61,13 @@ def test_healthy_numbers_are_not_cut_and_have_no_trend() -> None:
     """The chance of any is 1e-6 each; scatter three times what the flights claim."""
     for seed in range(100):
         value = noisy(np.zeros(40), seed, 0.03)
-        (whole,) = pieces(NUMBER, value, np.full(40, 0.01))
+        (whole,) = pieces(piece(value))
         assert forecast(whole, 2.0, above=True).kind == "none"
 
 
 def test_wear_that_begins_late_is_another_slope_and_no_event() -> None:
     value = noisy(np.maximum(0.0, 0.05 * (NUMBER - 20.0)))
-    cut = pieces(NUMBER, value, np.full(40, 0.01))
+    cut = pieces(piece(value))
     assert len(cut) == 2
     assert cut[1].line.slope == pytest.approx(0.05, rel=0.1)
     assert find_events({"dead_band_deg": piece(value)}, TELLING) == ()

@@ -19,7 +19,7 @@ from servofd.outputs.trend_report import trend_report
 from servofd.servo.faults import DeadBand
 from servofd.servo.loops import play
 from servofd.simulation.flight import simulate_flight
-from servofd.wear.estimate import FlightEstimate, estimate_flight
+from servofd.wear.estimate import ServoEstimate, estimate_flight
 from servofd.wear.trend import FlownLog, in_order, trend_document, trend_logs, trend_of
 from trend_fleets import crossing_at, healthy_fleet, widths_trend
 
@@ -47,9 +47,7 @@ def logs(widths_deg: list[float], start: datetime.datetime | None = None, identi
         values = {"dead_band_deg": Estimate.of(width_deg + 0.01 * rng.standard_normal(), 0.01)}
         begun = None if start is None else start + datetime.timedelta(days=number - 1)
         name = f"flight{number}.csv"
-        made.append(
-            FlownLog(name, "", begun, identity, (FlightEstimate(name, "", "rudder", begun, 60.0, values, {}),), ())
-        )
+        made.append(FlownLog(name, "", begun, identity, {"rudder": ServoEstimate(values, {})}, ()))
     return made
 
 
