@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast, overload
@@ -18,8 +18,7 @@ from servofd.aircraft.series import Series
 from servofd.axes.verdict import AxisAudit
 from servofd.batch.find import META_FILE, find_logs, is_pattern, is_plain_file
 from servofd.batch.key import Job
-from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
-from servofd.core.files import write_whole
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.core.series import latest
 from servofd.detection.residual import Residuals, Threshold, ThresholdKind
 from servofd.detection.verdict import LogAudit, SurfaceAudit
@@ -35,9 +34,8 @@ from servofd.outputs.compare_report import Track, charts, compare_report, overla
 from servofd.outputs.document import Document
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
-from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, over_time, plain_log
+from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, over_time
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,11 +46,8 @@ if TYPE_CHECKING:
     from servofd.results.models import Flown
 
 
-class AuditedSurface(SurfaceAudit, Drawn):
+class AuditedSurface(Drawn, SurfaceAudit):
     """Verdict on one surface."""
-
-    __slots__ = ()
-    __repr__ = Drawn.__repr__
 
     def chart(self) -> Chart:
         """The whole flight of the surface."""
@@ -83,11 +78,8 @@ class AuditedSurface(SurfaceAudit, Drawn):
         return self.segment, self.residuals, self.threshold
 
 
-class AuditedAxis(AxisAudit, Drawn):
+class AuditedAxis(Drawn, AxisAudit):
     """What the motion of the aircraft tells of one axis."""
-
-    __slots__ = ()
-    __repr__ = Drawn.__repr__
 
     def chart(self) -> Chart:
         """The whole flight of the axis."""
@@ -102,16 +94,13 @@ class AuditedAxis(AxisAudit, Drawn):
         return over_time(self.time_s, columns | {"judged": self.inputs.usable})
 
 
-class Audit(LogAudit, Shown):
+class Audit(Shown, LogAudit):
     """Verdicts on the surfaces of one run of a log.
 
     Each is `found["elevator"]` or `found.elevator`, and `found["roll"]` an axis. A loop over it gives itself, so that a
     loop over `audit` need not know whether a log holds runs. Two are equal if they say the same; ``a - b`` compares
     them. A pickle of it holds verdicts and curves, and not the other channels of the log.
     """
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     @classmethod
     def _of(cls, found: LogAudit) -> Self:
@@ -169,7 +158,8 @@ class Audit(LogAudit, Shown):
         return list(self._named())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _audit_of, (plain_log(self.log, {}), self.aircraft, self.surfaces, self.axes, self.common_causes)
+        log = replace(self.log, channels={}, span_s=self.log.ends_s)
+        return Audit, (log, self.aircraft, self.surfaces, self.axes, self.common_causes)
 
     def report(self) -> Document:
         """Verdicts in words, tables and charts."""
@@ -203,10 +193,6 @@ class Audit(LogAudit, Shown):
         ]
 
 
-def _audit_of(log: dict[str, Any], *others: Any) -> Audit:  # noqa: ANN401 - the other fields
-    return Audit(FlightLog(**log), *others)
-
-
 def _row(one: SurfaceAudit) -> dict[str, Any]:
     first = next(iter((*one.faults, *one.suspicions)), None)
     return {
@@ -223,10 +209,8 @@ def _row(one: SurfaceAudit) -> dict[str, Any]:
     }
 
 
-class Audits(tuple[Audit, ...]):
+class Audits(Shown, tuple[Audit, ...]):
     """The runs of one log, each with its verdicts."""
-
-    __slots__ = ()
 
     def __repr__(self) -> str:
         """One result after the other."""
@@ -235,17 +219,12 @@ class Audits(tuple[Audit, ...]):
     def _repr_html_(self) -> str:
         return "".join(one._repr_html_() for one in self)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """One row for each run and surface."""
-        needs("pandas")
-        import pandas as pd
+    def report(self) -> Document:
+        """All runs, and the verdicts of each."""
+        return audit_report(self)
 
-        return pd.DataFrame([{"run": one.log.run} | row for one in self for row in one._rows()])
-
-    def save_html(self, path: str | Path) -> Path:
-        """Write the page of all runs, and give the path."""
-        write_whole(path, html_page(audit_report(self)).encode())
-        return Path(path)
+    def _rows(self) -> list[dict[str, Any]]:
+        return [{"run": one.log.run} | row for one in self for row in one._rows()]
 
 
 @in_words_of_python
@@ -326,11 +305,8 @@ def _described(log: Any, columns: Mapping[str, str]) -> tuple[Any, Aircraft]:  #
     return log, aircraft_of_columns(columns)
 
 
-class Fleet(Overview, Shown):
+class Fleet(Shown, Overview):
     """What many logs say together."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def report(self) -> Document:
         """Flights, the worst first, then surfaces and faults."""
@@ -357,7 +333,7 @@ def _fleet_of(inputs: list[str], job: Job) -> Fleet:
     unseen = not (bar.is_terminal or bar.is_jupyter)
     judging = audit_fleet(logs, job)
     judged = track(judging, f"{len(logs)} logs", len(logs), console=bar, transient=True, disable=unseen)
-    return Fleet._of(overview(by_path([row for one in judged for row in one.rows])))
+    return Fleet(**fields_of(overview(by_path([row for one in judged for row in one.rows]))))
 
 
 @in_words_of_python
@@ -377,7 +353,7 @@ def fleet(folder: str | Path, aircraft: Aircraft | str | Path | None = None, *, 
     {'fault': 1}
     """
     if (Path(folder) / META_FILE).is_file():
-        return Fleet._of(overview(read_logs(Path(folder))))
+        return Fleet(**fields_of(overview(read_logs(Path(folder)))))
     return _fleet_of([str(folder)], Job(known_aircraft(aircraft), servo))
 
 
@@ -389,9 +365,10 @@ class Comparison(Shown):
     second: Audit
 
     @property
-    def names(self) -> tuple[str, str]:
+    def names(self) -> list[str]:
         """Of both flights."""
-        return _name(self.first.log), _name(self.second.log)
+        logs = (self.first.log, self.second.log)
+        return [flight_name({"path": log.source.name, "run": log.run}) for log in logs]
 
     def report(self) -> Document:
         """Verdicts of the same surfaces beside each other, and their curves over each other."""
@@ -422,10 +399,6 @@ class Comparison(Shown):
             apart = None if first is None or second is None else first - second
             rows.append(row | {"max_abs_deg_a": first, "max_abs_deg_b": second, "max_abs_deg_difference": apart})
         return rows
-
-
-def _name(log: FlightLog) -> str:
-    return log.source.name + (f" (run {log.run})" if log.run else "")
 
 
 def compare(first: Audit, second: Audit) -> Comparison:

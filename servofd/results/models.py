@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from logparsers import FlightLog
 from logparsers.units import MS_PER_S
@@ -26,7 +26,7 @@ from servofd.outputs.figure import chart_figure
 from servofd.outputs.identify_report import identify_charts, identify_report
 from servofd.outputs.model_file import model_file
 from servofd.outputs.trend_report import quantity_row, trend_chart, trend_report
-from servofd.results.shown import Shown, fields_of, in_words_of_python, plain_log, shown
+from servofd.results.shown import Shown, fields_of, in_words_of_python, shown
 from servofd.simulation.flight import SimulatedFlight
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
@@ -37,11 +37,8 @@ if TYPE_CHECKING:
     from servofd.feedback.flown import Log
 
 
-class Identified(Identification, Shown):
+class Identified(Shown, Identification):
     """A servo, how sure its numbers are, and the evidence."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def report(self) -> Document:
         """Numbers with their intervals, and figures."""
@@ -68,10 +65,6 @@ class Explained(Shown):
     aircraft: Aircraft
     source: str
     logs: tuple[FlightLog, ...]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        logs = [plain_log(log, log.channels) for log in self.logs]
-        return _explained_of, (self.explanation, self.aircraft, self.source, logs)
 
     @property
     def answer(self) -> str:
@@ -105,10 +98,6 @@ class Explained(Shown):
         return rows
 
 
-def _explained_of(explanation: Explanation, aircraft: Aircraft, source: str, logs: list[dict[str, Any]]) -> Explained:
-    return Explained(explanation, aircraft, source, tuple(FlightLog(**log) for log in logs))
-
-
 @in_words_of_python
 def explain(
     logs: Log | Sequence[Log],
@@ -135,11 +124,8 @@ def explain(
     return Explained(found.explanations[0], found.aircraft, found.source, found.logs)
 
 
-class Calibrated(Calibration, Shown):
+class Calibrated(Shown, Calibration):
     """An aircraft calibrated from good flights."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def to_toml(self) -> str:
         """The aircraft file, with its comments."""
@@ -199,18 +185,15 @@ class CalibratedAxes(Shown):
 def calibrate(*args: Any, **options: Any) -> Any:  # noqa: ANN401 - by what the flights hold
     """As `servofd.jobs.workflow.calibrate`; of flights without feedback, what motion tells of the axes."""
     try:
-        return Calibrated._of(workflow.calibrate(*args, **options))
+        return Calibrated(**fields_of(workflow.calibrate(*args, **options)))
     except NoMeasurement:
         if len(args) != 1 or options.get("aircraft") is not None:
             raise
         return CalibratedAxes(workflow.calibrate_axes(args[0], spans=options.get("spans", ())))
 
 
-class Trend(AircraftTrend, Shown):
+class Trend(Shown, AircraftTrend):
     """All surfaces of one aircraft over its flights."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def report(self) -> Document:
         """What changes over the flights, and since when."""
@@ -238,12 +221,6 @@ trend = shown("trend", trend_logs, Trend)
 
 class Flown(SimulatedFlight):
     """A simulated flight, which is a log for every verb."""
-
-    __slots__ = ()
-
-    @classmethod
-    def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
-        return cls(**fields_of(found))
 
     def to_pandas(self) -> pd.DataFrame:
         """As a plain table: time, and command and measured position of each surface [deg]."""
