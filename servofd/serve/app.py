@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 from urllib.parse import parse_qsl, quote
 
 from starlette.applications import Starlette
@@ -31,17 +31,11 @@ from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
 from servofd.serve.flights import RESULTS, SHIPPED, Choice, Flight, Flights, TooLarge, Upload
 from servofd.serve.guard import Guard
-from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, curves_in, text_in
+from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, Verb, curves_in, text_in
 from servofd.serve.preview import preview
-from servofd.serve.tasks import Verb
 from servofd.serve.viewer import FILES, viewer_files
 
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
-_OF_SUMMARY = frozenset(
-    ("status", "sentence", "start_utc", "duration_s", "too_long", "surface", "surfaces", "table", "outline")
-)
-"""What the list of flights tells of a verdict."""
-_COMPARED = 2
 _STATUSES = (*LEAST_CLEARED, "not_a_log")
 """Of flights in the list, the one to look at first."""
 _ICON = (
@@ -159,7 +153,7 @@ class _Routes:
             upload = await run_in_threadpool(self._flights.upload, name, int(expected) if expected.isdecimal() else 0)
             async for some in request.stream():
                 await run_in_threadpool(upload.write, some)
-            taken, upload = await run_in_threadpool(upload.finish), None
+            (flight, notice), upload = await run_in_threadpool(upload.finish), None
         except TooLarge as error:
             return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except OSError as error:
@@ -169,8 +163,7 @@ class _Routes:
         finally:
             if upload is not None:
                 upload.abandon()
-        row = {} if taken.flight is None else self._row(taken.flight)
-        return JSONResponse(row | {"notice": taken.notice}, HTTPStatus.CREATED)
+        return JSONResponse((self._row(flight) if flight else {}) | {"notice": notice}, HTTPStatus.CREATED)
 
     async def act(self, request: Request) -> Response:
         """Something to do with the flights that are ticked."""
@@ -186,14 +179,14 @@ class _Routes:
             said = [await run_in_threadpool(act, one) for one in ticked]
             return _page(Document(title, "no_data", " ".join(said)), deleted=deleted)
         flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
-        if verb not in _VERBS:
+        if verb not in get_args(Verb):
             raise _refused("There is nothing of that name to do.")
         if not flights:
             raise _refused(f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
         if verb == "trend" and not (aircraft or self._flights.job.aircraft or flights[0].choice.aircraft):
             raise _refused("A trend follows one aircraft: choose its file beside the button first.")
         try:
-            task = self._flights.begin(_VERBS[verb], flights, aircraft=aircraft, surface=form.get("surface", ""))
+            task = self._flights.begin(cast("Verb", verb), flights, aircraft=aircraft, surface=form.get("surface", ""))
         except ConfigError as error:
             raise _refused(f"{error}.") from None
         return RedirectResponse(f"/tasks/{task.id}", HTTPStatus.SEE_OTHER)
@@ -265,11 +258,11 @@ class _Routes:
 
     async def compare(self, request: Request) -> Response:
         chosen = request.query_params.getlist("flight")
-        if len(chosen) != _COMPARED:
+        if len(chosen) != 2:
             done = [flight for flight in self._flights.all() if flight.state == "done"]
             how = "Choose both; they are shown beside each other."
             asks = Document("Compare", "no_data", "Which two flights?", how)
-            return _page(asks, template="compare.html", done=done, chosen=chosen[:_COMPARED])
+            return _page(asks, template="compare.html", done=done, chosen=chosen[:2])
         flights = [self._known(one) for one in chosen]
         folders = [self._flights.results(one.id) for one in flights]
         try:
@@ -293,7 +286,8 @@ class _Routes:
 
     def _row(self, flight: Flight) -> dict[str, Any]:
         """A flight in the list; it tells no folder. What is at work says how far it is."""
-        known = {name: one for name, one in asdict(flight.summary or Summary("", "")).items() if name in _OF_SUMMARY}
+        known = asdict(flight.summary or Summary("", ""))
+        del known["key"]
         if flight.state == "at work":
             known["sentence"] = text_in(self._flights.results(flight.id) / PROGRESS)
         size = f"{flight.size_bytes / 1e6:.1f} MB"
@@ -313,9 +307,6 @@ def _moments(given: Sequence[str]) -> tuple[float, float]:
         if math.isfinite(first) and math.isfinite(second):
             return first, second
     raise _refused("Align two flights by a moment of each, in seconds.")
-
-
-_VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "explain": "explain"}
 
 
 def _within(found: str, title: str, template: str, values: Mapping[str, Any]) -> Response:
