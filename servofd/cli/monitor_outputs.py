@@ -134,7 +134,8 @@ class Outputs:
     def _record(self, options: Options, aircraft: Mapping[int, Aircraft], open_: contextlib.ExitStack) -> None:
         # What Rerun would print of a full disk, in lines of its own, `LiveRecording.errors` tells; it reads this first.
         os.environ.setdefault("RUST_LOG", "off")
-        from servofd.outputs.live_recording import Currents, LiveRecording, Samples
+        from servofd.outputs.live_recording import LiveRecording, Samples
+        from servofd.outputs.recording.content import Trace
         from servofd.outputs.recording.verdicts import live_verdicts
 
         first = next(iter(aircraft.values()))
@@ -156,20 +157,12 @@ class Outputs:
             complain(f"rerun rerun+http://127.0.0.1:{port}/proxy shows it live")
 
         def listen(surface: str, piece: Piece, inputs: Inputs) -> None:
-            r = piece.residuals
-            if inputs.is_current:
-                time_s, within_a = r.time_s + self._began_s(surface), piece.threshold.level_deg
-                recording.add(Currents(surface, time_s, r.measured_deg, r.simulated_deg, within_a))
-                if inputs.command_s.size:
-                    none, came_s = np.zeros(0), inputs.command_s + self._began_s(surface)
-                    nothing = (none, none, none, none, none, none)
-                    recording.add(Samples(surface, *nothing, came_s, inputs.command_deg, inputs.context))
-                return
+            r, began_s = piece.residuals, self._began_s(surface)  # a recording has one time line
             residual_deg = np.where(r.settled, r.residual_deg, np.nan)
-            began_s = self._began_s(surface)  # a recording has one time line
             columns = (r.time_s + began_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
             commands = (inputs.command_s + began_s, inputs.command_deg)
-            recording.add(Samples(surface, *columns, piece.threshold.level_deg, *commands, inputs.context))
+            trace = Trace(*columns, piece.threshold.level_deg, *commands, context=inputs.context)
+            recording.add(Samples(surface, trace, is_beside=inputs.is_current))
 
         self._session.listener = listen
 

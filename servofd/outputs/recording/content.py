@@ -5,30 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from logparsers.records import FlightLog, own
+from logparsers.records import FlightLog
+from servofd.aircraft.pace import WARM_UP_STEPS, link_period_s
+from servofd.aircraft.series import LeftOut, Series
 from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray
+from servofd.onboard.seen import Seen, seen_of
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
-    from servofd.aircraft.series import LeftOut, Series
     from servofd.detection.verdict import LogAudit, SurfaceAudit
-    from servofd.onboard.seen import Seen
 
-_ASKED = ("asked_s", "asked_deg")
 _OF_LOG = ("format", "damage", "run", "vehicle", "firmware", "start_utc")
 """What a recording tells of its log, beside its name and its length."""
-CURVES = ("time_s", "command_deg", "simulated_deg", "measured_deg", "residual_deg", "threshold_deg")
-"""Of a `Trace`, those with an entry per measurement."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trace:
+class Trace(NamedTuple):
     """Curves of one surface; all but the commands of shape (n,), one entry per measurement, NaN where unknown."""
 
     time_s: FloatArray
@@ -45,36 +41,25 @@ class Trace:
     left_out: tuple[LeftOut, ...] = ()
     context: Context = NO_CONTEXT
 
-    def __post_init__(self) -> None:
-        for name in (*CURVES, *_ASKED):
-            object.__setattr__(self, name, own(getattr(self, name)))
-
     @classmethod
     def of(cls, surface: SurfaceAudit) -> Self | None:
         """Curves that an audit judged; None if it had none."""
         segment, residuals = surface.segment, surface.residuals
         if segment is None or residuals is None:
             return None
-        time_s, size = residuals.time_s, residuals.time_s.size
-        asked_deg = np.full(size, np.nan)
-        if segment.command_s.size:
-            held_deg = latest(segment.command_s, segment.command_deg, time_s)
-            asked_deg = np.where(time_s >= segment.command_s[0], held_deg, np.nan)
-        threshold_deg = np.full(size, np.nan) if surface.threshold is None else surface.threshold.level_deg
+        time_s = residuals.time_s
+        asked_deg = held(segment.command_s, segment.command_deg, time_s)
+        threshold_deg = np.full(time_s.size, np.nan) if surface.threshold is None else surface.threshold.level_deg
         residual_deg = np.where(residuals.settled, residuals.residual_deg, np.nan)
         curves = (time_s, asked_deg, residuals.simulated_deg, residuals.measured_deg, residual_deg, threshold_deg)
         return cls(*curves, segment.command_s, segment.command_deg, segment.left_out, segment.context)
 
     def segment(self, surface: str, command_period_s: float | None = None, *, is_streamed: bool = False) -> Series:
         """What an audit starts from, see `Series`: as of a log, without commands that are no numbers or come again."""
-        from servofd.aircraft.pace import WARM_UP_STEPS, link_period_s
-        from servofd.aircraft.series import Series, marks_of
-
         given, seen = np.isfinite(self.asked_deg) & _rising(self.asked_s), _rising(self.time_s)
         asked, measured = (self.asked_s[given], self.asked_deg[given]), (self.time_s[seen], self.measured_deg[seen])
         link_s = link_period_s(asked[0][: WARM_UP_STEPS + 1]) if is_streamed else None
-        marks = marks_of(self.left_out, measured[0])
-        return Series(surface, *asked, *measured, command_period_s, marks, self.context, link_s)
+        return Series(surface, *asked, *measured, command_period_s, context=self.context, sent_period_s=link_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,15 +70,12 @@ class Recording:
     """Its log has no channels any more, its surfaces no segments."""
     traces: Mapping[str, Trace]
     """By name of the surface; those without a residual have none."""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     """What a reader of the recording should know: that it was cut, or judged anew."""
     on_board: Mapping[str, Seen] = field(default_factory=dict)
     """What a script on the autopilot saw of each surface that it watched; a recording read back has none."""
     context: Context = NO_CONTEXT
     """Airspeed and supply of a recording read back."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "traces", MappingProxyType(dict(self.traces)))
 
     @classmethod
     def of(cls, audit: LogAudit) -> Self:
@@ -103,7 +85,7 @@ class Recording:
         bare = FlightLog(source=Path(log.source.name), channels={}, span_s=log.ends_s, **kept)
         surfaces = tuple(replace(s, segment=None, residuals=None, threshold=None) for s in audit.surfaces)
         traces = {s.surface: trace for s in audit.surfaces if (trace := Trace.of(s)) is not None}
-        return cls(replace(audit, log=bare, surfaces=surfaces), traces)
+        return cls(replace(audit, log=bare, surfaces=surfaces), traces, on_board=seen_of(log, audit.aircraft))
 
     @property
     def end_s(self) -> float:
@@ -120,6 +102,13 @@ class Recording:
         found = [trace.time_s for trace in self.traces.values()]
         found += [s.current.time_s for s in self.audit.surfaces if s.current and s.current.time_s is not None]
         return [time_s for time_s in found if time_s.size]
+
+
+def held(command_s: FloatArray, command_deg: FloatArray, time_s: FloatArray) -> FloatArray:
+    """The last command before each time; NaN before the first."""
+    if not command_s.size:
+        return np.full(time_s.size, np.nan)
+    return np.where(time_s >= command_s[0], latest(command_s, command_deg, time_s), np.nan)
 
 
 def _rising(time_s: FloatArray) -> BoolArray:

@@ -6,13 +6,12 @@ import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import ValidationError
 
 from logparsers.records import Damage, FlightLog
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.series import LeftOut
 from servofd.core.errors import RecordingError
 from servofd.core.evidence import Detectable, ModelOrigin
 from servofd.core.statistics import Estimate
@@ -40,15 +39,6 @@ _AS_IT_IS = ("status", "reason", "servo", "expected", "false_alarms_per_hour", "
 """Fields of a surface that its verdict holds under the same names."""
 
 
-class Verdicts(NamedTuple):
-    """What the properties of a recording tell."""
-
-    audit: LogAudit
-    notes: tuple[str, ...]
-    left_out: Mapping[str, tuple[LeftOut, ...]]
-    """By surface: stretches that do not count, and why."""
-
-
 def verdicts_of(recording: Recording) -> dict[str, Any]:
     """Properties of a recording: few words for people, and everything an audit found for machines."""
     from servofd.version import __version__
@@ -58,7 +48,7 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
     for surface in audit.surfaces:
         entry, trace = document["surfaces"][surface.surface], recording.traces.get(surface.surface)
         entry |= {"expected": surface.expected}
-        if trace is not None:
+        if trace is not None:  # for who reads the file with other programs
             entry |= {"left_out": trace.left_out}
     document |= {"vehicle": log.vehicle, "firmware": log.firmware, "span_s": log.span_s, "notes": recording.notes}
     # The aircraft without the words on where its servos were identified, which may name files.
@@ -81,8 +71,6 @@ def verdicts_of(recording: Recording) -> dict[str, Any]:
 
 def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dict[str, Any]:
     """Properties of a recording that is still being made: the models, and no verdict yet."""
-    from servofd.outputs.recording.content import Recording
-
     watched, reason = [], "nothing of it was recorded"
     for key in surfaces:
         one = aircraft.surfaces[key]
@@ -95,7 +83,7 @@ def live_verdicts(aircraft: Aircraft, surfaces: Sequence[str], name: str) -> dic
     return verdicts_of(Recording(LogAudit(log, aircraft, tuple(watched)), {}, notes=(LIVE,)))
 
 
-def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
+def audit_of(properties: Mapping[str, Any], name: str) -> tuple[LogAudit, tuple[str, ...]]:
     """Verdicts of a recording, and what its reader should know."""
     schema = properties.get("schema")
     if isinstance(schema, str) and schema in _WITHOUT_VERDICTS:
@@ -107,14 +95,10 @@ def audit_of(properties: Mapping[str, Any], name: str) -> Verdicts:
     try:
         document = json.loads(properties["verdicts"])
         aircraft = Aircraft.model_validate_json(properties["models"])
-        surfaces, left_out = [], {}
-        for key, entry in document["surfaces"].items():
-            surfaces.append(_surface(key, entry))
-            left_out[key] = tuple(LeftOut(*each) for each in entry.get("left_out", ()))
+        surfaces = tuple(_surface(*entry) for entry in document["surfaces"].items())
         shared = document.get("common_causes", ())
-        causes = [CommonCause(**one | {"surfaces": tuple(one["surfaces"])}) for one in shared]
-        audit = LogAudit(_log(document), aircraft, tuple(surfaces), common_causes=tuple(causes))
-        return Verdicts(audit, tuple(document["notes"]), left_out)
+        causes = tuple(CommonCause(**one | {"surfaces": tuple(one["surfaces"])}) for one in shared)
+        return LogAudit(_log(document), aircraft, surfaces, common_causes=causes), tuple(document["notes"])
     except (KeyError, TypeError, ValueError, ValidationError) as error:
         why = f"its verdicts cannot be read ({type(error).__name__}); audit the log again"
         raise RecordingError(f"{name}: {why}") from None

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from servofd.detection.verdict import LogAudit
-from servofd.onboard.seen import seen_of
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.document import Bullets, markdown
 from servofd.outputs.palette import SERIES
@@ -29,12 +28,7 @@ from servofd.outputs.recording.verdicts import verdicts_of
 
 def save_recording(audit: LogAudit, path: str | Path) -> None:
     """Write everything the audit read and found into one .rrd file, with its layout inside."""
-    write_recording(recording_of(audit), path)
-
-
-def recording_of(audit: LogAudit) -> Recording:
-    """What a recording of an audit will hold; see `save_recording`."""
-    return replace(Recording.of(audit), on_board=seen_of(audit.log, audit.aircraft))
+    write_recording(Recording.of(audit), path)
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
