@@ -24,7 +24,7 @@ def run(options: Options) -> int:
         workers=options.workers,
         progress=partial(progress, "trend"),
     )
-    pages = beside(options.html).flights if options.html else {}
+    pages = beside(options.html)[1] if options.html else {}
     show(trend_report(trend_document(seen), pages), json=options.json, html=options.html)
     for problem in seen.problems[:_SHOWN]:
         complain(problem)

@@ -152,10 +152,9 @@ def _failed(result: FailedLog) -> Document:
 
 def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     """What one flight says by itself."""
-    since = ["" if check.since_s is None else clock(check.since_s) for check in flight.checks]
     rows = [
-        (spoken(check.name), _LOOKS[check.status], check.text, at)
-        for check, at in zip(flight.checks, since, strict=True)
+        (spoken(one.name), _LOOKS[one.status], one.text, "" if one.since_s is None else clock(one.since_s))
+        for one in flight.checks
     ]
     parts: list[Part] = [Table("What this flight says by itself", ("check", "answer", "what was seen", "from"), rows)]
     if flight.motion is not None:
@@ -168,7 +167,6 @@ def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     return Document(name, "unknown", f"{sentence[:1].upper()}{sentence[1:]}.", facts, parts, log=name)
 
 
-_DIARY = "Its flight modes and messages"
 _LOOKS = {"ok": "nothing wrong", "look": "look", "unknown": "cannot tell"}
 
 
@@ -202,7 +200,9 @@ def _log(audit: LogAudit) -> Document:
     for one in log.damage_summary:
         when = " to ".join(f"{time_s:.2f}" for time_s in (one.start_s, one.end_s) if time_s is not None)
         damage.append((spoken(one.kind), one.note, str(one.count), when or "-"))
-    entries, surfaces = _diary(log), [_surface(audit.aircraft, one, len(ordered)) for one in ordered]
+    said, modes = _said(log), modes_of(log)
+    entries = [(clock(at_s), words) for at_s, words in sorted([*((t, f"mode: {one}") for t, one in modes), *said])]
+    diary = Table("Its flight modes and messages", ("at", "what"), entries)
     is_drawn = audit.axes or any(s.residuals is not None or s.current is not None for s in audit.surfaces)
     return Document(
         title=log.source.name + (f", run {log.run}" if log.run else ""),
@@ -210,12 +210,15 @@ def _log(audit: LogAudit) -> Document:
         sentence=whole_sentence(audit),
         facts=", ".join(filter(None, facts)),
         parts=[
-            Items("Surfaces", ("surface", "status", "model", "why"), surfaces),
+            Items(
+                "Surfaces",
+                ("surface", "status", "model", "why"),
+                [_surface(audit.aircraft, one, len(ordered)) for one in ordered],
+            ),
             Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
-            *[Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), entries)], folded=True)]
-            * bool(entries),
-            *[Lanes(lambda: _beside(log))] * bool(is_drawn),
+            *[Section("What the autopilot did and said", [diary], folded=True)] * bool(entries),
+            *[Lanes(lambda: {"lanes": _lanes_of(log), "modes": modes, "said": said})] * bool(is_drawn),
         ],
         log=log.source.name,
     )
@@ -509,14 +512,3 @@ def _said(log: FlightLog) -> list[tuple[float, str]]:
     messages = [one for one in log.texts if np.isfinite(one.time_s) and one.text and not _OF_ITS_PLACE.search(one.text)]
     gravest = sorted(messages, key=lambda one: _LEAST_GRAVE if one.severity is None else one.severity)[:_MOST_SAID]
     return sorted({(one.time_s, one.text) for one in gravest})
-
-
-def _beside(log: FlightLog) -> dict[str, Any]:
-    """What the script of a page lays beside its charts: channels, modes and messages, each with its time [s]."""
-    return {"lanes": _lanes_of(log), "modes": modes_of(log), "said": _said(log)}
-
-
-def _diary(log: FlightLog) -> list[tuple[str, str]]:
-    """Rows of a table: when an autopilot changed its mode or sent a message, and which."""
-    changes = [(at_s, f"mode: {mode}") for at_s, mode in modes_of(log)]
-    return [(clock(at_s), words) for at_s, words in sorted([*changes, *_said(log)])]

@@ -107,7 +107,6 @@ class Item:
     """One more word on a terminal, under the third heading."""
     parts: Sequence[Part] = ()
     """On pages only; of what is well, folded."""
-    anchor: str = ""
 
 
 @dataclass(frozen=True, slots=True)

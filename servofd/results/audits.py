@@ -176,16 +176,13 @@ class Audit(Shown, LogAudit):
 
     def plot(self, name: str | None = None, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
-        if name is not None:
-            named: Drawn = self[name]
-            return named.plot(ax)
-        judged = ((s, s.residuals is not None and s.threshold is not None) for s in self.surfaces)
-        drawn = [self[s.surface] for s, has_curves in judged if has_curves or s.feedback == "current"]
-        drawn = drawn or [self[axis.axis] for axis in self.axes]
-        if not drawn:
-            raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
-        worst: Drawn = min(drawn, key=lambda one: LEAST_CLEARED.index(one.status))
-        return worst.plot(ax)
+        if name is None:
+            drawn: list[Any] = [s for s in self.surfaces if s.threshold is not None or s.feedback == "current"]
+            if not (drawn or self.axes):
+                raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
+            worst = min(drawn or self.axes, key=lambda one: LEAST_CLEARED.index(one.status))
+        figure: Figure = (worst if name is None else self[name]).plot(ax)
+        return figure
 
     def _rows(self) -> list[dict[str, Any]]:
         return [_row(one) for one in self.surfaces] + [
