@@ -135,8 +135,7 @@ class Outputs:
         # What Rerun would print of a full disk, in lines of its own, `LiveRecording.errors` tells; it reads this first.
         os.environ.setdefault("RUST_LOG", "off")
         from servofd.outputs.live_recording import LiveRecording, Samples
-        from servofd.outputs.recording.content import Trace
-        from servofd.outputs.recording.verdicts import live_verdicts
+        from servofd.outputs.recording.content import Trace, live_verdicts
 
         first = next(iter(aircraft.values()))
         watched = (n for craft in aircraft.values() for n, each in craft.surfaces.items() if each.can_be_watched)

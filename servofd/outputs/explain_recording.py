@@ -1,9 +1,4 @@
-"""Explanations as Rerun recordings: both simulations beside the measurement, and what they miss.
-
-Entities below ``/surfaces/<name>``: ``deflection`` (command, as it was, with what was found, measured [deg]), ``error``
-(measured minus simulated [deg], before and after), the lanes ``before`` and ``after`` (seconds that disagree by more
-than noise); ``/report``.
-"""
+"""Explanations as Rerun recordings: both simulations beside the measurement, and what they miss."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.detection.event import Event
 from servofd.outputs.palette import SERIES
-from servofd.outputs.recording.content import Trace
+from servofd.outputs.recording.content import MANY_VEHICLES, Trace
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
 from servofd.outputs.recording.surface import (
@@ -34,7 +34,6 @@ from servofd.outputs.recording.surface import (
     send_styles,
     style_current,
 )
-from servofd.outputs.recording.verdicts import MANY_VEHICLES
 from servofd.outputs.sentence import spoken
 from servofd.servo.context import Context
 
@@ -64,7 +63,7 @@ class LiveRecording:
     `currents` are the surfaces that are watched by their current alone: their samples are in amperes. Those `beside`
     are watched by it and by their position.
 
-    What ``servofd review`` needs to judge it afterwards are its `properties` (`recording.verdicts.live_verdicts`).
+    What ``servofd review`` needs to judge it afterwards are its `properties` (`recording.content.live_verdicts`).
     """
 
     def __init__(

@@ -24,10 +24,9 @@ from servofd.batch.key import Job
 from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore
-from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.content import Recording, verdicts_of
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.surface import send_context, send_surface
-from servofd.outputs.recording.verdicts import verdicts_of
 from servofd.servo.context import Context
 from servofd.servo.faults import Bias, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight

@@ -28,10 +28,9 @@ from servofd.feedback.draft import surface_entry
 from servofd.fleets.store import FleetStore, read_table
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
-from servofd.outputs.recording.content import Recording, Trace
+from servofd.outputs.recording.content import Recording, Trace, audit_of
 from servofd.outputs.recording.read import rejudged, statistics_of
 from servofd.outputs.recording.stream import recording_file
-from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.library import find_servo
 from tests.fuzz import seeds

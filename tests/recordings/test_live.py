@@ -17,9 +17,8 @@ from logparsers.replay import replayed
 from servofd.cli import main
 from servofd.live.session import stamped
 from servofd.outputs.live_recording import LiveRecording, Samples
-from servofd.outputs.recording.content import Trace
+from servofd.outputs.recording.content import Trace, live_verdicts
 from servofd.outputs.recording.read import read_recording, rejudged
-from servofd.outputs.recording.verdicts import live_verdicts
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 

@@ -1,7 +1,4 @@
-"""What the viewer shows on opening: an overview and a tab for each surface; the whole flight at once.
-
-Time axes are linked, legends stand top left, side panels are folded.
-"""
+"""What the viewer shows on opening: an overview and a tab for each surface; the whole flight at once."""
 
 from __future__ import annotations
 
@@ -19,8 +16,7 @@ from servofd.outputs.recording.stream import TIME_BOOT, shown, surface_place
 from servofd.outputs.recording.surface import axis_place, deflection_range, residual_range
 
 _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
-"""Where Rerun 0.41 keeps the range that linked time axes share (its ``GLOBAL_VIEW_ID``); not documented, hence the
-picture test."""
+"""Where Rerun 0.41 keeps the range that linked time axes share (its ``GLOBAL_VIEW_ID``); a picture tests it."""
 
 
 def blueprint(
@@ -138,10 +134,7 @@ def live_layout(
     *,
     following: bool = False,
 ) -> Any:  # noqa: ANN401
-    """Layout of what a monitor records: the whole flight, or the last minute, following.
-
-    `currents` are the surfaces that it watches by their current, `beside` those by that and their position.
-    """
+    """Layout of what a monitor records (`LiveRecording`): the whole flight, or the last minute, following."""
     tabs = [_by_current(n) if n in currents else _surface(n, has_current=n in beside) for n in surfaces]
     return blueprint([_overview(surfaces, surfaces), *tabs], _LAST_S if following else None)
 

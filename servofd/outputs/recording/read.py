@@ -21,10 +21,9 @@ from servofd.core.types import FloatArray, IntArray
 from servofd.current.audit import again_by_current
 from servofd.detection.audit import audit_segment
 from servofd.detection.verdict import WITHIN_SIGMAS, CurrentAudit, Statistics
-from servofd.outputs.recording.content import Recording, Trace
+from servofd.outputs.recording.content import LIVE, Recording, Trace, audit_of
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
 from servofd.outputs.recording.surface import AIRSPEED, SUPPLY
-from servofd.outputs.recording.verdicts import LIVE, audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context
 

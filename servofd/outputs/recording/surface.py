@@ -117,10 +117,7 @@ def send_on_board(recorder: Recorder, surface: str, seen: Seen) -> None:
 
 
 def send_styles(recorder: Recorder, surface: str, tint: str = "simulated") -> None:
-    """Name and colour the curves of a surface; `tint` is its colour in the overview.
-
-    That of the residual follows the state: `Recorder.line_colours`.
-    """
+    """Name and colour the curves of a surface, but the residual, which its state colours; `tint`: in the overview."""
     place = surface_place(surface)
     recorder.lines(f"{place}/deflection", _DEFLECTIONS, _DEFLECTIONS, widths=(1.0, 2.5, 1.5))
     recorder.lines(f"{place}/residual", _RESIDUALS, widths=[1.5, 1.0, 1.0])
@@ -209,8 +206,6 @@ def _states_of(trace: Trace, surface: SurfaceAudit) -> list[tuple[float, str]]:
     A fault begins with its alarm: what the lane shows, a monitor would have known in flight. Where nothing was judged
     it says so, whatever was before.
     """
-    if not trace.time_s.size:
-        return []
     first_s, last_s = float(trace.time_s[0]), float(trace.time_s[-1])
     if not surface.is_judged:
         return [(first_s, "NO DATA")]
@@ -249,8 +244,6 @@ def events(trace: Trace | None, surface: SurfaceAudit, start_s: float = 0.0) -> 
 
 def ratio(time_s: FloatArray, residual_deg: FloatArray, threshold_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest |residual| / threshold of each tenth of a second: times [s] and ratios, of shape (m,)."""
-    if not time_s.size:
-        return time_s, time_s
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(residual_deg) / threshold_deg
     first = tenths(time_s)

@@ -1,11 +1,4 @@
-"""An audit as a Rerun recording.
-
-Entities below ``/surfaces/<name>``: ``deflection`` (command, simulated, measured [deg]), ``residual`` (residual and
-both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, ``state``, ``onset``,
-``events``, ``shade/*``, ``onboard`` (residual and thresholds of a script on board [deg]); ``/flight/**``
-(airspeed, supply); ``/report`` is the verdict in words. Time lines: ``time_boot``, and ``time_utc`` where the log
-knows it.
-"""
+"""An audit as a Rerun recording; `docs/recordings.md` lists its entities."""
 
 from __future__ import annotations
 
@@ -19,11 +12,10 @@ from servofd.detection.verdict import LogAudit
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.document import Bullets, markdown
 from servofd.outputs.palette import SERIES
-from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.content import Recording, verdicts_of
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
 from servofd.outputs.recording.stream import Recorder, application_name, recording_file
 from servofd.outputs.recording.surface import send_axis, send_context, send_on_board, send_surface
-from servofd.outputs.recording.verdicts import verdicts_of
 
 
 def save_recording(audit: LogAudit, path: str | Path) -> None:
