@@ -7,20 +7,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, cast, overload
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
 from logparsers import FlightLog
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.series import Series
 from servofd.axes.verdict import AxisAudit
 from servofd.batch.find import META_FILE, find_logs, is_pattern, is_plain_file
 from servofd.batch.key import Job
 from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.core.series import latest
-from servofd.detection.residual import Residuals, Threshold, ThresholdKind
+from servofd.detection.residual import ThresholdKind
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.feedback.flown import known_aircraft, layout_of, logs_of
 from servofd.feedback.tables import as_described, frame_of, is_table
@@ -28,14 +27,14 @@ from servofd.fleets.overview import Overview, overview
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import by_path, read_logs
 from servofd.jobs import workflow
-from servofd.outputs.audit_report import audit_report, axis_chart
-from servofd.outputs.chart import Chart, current_charts, flight_chart
+from servofd.outputs.audit_report import audit_report
+from servofd.outputs.chart import Chart, axis_chart, flight_chart
 from servofd.outputs.compare_report import Track, charts, compare_report, overlaid, track_of
 from servofd.outputs.document import Document
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, over_time
+from servofd.results.shown import Drawn, Shown, fields_of, frame, in_words_of_python
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,10 +50,6 @@ class AuditedSurface(Drawn, SurfaceAudit):
 
     def chart(self) -> Chart:
         """The whole flight of the surface."""
-        by_current = current_charts(self) if self.residuals is None else []
-        if by_current:
-            return by_current[-1]
-        self._curves()
         return flight_chart(self)
 
     def series(self) -> pd.DataFrame:
@@ -63,19 +58,17 @@ class AuditedSurface(Drawn, SurfaceAudit):
         One row for each position, with the time of the log as index [s]; `judged` is false while the filter settles and
         where nothing was measured. The command is the last that was sent before.
         """
-        segment, residuals, threshold = self._curves()
+        segment, residuals, threshold = self.segment, self.residuals, self.threshold
+        if segment is None or residuals is None or threshold is None:
+            raise NoMeasurement(f"{self.surface}: there is nothing to draw: {self.reason}")
         columns = {
+            "time_s": residuals.time_s,
             "command_deg": latest(segment.command_s, segment.command_deg, residuals.time_s),
             **{name: getattr(residuals, name) for name in ("simulated_deg", "measured_deg", "residual_deg")},
             "threshold_deg": threshold.level_deg,
             "judged": residuals.settled,
         }
-        return over_time(residuals.time_s, columns)
-
-    def _curves(self) -> tuple[Series, Residuals, Threshold]:
-        if self.segment is None or self.residuals is None or self.threshold is None:
-            raise NoMeasurement(f"{self.surface}: there is nothing to draw: {self.reason}")
-        return self.segment, self.residuals, self.threshold
+        return frame(columns).set_index("time_s")
 
 
 class AuditedAxis(Drawn, AxisAudit):
@@ -90,8 +83,9 @@ class AuditedAxis(Drawn, AxisAudit):
 
         `share` is the distance from healthy over its threshold; `judged` is false outside the calibrated regime.
         """
-        columns = {"expected": self.asked, "shown": self.shown, "share": np.sqrt(np.maximum(self.score, 0.0))}
-        return over_time(self.time_s, columns | {"judged": self.inputs.usable})
+        shares = np.sqrt(np.maximum(self.score, 0.0))
+        columns = {"time_s": self.time_s, "expected": self.asked, "shown": self.shown, "share": shares}
+        return frame(columns | {"judged": self.inputs.usable}).set_index("time_s")
 
 
 class Audit(Shown, LogAudit):
@@ -112,13 +106,7 @@ class Audit(Shown, LogAudit):
         """Itself, once."""
         return iter((self,))
 
-    @overload
-    def __getitem__(self, name: str) -> Any: ...  # noqa: ANN401 - a surface or an axis
-
-    @overload
-    def __getitem__(self, name: int) -> Self: ...
-
-    def __getitem__(self, name: str | int) -> Any:
+    def __getitem__(self, name: str | int) -> Any:  # noqa: ANN401 - a surface, an axis or itself
         """Verdict on one surface or axis; by number the only run, itself, as in a loop."""
         if isinstance(name, int):
             return (self,)[name]
@@ -138,10 +126,8 @@ class Audit(Shown, LogAudit):
         """With the surfaces and axes, which a notebook completes."""
         return sorted({*super().__dir__(), *filter(str.isidentifier, self._named())})
 
-    def _named(self) -> dict[str, AuditedSurface | AuditedAxis]:
-        axes = cast("tuple[AuditedAxis, ...]", self.axes)
-        surfaces = cast("tuple[AuditedSurface, ...]", self.surfaces)
-        return {one.axis: one for one in axes} | {one.surface: one for one in surfaces}
+    def _named(self) -> dict[str, Any]:
+        return {one.axis: one for one in self.axes} | {one.surface: one for one in self.surfaces}
 
     def __eq__(self, other: object) -> bool:
         """Whether both say the same of the same log."""

@@ -13,7 +13,7 @@ from logparsers.units import MS_PER_S
 from servofd.aircraft.axes import MotionModel, motion_to_toml
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
-from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.discrepancy.explanation import Explanation
 from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
@@ -26,7 +26,7 @@ from servofd.outputs.figure import chart_figure
 from servofd.outputs.identify_report import identify_charts, identify_report
 from servofd.outputs.model_file import model_file
 from servofd.outputs.trend_report import quantity_row, trend_chart, trend_report
-from servofd.results.shown import Shown, fields_of, in_words_of_python, shown
+from servofd.results.shown import Shown, fields_of, frame, in_words_of_python, shown
 from servofd.simulation.flight import SimulatedFlight
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
@@ -86,7 +86,8 @@ class Explained(Shown):
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file with the better model, and give the path."""
-        return self._save(path, model_file([self.explanation], self.aircraft, self.source, self.logs).text)
+        text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
+        return self._save(path, text)
 
     def _rows(self) -> list[dict[str, Any]]:
         document = self.explanation.document()
@@ -224,13 +225,10 @@ class Flown(SimulatedFlight):
 
     def to_pandas(self) -> pd.DataFrame:
         """As a plain table: time, and command and measured position of each surface [deg]."""
-        needs("pandas")
-        import pandas as pd
-
         columns = {"time_s": self.time_s}
         for k, name in enumerate(self.surfaces):
             columns |= {f"{name}_cmd_deg": self.command_deg[:, k], f"{name}_pos_deg": self.measured_deg[:, k]}
-        return pd.DataFrame(columns)
+        return frame(columns)
 
     def __repr__(self) -> str:
         return f"Flown: {', '.join(self.surfaces)}, {self.time_s[-1]:.1f} s"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import wraps
 from inspect import signature
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 from logparsers import LogError
 from servofd.core.errors import ServofdError, needs
 from servofd.core.files import write_whole
-from servofd.core.types import FloatArray
 from servofd.feedback.draft import BY_DAYS
 from servofd.outputs.chart import Chart
 from servofd.outputs.document import Document
@@ -61,10 +60,7 @@ class Shown(ABC):
 
     def to_pandas(self) -> pd.DataFrame:
         """One row for each surface or quantity."""
-        needs("pandas")
-        import pandas as pd
-
-        return pd.DataFrame(self._rows())
+        return frame(self._rows())
 
     def save_html(self, path: str | Path) -> Path:
         """Write its page, and give the path."""
@@ -137,7 +133,7 @@ def shown(name: str, verb: Callable[P, object], kind: Callable[..., Result]) -> 
 
 
 class Drawn(ABC):
-    """A surface or an axis that draws itself, and gives its numbers over time."""
+    """A surface or an axis that draws itself."""
 
     __slots__ = ()
 
@@ -150,22 +146,17 @@ class Drawn(ABC):
     def chart(self) -> Chart:
         """The whole flight of it."""
 
-    @abstractmethod
-    def series(self) -> pd.DataFrame:
-        """Its numbers over time."""
-
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Figure of the whole flight; into one's own axes, the upper part into one, or all of it into several."""
-        needs("matplotlib")
         return chart_figure(self.chart(), ax)
 
 
-def over_time(time_s: FloatArray, columns: Mapping[str, Any]) -> pd.DataFrame:
-    """Table of columns over the time of a log [s]."""
+def frame(columns_or_rows: Any) -> pd.DataFrame:  # noqa: ANN401 - as pandas takes it
+    """Table of pandas."""
     needs("pandas")
     import pandas as pd
 
-    return pd.DataFrame(columns, index=pd.Index(time_s, name="time_s"))
+    return pd.DataFrame(columns_or_rows)
 
 
 def fields_of(found: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
