@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -29,7 +30,7 @@ from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.serve.flights import RESULTS, SHIPPED, Choice, Flight, Flights, TooLarge, Upload
+from servofd.serve.flights import RESULTS, Choice, Flight, Flights, TooLarge, Upload
 from servofd.serve.guard import Guard
 from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, Verb, curves_in, text_in
 from servofd.serve.preview import preview
@@ -48,9 +49,9 @@ _MOST_BYTES = 1_000_000
 """Largest form [bytes]."""
 
 
-def _refused(text: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> HTTPException:
-    """What to raise where a request makes no sense, or asks for what is not there."""
-    return HTTPException(status, text)
+_refused = partial(HTTPException, HTTPStatus.BAD_REQUEST)
+"""What to raise where a request makes no sense."""
+_not_there = partial(HTTPException, HTTPStatus.NOT_FOUND)
 
 
 async def _fields_of(request: Request) -> ImmutableMultiDict[str, str]:
@@ -137,7 +138,7 @@ class _Routes:
             asked=asked,
             verdict=status,
             statuses=_STATUSES,
-            aircraft=[*self._flights.aircraft(), *SHIPPED],
+            aircraft=self._flights.aircraft(),
             preparing=not is_prepared(),
         )
 
@@ -212,7 +213,7 @@ class _Routes:
             "flight": row,
             "recording": (folder / RECORDING).is_file(),
             "viewer": f"/flights/{quote(flight.id)}/{RECORDING}",
-            "aircraft": [*self._flights.aircraft(), *SHIPPED],
+            "aircraft": self._flights.aircraft(),
             "chosen": flight.choice.aircraft,
             "preview": shown,
             "pairs": _pairs(columns),
@@ -237,7 +238,7 @@ class _Routes:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
         path = self._flights.results(flight.id) / name
         if name not in _KINDS or not path.is_file():
-            raise _refused("There is no such result of this flight.", HTTPStatus.NOT_FOUND)
+            raise _not_there("There is no such result of this flight.")
         download = {AUDIT: f"{flight.name}.json", RECORDING: f"{flight.name}.rrd"}.get(name)
         if "download" in request.query_params and name == PAGE:
             download = f"{flight.name}.html"
@@ -247,7 +248,7 @@ class _Routes:
         """A calibration, trend or explanation, or how far it is."""
         task = self._flights.task(request.path_params["id"])
         if task is None:
-            raise _refused("There is no such calibration, trend or explanation.", HTTPStatus.NOT_FOUND)
+            raise _not_there("There is no such calibration, trend or explanation.")
         folder = self._flights.task_folder(task.id)
         found = text_in(folder / PAGE) if task.state == "done" else ""
         if found:
@@ -268,7 +269,7 @@ class _Routes:
         try:
             documents = [json.loads((folder / AUDIT).read_text(encoding="utf-8")) for folder in folders]
         except OSError:
-            raise _refused("One of the two is not judged yet.", HTTPStatus.CONFLICT) from None
+            raise HTTPException(HTTPStatus.CONFLICT, "One of the two is not judged yet.") from None
         names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
         first, second = map(curves_in, folders)
         both = {name: (track, second[name]) for name, track in first.items() if name in second}
@@ -281,7 +282,7 @@ class _Routes:
         name = request.path_params["file"] or "index.html"
         folder = await run_in_threadpool(viewer_files, self._flights.folder / RESULTS)
         if folder is None or name not in FILES:
-            raise _refused('The viewer is not here; pip install "servofd[view]" brings it.', HTTPStatus.NOT_FOUND)
+            raise _not_there('The viewer is not here; pip install "servofd[view]" brings it.')
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
 
     def _row(self, flight: Flight) -> dict[str, Any]:
@@ -296,7 +297,7 @@ class _Routes:
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
         if flight is None:
-            raise _refused("There is no such flight; it may have been deleted.", HTTPStatus.NOT_FOUND)
+            raise _not_there("There is no such flight; it may have been deleted.")
         return flight
 
 

@@ -145,12 +145,10 @@ class Flights:
 
     def add(self, log: Path, flight_id: str) -> Flight:
         """Take up a log of the folder; one that was judged in the same way before is done."""
-        choice, key = Choice(), ""
-        with suppress(OSError, ValueError, TypeError):  # what was chosen before
-            choice = Choice(**json.loads((self.results(flight_id) / _CHOICE).read_text(encoding="utf-8")))
+        choice = kept(Choice, self.results(flight_id) / _CHOICE) or Choice()  # what was chosen before
+        summary, key = kept(Summary, self.results(flight_id) / SUMMARY), ""
         with suppress(ConfigError):
             key = self.job_of(choice).key
-        summary = kept(Summary, self.results(flight_id) / SUMMARY)
         if summary is not None and summary.key != key:
             summary = None
         with self._lock:
@@ -164,11 +162,7 @@ class Flights:
         return flight
 
     def choose(self, flight_id: str, choice: Choice) -> None:
-        """Judge a flight again, with what was chosen.
-
-        Raises `ConfigError` if what was chosen is not there or makes no sense, or the flight is gone or is being
-        judged.
-        """
+        """Judge a flight again, with what was chosen; raises `ConfigError` if it is gone or is being judged as well."""
         self.job_of(choice)
         with self._lock:
             flight = self._flights.get(flight_id)
@@ -205,19 +199,16 @@ class Flights:
         return "It is not in the bin any more." if self.get(flight_id) is None else "This flight is in the list."
 
     def aircraft(self) -> list[str]:
-        """Aircraft files of the folder."""
-        return sorted(path.name for path in self.folder.glob("*.toml") if path.is_file())
+        """Aircraft files of the folder, and those that come with servofd."""
+        return [*sorted(path.name for path in self.folder.glob("*.toml") if path.is_file()), *SHIPPED]
 
     def job_of(self, choice: Choice) -> Job:
-        """What to judge with, as it was chosen.
-
-        Raises `ConfigError` if it is not there, or makes no sense.
-        """
+        """What to judge with, as it was chosen; raises `ConfigError` if it is not there, or makes no sense."""
         if choice.columns:
             return replace(self.job, aircraft=aircraft_of_columns(choice.columns))
         if not choice.aircraft:
             return self.job
-        if choice.aircraft not in (*SHIPPED, *self.aircraft()):
+        if choice.aircraft not in self.aircraft():
             raise ConfigError(f"{choice.aircraft}: there is no such aircraft file in the folder")
         source = choice.aircraft if choice.aircraft in SHIPPED else self.folder / choice.aircraft
         try:
@@ -240,13 +231,7 @@ class Flights:
         return self.results(task_id).parent / _TASKS / task_id
 
     def begin(self, verb: Verb, flights: Sequence[Flight], *, aircraft: str = "", surface: str = "") -> Task:
-        """Calibrate from flights, follow them, or explain a surface of one.
-
-        Raises
-        ------
-        ConfigError
-            If the aircraft file is not there or makes no sense.
-        """
+        """Calibrate from flights, follow them, or explain a surface of one; raises what `job_of` does."""
         choice = Choice(aircraft) if aircraft else flights[0].choice
         known = self.job_of(choice).aircraft
         names = ", ".join(one.name for one in flights)
