@@ -25,15 +25,7 @@ from servofd.outputs.palette import SERIES
 from servofd.outputs.recording.content import MANY_VEHICLES, Trace
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
-from servofd.outputs.recording.surface import (
-    AIRSPEED,
-    SUPPLY,
-    breaks_s,
-    send_current,
-    send_curves,
-    send_styles,
-    style_current,
-)
+from servofd.outputs.recording.surface import around, breaks_s, send_current, send_curves, send_styles, style_current
 from servofd.outputs.sentence import spoken
 from servofd.servo.context import Context
 
@@ -197,10 +189,7 @@ class _Sink:
 
     def _around(self, context: Context) -> None:
         """Airspeed and supply, as far as they are news."""
-        for place, at_s, values in (
-            (AIRSPEED, context.airspeed_s, context.airspeed_m_s),
-            (SUPPLY, context.voltage_s, context.voltage_v),
-        ):
+        for place, _, at_s, values in around(context):
             new = slice(int(np.searchsorted(at_s, self.around_s.get(place, -np.inf), side="right")), None)
             if at_s[new].size:
                 self.recorder.scalars(place, at_s[new], values[new])

@@ -145,12 +145,15 @@ def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
         recorder.scalars(place, time_s, time_s)
 
 
+def around(context: Context) -> list[tuple[str, str, FloatArray, FloatArray]]:
+    """Entity, name, times [s] and values of airspeed and supply."""
+    airspeed = (AIRSPEED, "airspeed [m/s]", context.airspeed_s, context.airspeed_m_s)
+    return [airspeed, (SUPPLY, "servo supply [V]", context.voltage_s, context.voltage_v)]
+
+
 def send_context(recorder: Recorder, context: Context) -> None:
     """Airspeed and supply, on their own time stamps."""
-    for place, name, time_s, values in (
-        (AIRSPEED, "airspeed [m/s]", context.airspeed_s, context.airspeed_m_s),
-        (SUPPLY, "servo supply [V]", context.voltage_s, context.voltage_v),
-    ):
+    for place, name, time_s, values in around(context):
         if time_s.size:
             recorder.lines(place, [name], ["simulated"])
             recorder.scalars(place, time_s, values)
