@@ -7,11 +7,11 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -266,6 +266,11 @@ class FlightLog:
         channels = dict(self.channels) if isinstance(self.channels, dict) else self.channels  # a lazy one stays lazy
         object.__setattr__(self, "channels", MappingProxyType(channels))
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled with all its channels, each decoded."""
+        values = (getattr(self, each.name) for each in fields(self))
+        return FlightLog, tuple(dict(value) if isinstance(value, Mapping) else value for value in values)
 
     @property
     def is_of_autopilot(self) -> bool:

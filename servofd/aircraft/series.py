@@ -92,21 +92,6 @@ class LeftOut(NamedTuple):
         return f"{self.why} from {self.start_s:.1f} to {self.end_s:.1f} s"
 
 
-def marks_of(left_out: Sequence[LeftOut], time_s: FloatArray) -> Marks:
-    """The reasons of some stretches for each measurement, shape (m,).
-
-    Examples
-    --------
-    >>> marks_of([LeftOut("frozen", 1.0, 2.0)], np.arange(4.0))
-    array([0, 6, 6, 0], dtype=int8)
-    """
-    why = np.zeros(time_s.size, dtype=np.int8)
-    for each in left_out:
-        first, last = np.searchsorted(time_s, (each.start_s, each.end_s + 1e-9))
-        why[first:last] = Why[each.why.upper().replace(" ", "_")]
-    return why
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """Command and measured deflection of one surface over one log.

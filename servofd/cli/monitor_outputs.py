@@ -123,8 +123,8 @@ class Outputs:
     def _record(self, options: Options, open_: contextlib.ExitStack) -> None:
         # What Rerun would print of a full disk, in lines of its own, `LiveRecording.errors` tells; it reads this first.
         os.environ.setdefault("RUST_LOG", "off")
-        from servofd.outputs.live_recording import Currents, LiveRecording, Samples
-        from servofd.outputs.recording.verdicts import live_verdicts
+        from servofd.outputs.live_recording import LiveRecording, Samples
+        from servofd.outputs.recording.content import Trace, live_verdicts
 
         first, *others = self._session.aircraft.values()
         each = {n: one for craft in (first, *others) for n, one in craft.surfaces.items() if one.can_be_watched}
@@ -142,17 +142,12 @@ class Outputs:
             complain(f"rerun rerun+http://127.0.0.1:{port}/proxy shows it live")
 
         def listen(surface: str, piece: Piece, inputs: Inputs) -> None:
-            r, level, none = piece.residuals, piece.threshold.level_deg, np.zeros(0)
-            began_s = self._began_s(surface)  # a recording has one time line
-            commands = inputs.command_s + began_s, inputs.command_deg, inputs.context
-            if not inputs.is_current:
-                residual_deg = np.where(r.settled, r.residual_deg, np.nan)
-                deflections = inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg, level
-                recording.add(Samples(surface, r.time_s + began_s, *deflections, *commands))
-                return
-            recording.add(Currents(surface, r.time_s + began_s, r.measured_deg, r.simulated_deg, level))
-            if inputs.command_s.size:
-                recording.add(Samples(surface, none, none, none, none, none, none, *commands))
+            r, began_s = piece.residuals, self._began_s(surface)  # a recording has one time line
+            residual_deg = np.where(r.settled, r.residual_deg, np.nan)
+            columns = (r.time_s + began_s, inputs.asked_deg, r.simulated_deg, r.measured_deg, residual_deg)
+            commands = (inputs.command_s + began_s, inputs.command_deg)
+            trace = Trace(*columns, piece.threshold.level_deg, *commands, context=inputs.context)
+            recording.add(Samples(surface, trace, is_beside=inputs.is_current))
 
         self._session.listener = listen
 

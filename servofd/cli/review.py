@@ -27,11 +27,10 @@ from servofd.outputs.audit_report import audit_report
 from servofd.outputs.compare_report import compare_report
 from servofd.outputs.document import Bullets
 from servofd.outputs.json_report import audit_document
-from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.content import LIVE, Recording
 from servofd.outputs.recording.read import contradictions, is_recording, read_recording, rejudged
 from servofd.outputs.recording.stream import shown
 from servofd.outputs.recording.surface import events
-from servofd.outputs.recording.verdicts import LIVE
 from servofd.outputs.recording.viewer import check_display, open_viewer
 from servofd.outputs.recording.write import save_recording
 from servofd.outputs.sentence import STATUSES, whole_sentence

@@ -159,7 +159,8 @@ def write_page(document: Document, path: str | Path) -> None:
     """Write the page of a result, with links to those of many flights beside it."""
     from servofd.outputs.page import beside, html_page
 
-    document = replace(document, links=(*document.links, *beside(path).overviews))
+    overviews, _ = beside(path)
+    document = replace(document, links=(*document.links, *overviews))
     write_whole(path, html_page(document).encode())
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,31 +15,17 @@ from logparsers.records import FlightLog
 from logparsers.units import MS_PER_S
 from servofd.aircraft.outputs import WITHOUT_SURFACES
 from servofd.aircraft.schema import Aircraft
-from servofd.axes.model import FORMS
 from servofd.axes.verdict import AxisAudit, named, shown
 from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
 from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit, meaning, next_step
 from servofd.jobs.workflow import FailedLog
-from servofd.outputs.chart import (
-    MOST_FAULTS,
-    Chart,
-    Curve,
-    Mark,
-    Panel,
-    Span,
-    current_charts,
-    fault_charts,
-    flight_chart,
-    kind_of,
-)
+from servofd.outputs.chart import MOST_FAULTS, alone_chart, axis_chart, kind_of, lanes_of, surface_charts
 from servofd.outputs.document import Cell, Document, Figures, Item, Items, Lanes, Part, Section, Table, Words
 from servofd.outputs.json_report import audit_document
 from servofd.outputs.sentence import (
     LEAST_CLEARED,
-    STATUSES,
     clock,
-    gravity,
     other_way_round,
     plain_rate,
     seen,
@@ -47,11 +33,10 @@ from servofd.outputs.sentence import (
     whole_sentence,
     with_interval,
     worst,
+    worst_first,
 )
 
 if TYPE_CHECKING:
-    from servofd.axes.motion import Motion
-    from servofd.flight.change import AxisChange
     from servofd.flight.judge import FlightAlone
 
 _UNITS = {"deg_s": "deg/s", "deg": "deg", "hz": "Hz", "s": "s"}
@@ -152,15 +137,14 @@ def _failed(result: FailedLog) -> Document:
 
 def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     """What one flight says by itself."""
-    since = ["" if check.since_s is None else clock(check.since_s) for check in flight.checks]
     rows = [
-        (spoken(check.name), _LOOKS[check.status], check.text, at)
-        for check, at in zip(flight.checks, since, strict=True)
+        (spoken(one.name), _LOOKS[one.status], one.text, "" if one.since_s is None else clock(one.since_s))
+        for one in flight.checks
     ]
     parts: list[Part] = [Table("What this flight says by itself", ("check", "answer", "what was seen", "from"), rows)]
     if flight.motion is not None:
         motion, axes = flight.motion, flight.axes
-        parts.append(Figures(lambda: [_alone_chart(motion, axes)]))
+        parts.append(Figures(lambda: [alone_chart(motion, axes)]))
     sentence, rest = flight.sentence, ""
     if any(check.status == "look" for check in flight.checks):  # what to look at heads the page; the rest follows
         sentence, _, rest = flight.sentence.partition("; ")
@@ -168,28 +152,7 @@ def _alone(name: str, flight: FlightAlone, facts: str) -> Document:
     return Document(name, "unknown", f"{sentence[:1].upper()}{sentence[1:]}.", facts, parts, log=name)
 
 
-_DIARY = "Its flight modes and messages"
 _LOOKS = {"ok": "nothing wrong", "look": "look", "unknown": "cannot tell"}
-
-
-def _alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
-    """Commands, rates, and how far roll and pitch are from their own past."""
-    panels = []
-    for place, axis in enumerate(("roll", "pitch")):
-        if axis in motion.commands_us:
-            asked = Curve("command", "command", motion.time_s, motion.commands_us[axis])
-            rate = Curve("rate", "measured", motion.time_s, motion.rates_deg_s[place])
-            panels.append(Panel.around(f"{axis} command", "us", [asked], 1.0))
-            panels.append(Panel.around(f"{axis} rate", "deg/s", [rate], 1.0))
-        one = axes.get(axis)
-        if one is not None and one.time_s:
-            time_s, score = np.array(one.time_s), np.sqrt(np.array(one.score))
-            title = f"{axis}: distance from its own past"
-            panels.append(_distances(title, "limits", "limit", time_s, score, max(1.2, float(np.nanmax(score)))))
-    marks = [Mark("onset", one.since_s, f"{one.axis} changed") for one in axes.values() if one.since_s is not None]
-    text = "An axis whose distance from its own past exceeds 1 for three seconds no longer answers as it did."
-    first_s, last_s = float(motion.time_s[0]), float(motion.time_s[-1])
-    return Chart("The flight against its own past", text, first_s, last_s, tuple(panels), marks=tuple(marks))
 
 
 def _log(audit: LogAudit) -> Document:
@@ -197,12 +160,14 @@ def _log(audit: LogAudit) -> Document:
     facts = [log.source.name, log.format, f"{log.duration_s:.1f} s", log.vehicle, log.firmware]
     if log.start_utc is not None:
         facts.append(f"begun {log.start_utc:%Y-%m-%d %H:%M} UTC")
-    ordered = sorted(audit.surfaces, key=lambda surface: (STATUSES.index(surface.status), gravity(surface)))
+    ordered = worst_first(audit.surfaces)
     damage = []
     for one in log.damage_summary:
         when = " to ".join(f"{time_s:.2f}" for time_s in (one.start_s, one.end_s) if time_s is not None)
         damage.append((spoken(one.kind), one.note, str(one.count), when or "-"))
-    entries, surfaces = _diary(log), [_surface(audit.aircraft, one, len(ordered)) for one in ordered]
+    said, modes = _said(log), modes_of(log)
+    entries = [(clock(at_s), words) for at_s, words in sorted([*((t, f"mode: {one}") for t, one in modes), *said])]
+    diary = Table("Its flight modes and messages", ("at", "what"), entries)
     is_drawn = audit.axes or any(s.residuals is not None or s.current is not None for s in audit.surfaces)
     return Document(
         title=log.source.name + (f", run {log.run}" if log.run else ""),
@@ -210,12 +175,15 @@ def _log(audit: LogAudit) -> Document:
         sentence=whole_sentence(audit),
         facts=", ".join(filter(None, facts)),
         parts=[
-            Items("Surfaces", ("surface", "status", "model", "why"), surfaces),
+            Items(
+                "Surfaces",
+                ("surface", "status", "model", "why"),
+                [_surface(audit.aircraft, one, len(ordered)) for one in ordered],
+            ),
             Items("Axes", ("axis", "status", "what the motion shows"), [_axis(axis) for axis in audit.axes]),
             Table("Damage of the log", ("kind", "what", "count", "time [s]"), damage),
-            *[Section("What the autopilot did and said", [Table(_DIARY, ("at", "what"), entries)], folded=True)]
-            * bool(entries),
-            *[Lanes(lambda: _beside(log))] * bool(is_drawn),
+            *[Section("What the autopilot did and said", [diary], folded=True)] * bool(entries),
+            *[Lanes(lambda: {"lanes": lanes_of(log), "modes": modes, "said": said})] * bool(is_drawn),
         ],
         log=log.source.name,
     )
@@ -223,11 +191,8 @@ def _log(audit: LogAudit) -> Document:
 
 def _surface(aircraft: Aircraft, surface: SurfaceAudit, of: int) -> Item:
     found = (*surface.faults, *surface.suspicions)
-    parts: list[Part] = []
-    if surface.residuals is not None and surface.threshold is not None and surface.residuals.time_s.size > 1:
-        parts.append(Figures(lambda: [*fault_charts(surface), flight_chart(surface, of)]))
-    elif surface.current is not None:
-        parts.append(Figures(lambda: current_charts(surface)))
+    is_drawn = surface.residuals is not None or surface.current is not None
+    parts: list[Part] = [Figures(lambda: surface_charts(surface, of))] if is_drawn else []
     numbers: list[Part] = [
         _faults(found),
         Table("Residual and threshold", ("quantity", "value"), _statistics(surface)),
@@ -356,53 +321,6 @@ def _statistics(surface: SurfaceAudit) -> list[tuple[str, str]]:
     return rows
 
 
-_MOST_OF_IT = 0.998
-"""Share of the samples that the scale of an axis' chart holds; the rest is drawn beyond its ends."""
-_HEADROOM = 1.1
-"""Height of the chart of distances, over its largest value."""
-_HIGHEST = 20.0
-"""Largest distance from healthy that is drawn, in thresholds."""
-
-
-def axis_chart(axis: AxisAudit) -> Chart:
-    """The whole flight of one axis."""
-    time_s, usable = axis.time_s, axis.inputs.usable
-    asked, shown = (np.where(usable, values, np.nan) for values in (axis.asked, axis.shown))
-    both = np.concatenate([asked[usable], shown[usable], [0.0]])
-    low, high = (float(x) for x in np.quantile(both, (1.0 - _MOST_OF_IT, _MOST_OF_IT)))
-    margin = 0.1 * (high - low) + 1e-9
-    unit = FORMS[axis.model.form].unit
-    effect = Panel(
-        "effect of the command",
-        unit,
-        (Curve("expected", "simulated", time_s, asked), Curve("as the motion shows", "measured", time_s, shown)),
-        low - margin,
-        high + margin,
-    )
-    score = np.sqrt(np.clip(axis.score, 0.0, _HIGHEST**2))
-    top = _HEADROOM * max(1.2, float(score.max()))
-    title, score = "distance from healthy over its threshold", np.where(usable, score, np.nan)
-    distance = _distances(title, "1", "threshold", time_s, score, top)
-    text = (
-        "Above, the part of the motion that the command should cause, and the part that nothing else explains; a lost "
-        "surface keeps the second from following the first. Below, how far lost share and offset are from those of "
-        "healthy flights. Where nothing is drawn, nothing was judged."
-    )
-    last_s = float(time_s[-1])
-    spans = tuple(Span("fault", e.start_s, e.end_s or last_s, "lost") for e in axis.events if not e.cause)
-    marks = tuple(Mark("alarm", e.alarm_s, "alarm") for e in axis.events if not e.cause)
-    return Chart("Whole flight", text, float(time_s[0]), last_s, (effect, distance), spans, marks)
-
-
-def _distances(title: str, unit: str, limit: str, time_s: FloatArray, score: FloatArray, top: float) -> Panel:
-    """How far an axis was from what is usual, and the limit at 1."""
-    curves = (
-        Curve("distance", "residual", time_s, score),
-        Curve(limit, "threshold", time_s[[0, -1]], np.ones(2)),
-    )
-    return Panel(title, unit, curves, 0.0, top)
-
-
 _JITTER_QUANTILE = 0.95
 """Quantile of the intervals between samples that stands for their jitter."""
 
@@ -459,43 +377,6 @@ def _gap(time_s: FloatArray) -> str:
     return f"{step_s[longest]:.3g} (at {time_s[longest]:.2f} s)"
 
 
-_MOST_LANES = 12
-"""Lanes of a page: with `_POINTS` each they are 20 kB of it."""
-_POINTS = 300
-"""Points of a lane."""
-_SHOWN = re.compile(
-    r"(?:ATT\.(?:Roll|Pitch|Yaw)|ARSP(?:\[0\])?\.Airspeed|BAT(?:\[0\])?\.(?:Volt|Curr)|POWR\.V(?:Servo|cc)"
-    r"|CTUN\.ThO|BARO(?:\[0\])?\.Alt|ATTITUDE\.(?:roll|pitch|yaw)|VFR_HUD\.(?:airspeed|throttle|alt)"
-    r"|SYS_STATUS\.(?:voltage|current)_battery|airspeed\[0\]\.indicated_airspeed_m_s"
-    r"|battery_status\[0\]\.(?:voltage_v|current_a)|system_power\[0\]\.voltage5v_v)"
-)
-"""Of an autopilot's hundreds of channels: attitude, airspeed, supply, throttle, height; modes have a band."""
-_OF_SURFACES = re.compile(r".*_(?:cmd|pos)_(?:deg|rad)|d[aefr]\w*|time")
-
-
-def _lanes_of(log: FlightLog) -> list[dict[str, Any]]:
-    """Channels that are not those of surfaces: name, unit, outline (as of `Chart.paths`), and the ends of its axes."""
-    if log.is_of_autopilot:
-        wanted = [name for name in log.channels if _SHOWN.fullmatch(name)]
-    else:
-        wanted = [name for name in log.channels if not _OF_SURFACES.fullmatch(name)]
-    lanes = []
-    for name in wanted[:_MOST_LANES]:
-        channel = log[name]
-        known = channel.values[np.isfinite(channel.values)]
-        if channel.time_s.size < 2 or not known.size or channel.time_s[-1] <= channel.time_s[0]:
-            continue
-        steady = 1.0 if np.ptp(known) == 0.0 else 1e-9
-        panel = Panel.around(name, channel.unit, [Curve(name, "other", channel.time_s, channel.values)], steady)
-        first_s, last_s = float(channel.time_s[0]), float(channel.time_s[-1])
-        ((_, path),) = Chart("", "", first_s, last_s, (panel,), points=_POINTS).paths(panel)
-        lanes.append(
-            {"name": name, "unit": channel.unit, "low": panel.low, "high": panel.high}
-            | {"first": first_s, "last": last_s, "path": path}
-        )
-    return lanes
-
-
 _MOST_SAID = 80
 """Messages of a page: the gravest of a log that has more."""
 _OF_ITS_PLACE = re.compile(r"\d\.\d{4,}|[0-9A-Fa-f]{8}")
@@ -509,14 +390,3 @@ def _said(log: FlightLog) -> list[tuple[float, str]]:
     messages = [one for one in log.texts if np.isfinite(one.time_s) and one.text and not _OF_ITS_PLACE.search(one.text)]
     gravest = sorted(messages, key=lambda one: _LEAST_GRAVE if one.severity is None else one.severity)[:_MOST_SAID]
     return sorted({(one.time_s, one.text) for one in gravest})
-
-
-def _beside(log: FlightLog) -> dict[str, Any]:
-    """What the script of a page lays beside its charts: channels, modes and messages, each with its time [s]."""
-    return {"lanes": _lanes_of(log), "modes": modes_of(log), "said": _said(log)}
-
-
-def _diary(log: FlightLog) -> list[tuple[str, str]]:
-    """Rows of a table: when an autopilot changed its mode or sent a message, and which."""
-    changes = [(at_s, f"mode: {mode}") for at_s, mode in modes_of(log)]
-    return [(clock(at_s), words) for at_s, words in sorted([*changes, *_said(log)])]

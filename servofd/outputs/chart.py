@@ -1,24 +1,31 @@
 """Curves over time for a page: vector graphics that fill any width, with text beside them that never shrinks.
 
-The curves stand in one ``<svg>`` per panel, stretched to whatever width there is; ticks, names and values are text of
-the page around it, so that a phone shows them as large as any other. A page is readable as it is; `chart.js` adds the
-value under the pointer, and a closer view. A judged surface is drawn after thesis Fig. 4.5: what was asked and
-done above, the residual below.
+One ``<svg>`` a panel is stretched to whatever width there is; ticks, names and values are text of the page around it.
+`chart.js` adds the value under the pointer, and a closer view. A judged surface is drawn after thesis Fig. 4.5.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from logparsers.records import FlightLog
+from servofd.axes.model import FORMS
+from servofd.core.errors import NoMeasurement
 from servofd.core.types import FloatArray, IntArray
 from servofd.detection.kinds import KINDS
 from servofd.detection.verdict import WITHIN_SIGMAS, Fault, SurfaceAudit, gravest
 from servofd.outputs.sentence import clock, spoken
+
+if TYPE_CHECKING:
+    from servofd.axes.motion import Motion
+    from servofd.axes.verdict import AxisAudit
+    from servofd.flight.change import AxisChange
 
 WIDTH, HEIGHT = 2000, 500
 """Units of the drawing: two to a column of pixels of a wide screen, two to a row of a tall panel."""
@@ -289,16 +296,36 @@ def nice_ticks(low: float, high: float, most: int) -> list[float]:
 MOST_FAULTS = 4
 """Faults that are shown in a close-up; the table lists all."""
 _MARGIN_S, _MARGIN = 2.0, 0.35
-"""Shown before and after a fault: this many seconds, or this share of the time from onset to alarm if that is
-more."""
+"""Shown before and after a fault: the more of so many seconds and of this share of the time from onset to alarm."""
+_NEAR_S = 10.0
+"""Time before the onset and after the alarm in a close-up of a current [s]."""
 _POINTS, _POINTS_WELL = 700, 400
 """Points per curve of a whole flight; of a surface that is well, whose chart is folded away."""
 _POINTS_OF_PAGE = 2400
 """Points per curve of all surfaces of a page together: with six surfaces, three of them at fault, it has 190 kB."""
 
 
+def surface_charts(surface: SurfaceAudit, of: int = 1) -> list[Chart]:
+    """Close-ups of what was found, that of the headline first, then the whole flight of a surface, one `of` so many.
+
+    Of a surface without a position its current is drawn, with one close-up; nothing of one without both.
+    """
+    seen = surface.residuals or surface.current
+    if seen is None or seen.time_s is None or seen.time_s.size < 2:
+        return []
+    found = (*surface.faults, *surface.suspicions)
+    first = gravest(surface.faults or surface.suspicions) if found else None
+    ordered = sorted(found, key=lambda fault: fault is not first)
+    return [
+        *(_close_up(surface, fault) for fault in ordered[: 1 if surface.residuals is None else MOST_FAULTS]),
+        flight_chart(surface, of),
+    ]
+
+
 def flight_chart(surface: SurfaceAudit, of: int = 1) -> Chart:
     """The whole flight of one surface, one `of` so many on a page."""
+    if surface.residuals is None:
+        return _chart("Whole flight", _of_current(surface), surface, -math.inf, math.inf)
     largest = "" if surface.statistics is None else f", at most {surface.statistics.max_abs_deg:.2f} deg"
     text = (
         f"Above, what {spoken(surface.surface)} was asked, what a healthy servo would have done, and what was "
@@ -309,36 +336,53 @@ def flight_chart(surface: SurfaceAudit, of: int = 1) -> Chart:
     return replace(chart, points=round(points * min(1.0, _POINTS_OF_PAGE / (_POINTS * of))))
 
 
-def fault_charts(surface: SurfaceAudit) -> list[Chart]:
-    """Close-ups of the faults and suspicions of a surface: that of the headline, then the first ones."""
-    found = (*surface.faults, *surface.suspicions)
-    first = gravest(surface.faults or surface.suspicions) if found else None
-    ordered = sorted(found, key=lambda fault: fault is not first)
-    charts = []
-    for fault in ordered[:MOST_FAULTS]:
-        margin_s = max(_MARGIN_S, _MARGIN * (fault.alarm_s - fault.start_s))
-        last_s = max(fault.alarm_s, fault.start_s) + margin_s
-        if fault.end_s is not None and fault.end_s < last_s + margin_s:
-            last_s = fault.end_s + margin_s
-        text = (
-            f"It began at {clock(fault.start_s)} ({fault.start_s:.2f} s; shaded from there); in flight the alarm would "
-            f"have been raised at {fault.alarm_s:.2f} s (vertical line)."
-        )
-        title = f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}, close-up"
-        charts.append(_chart(title, text, surface, fault.start_s - margin_s, last_s))
-    return charts
+def _close_up(surface: SurfaceAudit, fault: Fault) -> Chart:
+    title = f"{kind_of(fault).capitalize()} at {clock(fault.start_s)}, close-up"
+    if surface.residuals is None:
+        from_s, to_s = fault.start_s - _NEAR_S, fault.alarm_s + _NEAR_S
+        return _chart(title, _of_current(surface), surface, from_s, to_s)
+    margin_s = max(_MARGIN_S, _MARGIN * (fault.alarm_s - fault.start_s))
+    last_s = max(fault.alarm_s, fault.start_s) + margin_s
+    if fault.end_s is not None and fault.end_s < last_s + margin_s:
+        last_s = fault.end_s + margin_s
+    text = (
+        f"It began at {clock(fault.start_s)} ({fault.start_s:.2f} s; shaded from there); in flight the alarm would "
+        f"have been raised at {fault.alarm_s:.2f} s (vertical line)."
+    )
+    return _chart(title, text, surface, fault.start_s - margin_s, last_s)
+
+
+def _of_current(surface: SurfaceAudit) -> str:
+    return f"Above, what {spoken(surface.surface)} was asked; below, what it drew, and what a good servo draws."
 
 
 def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: float) -> Chart:
-    """What was asked and done above; below, what is left of it, its threshold, and where it was beyond that."""
-    segment, residuals, threshold = surface.segment, surface.residuals, surface.threshold
-    if segment is None or residuals is None or threshold is None:
-        raise ValueError(f"{surface.surface}: nothing to draw, {surface.reason}")
-    time_s = residuals.time_s
-    begin_s, end_s = float(time_s[0]), float(time_s[-1])
+    """What was asked and done above; below, what is left of it, or what was drawn."""
+    seen, current = surface.residuals or surface.current, surface.current
+    if seen is None or seen.time_s is None:
+        raise NoMeasurement(f"{surface.surface}: there is nothing to draw: {surface.reason}")
+    begin_s, end_s = float(seen.time_s[0]), float(seen.time_s[-1])
     from_s, to_s = max(from_s, begin_s), min(to_s, end_s)
     if to_s <= from_s:
         from_s, to_s = begin_s, end_s
+    panels = _position_panels(surface, from_s, to_s)
+    if surface.residuals is None and current is not None and current.command is not None:
+        asked = Curve("command", "command", *current.command, "steps")
+        panels.append(Panel.around("deflection", "deg", [asked], _LEAST_DEG))
+    panels += _current_panel(surface, from_s, to_s)
+    found = [("fault", fault) for fault in surface.faults] + [("suspect", fault) for fault in surface.suspicions]
+    ends_s = (end_s if fault.end_s is None else fault.end_s for _, fault in found)
+    spans = tuple(Span(role, one.start_s, at_s, kind_of(one)) for (role, one), at_s in zip(found, ends_s, strict=True))
+    marks = tuple(Mark(role, one.alarm_s, f"alarm {clock(one.alarm_s)}") for role, one in found)
+    return Chart(title, text, from_s, to_s, tuple(panels), spans, marks)
+
+
+def _position_panels(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Panel]:
+    """What was asked and done; what is left of it, its threshold, and where it was beyond that."""
+    segment, residuals, threshold = surface.segment, surface.residuals, surface.threshold
+    if segment is None or residuals is None or threshold is None:
+        return []
+    time_s = residuals.time_s
     inside = slice(*np.searchsorted(time_s, (from_s, np.nextafter(to_s, np.inf))))
     curves = (
         Curve("command", "command", segment.command_s, segment.command_deg, "steps"),
@@ -357,40 +401,10 @@ def _chart(title: str, text: str, surface: SurfaceAudit, from_s: float, to_s: fl
     left += [Curve(name, "threshold", level_s, sign * level_deg) for name, sign in (("threshold", 1.0), ("", -1.0))]
     if np.isfinite(alarm).any():
         left.append(Curve("over threshold", "alarm", time_s, alarm))
-    panels = (
+    return [
         Panel.around("deflection", "deg", curves, _LEAST_DEG, (from_s, to_s)),
         Panel("residual", "deg", tuple(left), -limit, limit),
-        *_current_panel(surface, from_s, to_s),
-    )
-    spans, marks = _found(surface, end_s)
-    return Chart(title, text, from_s, to_s, panels, spans, marks)
-
-
-def current_charts(surface: SurfaceAudit) -> list[Chart]:
-    """Charts of a surface without a position, command and current: the gravest fault, the whole flight."""
-    current = surface.current
-    if current is None or current.time_s is None or current.command is None or current.time_s.size < 2:
-        return []
-    asked_s, asked_deg = current.command
-    begin_s, end_s = float(current.time_s[0]), float(current.time_s[-1])
-    spans, marks = _found(surface, end_s)
-    asked = Panel.around("deflection", "deg", [Curve("command", "command", asked_s, asked_deg, "steps")], _LEAST_DEG)
-    text = f"Above, what {spoken(surface.surface)} was asked; below, what it drew, and what a good servo draws."
-
-    def drawn(title: str, from_s: float, to_s: float) -> Chart:
-        return Chart(title, text, from_s, to_s, (asked, *_current_panel(surface, from_s, to_s)), spans, marks)
-
-    found = surface.faults or surface.suspicions
-    charts = [drawn("Whole flight", begin_s, end_s)]
-    if found:
-        first = gravest(found)
-        from_s, to_s = max(first.start_s - _NEAR_S, begin_s), min(first.alarm_s + _NEAR_S, end_s)
-        charts.insert(0, drawn(f"{kind_of(first).capitalize()} at {clock(first.start_s)}, close-up", from_s, to_s))
-    return charts
-
-
-_NEAR_S = 10.0
-"""Time before the onset and after the alarm in a close-up of a current [s]."""
+    ]
 
 
 def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Panel]:
@@ -410,14 +424,107 @@ def _current_panel(surface: SurfaceAudit, from_s: float, to_s: float) -> list[Pa
     return [Panel.around("current", "A", curves, 1e-3, (from_s, to_s))]
 
 
-def _found(surface: SurfaceAudit, end_s: float) -> tuple[tuple[Span, ...], tuple[Mark, ...]]:
-    """Times to shade, and alarms to mark."""
-    found = [("fault", fault) for fault in surface.faults] + [("suspect", fault) for fault in surface.suspicions]
-    ends_s = [end_s if fault.end_s is None else fault.end_s for _, fault in found]
-    spans = (Span(role, one.start_s, at_s, kind_of(one)) for (role, one), at_s in zip(found, ends_s, strict=True))
-    return tuple(spans), tuple(Mark(role, one.alarm_s, f"alarm {clock(one.alarm_s)}") for role, one in found)
-
-
 def kind_of(fault: Fault) -> str:
     """Kind of a fault, in the words of its sentence."""
     return KINDS[fault.kind].perhaps.removeprefix("a ").removeprefix("an ")
+
+
+_MOST_OF_IT = 0.998
+"""Share of the samples that the scale of an axis' chart holds; the rest is drawn beyond its ends."""
+_HEADROOM = 1.1
+"""Height of the chart of distances, over its largest value."""
+_HIGHEST = 20.0
+"""Largest distance from healthy that is drawn, in thresholds."""
+
+
+def axis_chart(axis: AxisAudit) -> Chart:
+    """The whole flight of one axis."""
+    time_s, usable = axis.time_s, axis.inputs.usable
+    asked, shown = (np.where(usable, values, np.nan) for values in (axis.asked, axis.shown))
+    both = np.concatenate([asked[usable], shown[usable], [0.0]])
+    low, high = (float(x) for x in np.quantile(both, (1.0 - _MOST_OF_IT, _MOST_OF_IT)))
+    margin = 0.1 * (high - low) + 1e-9
+    unit = FORMS[axis.model.form].unit
+    effect = Panel(
+        "effect of the command",
+        unit,
+        (Curve("expected", "simulated", time_s, asked), Curve("as the motion shows", "measured", time_s, shown)),
+        low - margin,
+        high + margin,
+    )
+    score = np.sqrt(np.clip(axis.score, 0.0, _HIGHEST**2))
+    top = _HEADROOM * max(1.2, float(score.max()))
+    title, score = "distance from healthy over its threshold", np.where(usable, score, np.nan)
+    distance = _distances(title, "1", "threshold", time_s, score, top)
+    text = (
+        "Above, the part of the motion that the command should cause, and the part that nothing else explains; a lost "
+        "surface keeps the second from following the first. Below, how far lost share and offset are from those of "
+        "healthy flights. Where nothing is drawn, nothing was judged."
+    )
+    last_s = float(time_s[-1])
+    spans = tuple(Span("fault", e.start_s, e.end_s or last_s, "lost") for e in axis.events if not e.cause)
+    marks = tuple(Mark("alarm", e.alarm_s, "alarm") for e in axis.events if not e.cause)
+    return Chart("Whole flight", text, float(time_s[0]), last_s, (effect, distance), spans, marks)
+
+
+def _distances(title: str, unit: str, limit: str, time_s: FloatArray, score: FloatArray, top: float) -> Panel:
+    """How far an axis was from what is usual, and the limit at 1."""
+    curves = Curve("distance", "residual", time_s, score), Curve(limit, "threshold", time_s[[0, -1]], np.ones(2))
+    return Panel(title, unit, curves, 0.0, top)
+
+
+def alone_chart(motion: Motion, axes: Mapping[str, AxisChange]) -> Chart:
+    """Commands, rates, and how far roll and pitch are from their own past."""
+    panels = []
+    for place, axis in enumerate(("roll", "pitch")):
+        if axis in motion.commands_us:
+            asked = Curve("command", "command", motion.time_s, motion.commands_us[axis])
+            rate = Curve("rate", "measured", motion.time_s, motion.rates_deg_s[place])
+            panels.append(Panel.around(f"{axis} command", "us", [asked], 1.0))
+            panels.append(Panel.around(f"{axis} rate", "deg/s", [rate], 1.0))
+        one = axes.get(axis)
+        if one is not None and one.time_s:
+            time_s, score = np.array(one.time_s), np.sqrt(np.array(one.score))
+            title = f"{axis}: distance from its own past"
+            panels.append(_distances(title, "limits", "limit", time_s, score, max(1.2, float(np.nanmax(score)))))
+    marks = [Mark("onset", one.since_s, f"{one.axis} changed") for one in axes.values() if one.since_s is not None]
+    text = "An axis whose distance from its own past exceeds 1 for three seconds no longer answers as it did."
+    first_s, last_s = float(motion.time_s[0]), float(motion.time_s[-1])
+    return Chart("The flight against its own past", text, first_s, last_s, tuple(panels), marks=tuple(marks))
+
+
+_MOST_LANES = 12
+"""Lanes of a page: with 300 points each they are 20 kB of it."""
+_LANE_POINTS = 300
+"""Points of a lane."""
+_SHOWN_LANES = re.compile(
+    r"(?:ATT\.(?:Roll|Pitch|Yaw)|ARSP(?:\[0\])?\.Airspeed|BAT(?:\[0\])?\.(?:Volt|Curr)|POWR\.V(?:Servo|cc)"
+    r"|CTUN\.ThO|BARO(?:\[0\])?\.Alt|ATTITUDE\.(?:roll|pitch|yaw)|VFR_HUD\.(?:airspeed|throttle|alt)"
+    r"|SYS_STATUS\.(?:voltage|current)_battery|airspeed\[0\]\.indicated_airspeed_m_s"
+    r"|battery_status\[0\]\.(?:voltage_v|current_a)|system_power\[0\]\.voltage5v_v)"
+)
+"""Of an autopilot's hundreds of channels: attitude, airspeed, supply, throttle, height; modes have a band."""
+_OF_SURFACES = re.compile(r".*_(?:cmd|pos)_(?:deg|rad)|d[aefr]\w*|time")
+
+
+def lanes_of(log: FlightLog) -> list[dict[str, Any]]:
+    """Channels that are not those of surfaces: name, unit, outline (as of `Chart.paths`), and the ends of its axes."""
+    if log.is_of_autopilot:
+        wanted = [name for name in log.channels if _SHOWN_LANES.fullmatch(name)]
+    else:
+        wanted = [name for name in log.channels if not _OF_SURFACES.fullmatch(name)]
+    lanes = []
+    for name in wanted[:_MOST_LANES]:
+        channel = log[name]
+        known = channel.values[np.isfinite(channel.values)]
+        if channel.time_s.size < 2 or not known.size or channel.time_s[-1] <= channel.time_s[0]:
+            continue
+        steady = 1.0 if np.ptp(known) == 0.0 else 1e-9
+        panel = Panel.around(name, channel.unit, [Curve(name, "other", channel.time_s, channel.values)], steady)
+        first_s, last_s = float(channel.time_s[0]), float(channel.time_s[-1])
+        ((_, path),) = Chart("", "", first_s, last_s, (panel,), points=_LANE_POINTS).paths(panel)
+        lanes.append(
+            {"name": name, "unit": channel.unit, "low": panel.low, "high": panel.high}
+            | {"first": first_s, "last": last_s, "path": path}
+        )
+    return lanes

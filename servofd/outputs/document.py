@@ -90,7 +90,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Lanes:
-    """What a page lays beside its charts: other channels, modes and messages of the log (`servofd.outputs.lanes`)."""
+    """What a page lays beside its charts: other channels, modes and messages of the log."""
 
     draw: Callable[[], Mapping[str, Any]]
 
@@ -107,7 +107,6 @@ class Item:
     """One more word on a terminal, under the third heading."""
     parts: Sequence[Part] = ()
     """On pages only; of what is well, folded."""
-    anchor: str = ""
 
 
 @dataclass(frozen=True, slots=True)

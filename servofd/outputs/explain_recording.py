@@ -1,9 +1,4 @@
-"""Explanations as Rerun recordings: both simulations beside the measurement, and what they miss.
-
-Entities below ``/surfaces/<name>``: ``deflection`` (command, as it was, with what was found, measured [deg]), ``error``
-(measured minus simulated [deg], before and after), the lanes ``before`` and ``after`` (seconds that disagree by more
-than noise); ``/report``.
-"""
+"""Explanations as Rerun recordings: both simulations beside the measurement, and what they miss."""
 
 from __future__ import annotations
 
@@ -12,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.core.series import latest
 from servofd.discrepancy.locate import bad_seconds
 from servofd.outputs.document import markdown
 from servofd.outputs.explain_report import explain_report
+from servofd.outputs.recording.content import held
 from servofd.outputs.recording.layout import REPORT, REPORT_VIEW, blueprint, curves, lanes, stacked
 from servofd.outputs.recording.stream import Recorder, application_name, recording_file, shown, surface_place
 
@@ -34,9 +29,9 @@ def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
     """Write nominal and extended simulation, residuals and bad blocks into one .rrd file, with its layout inside."""
     place = surface_place(found.surface)
     views = [
-        curves("Deflection [deg]", [f"{place}/deflection"], origin=place),
-        curves("Measured minus simulated [deg]", [f"{place}/error"], origin=place),
-        lanes("Seconds that disagree by more than noise", [f"{place}/{lane}" for lane in _LANES], origin=place),
+        curves("Deflection [deg]", place, "/deflection"),
+        curves("Measured minus simulated [deg]", place, "/error"),
+        lanes("Seconds that disagree by more than noise", place, *(f"/{lane}" for lane in _LANES)),
     ]
     tabs = [stacked("Curves", views, [4, 3, 1.6]), REPORT_VIEW]
     layout, application = blueprint(tabs, around_s=_worst(found)), application_name("explain", found.surface, source)
@@ -54,9 +49,8 @@ def save_explanation(found: Explanation, path: str | Path, source: str) -> None:
 
 def _send_curves(recorder: Recorder, place: str, found: Explanation) -> None:
     record, nominal, final = found.record, found.selection.nominal.error_deg, found.selection.final.error_deg
-    commands, measured_deg = record.commands, record.measured_deg
-    command_deg = latest(commands.effective_s, commands.command_deg, record.time_s)
-    command_deg = np.where(record.time_s >= commands.effective_s[0], command_deg, np.nan)
+    measured_deg = record.measured_deg
+    command_deg = held(record.commands.effective_s, record.commands.command_deg, record.time_s)
     deflections = np.column_stack([command_deg, measured_deg - nominal, measured_deg - final, measured_deg])
     errors = np.where(record.counts[:, None], np.column_stack([nominal, final]), np.nan)
     names = ["command", "as it was", "with what was found", "measured"]

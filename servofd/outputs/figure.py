@@ -31,6 +31,7 @@ _WIDTHS = {"simulated": 2.0, "likely": 2.0, "threshold": 1.0, "alarm": 5.0}
 """Widths of lines by their role [points], where not 0.9."""
 _DASHED = ("threshold", "before")
 _COLOURS = {
+    **COLOURS,
     **dict.fromkeys(("threshold", "alarm", "before"), COLOURS["fault"]),
     **dict.fromkeys(("after", "likely"), COLOURS["simulated"]),
     "residual": "black",
@@ -72,41 +73,41 @@ def chart_figure(chart: Chart, ax: Axes | Sequence[Axes] | None = None) -> Figur
         for curve in panel.curves:
             _draw(axes, curve)
         for span in chart.spans:
-            axes.axvspan(span.start, span.end, color=_colour(span.role), alpha=0.12, lw=0)
+            axes.axvspan(span.start, span.end, color=_COLOURS[span.role], alpha=0.12, lw=0)
         for mark in chart.marks:
-            axes.axvline(mark.x, color=_colour(mark.role), lw=0.8)
+            axes.axvline(mark.x, color=_COLOURS[mark.role], lw=0.8)
         axes.set_ylim(panel.low, panel.high)
         if chart.axis:
             axes.set_xlim(chart.first, chart.last)
         if chart.log:
             axes.set_xscale("log")
-        _finish(axes, panel.label)
+            axes.xaxis.set_major_formatter("{x:g}")  # the usual one writes formulas
+        axes.set_ylabel(panel.label)
+        axes.grid(visible=True, color="0.9")
+        axes.spines[["top", "right"]].set_visible(False)
+        if axes.get_legend_handles_labels()[1]:  # beside, where it hides nothing
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     upper = all_axes[0]
     for span in chart.spans:
-        style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": _colour(span.role)}
+        style: dict[str, Any] = {"va": "top", "fontsize": 9, "clip_on": True, "color": _COLOURS[span.role]}
         upper.text(span.start, 1.0, f" {span.label}", transform=upper.get_xaxis_transform(), **style)
     all_axes[len(panels) - 1].set_xlabel(chart.axis or "time [s]")
     return figure
 
 
 def _draw(axes: Axes, curve: Curve) -> None:
-    colour, width = _colour(curve.role), _WIDTHS.get(curve.role, 0.9)
+    colour, width = _COLOURS[curve.role], _WIDTHS.get(curve.role, 0.9)
     if curve.style == "bars":
         axes.vlines(curve.x, curve.values, curve.values if curve.until is None else curve.until, color=colour, lw=width)
         return
     style: dict[str, Any] = {"color": colour, "lw": width, "label": curve.name or None}
     if curve.style == "dots":
-        axes.plot(
-            curve.x, curve.values, **style | {"lw": 0.0, "marker": ".", "ms": 1.5 if curve.role == "raw" else 6.0}
-        )
+        style |= {"lw": 0.0, "marker": ".", "ms": 1.5 if curve.role == "raw" else 6.0}
+        axes.plot(curve.x, curve.values, **style)
         return
     style |= {"ls": "--"} if curve.role in _DASHED else {}
     style |= {"drawstyle": "steps-post"} if curve.style == "steps" else {}
     axes.plot(*thinned(curve.x, curve.values, _WIDEST), **style)
-
-
-def _colour(role: str) -> str:
-    return _COLOURS.get(role) or COLOURS[role]
 
 
 def _new_figure(ratios: tuple[int, ...]) -> tuple[Figure, tuple[Axes, ...]]:
@@ -121,15 +122,3 @@ def _new_figure(ratios: tuple[int, ...]) -> tuple[Figure, tuple[Axes, ...]]:
     FigureCanvasAgg(figure)
     all_axes = figure.subplots(len(ratios), sharex=True, height_ratios=ratios)
     return figure, tuple(np.atleast_1d(all_axes))
-
-
-def _finish(axes: Axes, name: str) -> None:
-    """Name of the axis, grid, and the legend beside, where it hides nothing."""
-    axes.set_ylabel(name)
-    axes.grid(visible=True, color="0.9")
-    axes.spines[["top", "right"]].set_visible(False)
-    for axis in (axes.xaxis, axes.yaxis):
-        if axis.get_scale() == "log":
-            axis.set_major_formatter("{x:g}")  # the usual one writes formulas
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)

@@ -31,7 +31,6 @@ _MOST_FLIGHTS = 2000
 FLIGHTS_HEAD = ("flight", "verdict", "begun (UTC)", "length", "residual", "what")
 _FAULTS_HEAD = ("log", "begun (UTC)", "surface", "kind", "onset [s]", "end [s]", "parameters", "probability")
 _SURFACES_HEAD = ("surface", "flights", "faults", "residual / threshold", "servo")
-_CURRENT_HEAD = "current / good flights"
 _AXES_HEAD = ("axis", "flights", "effect left", "surfaces")
 _LINE = (
     "The small pictures show the residual of the worst surface (what its motion shows of the worst axis) over the "
@@ -170,16 +169,16 @@ def _axis(axis: dict[str, Any]) -> tuple[str | Cell, ...]:
 
 def _surfaces(surfaces: Sequence[Mapping[str, Any]]) -> Table:
     """Each with its largest share of the threshold, and its currents, in the flights without a fault of it."""
-    rows = []
+    rows, ratios = [], []
     for one in surfaces:
         share, kinds = one["largest_share"], ", ".join(f"{spoken(kind)} {n}" for kind, n in one["kinds"].items())
         nearest, servos = "" if share is None else f"{share:.0%}", ", ".join(one["servos"])
         rows.append((one["surface"], _by_status(one["logs"]), kinds or "none", nearest, servos))
-    drawn = [one.get("current_ratio") for one in surfaces]
-    if not any(drawn):
+        drawn = one.get("current_ratio")
+        ratios.append("" if drawn is None else f"{drawn[0]:.0%} to {drawn[1]:.0%}")
+    if not any(ratios):
         return Table("Surfaces", _SURFACES_HEAD, rows)
-    ratios = ["" if each is None else f"{each[0]:.0%} to {each[1]:.0%}" for each in drawn]
-    head = (*_SURFACES_HEAD, _CURRENT_HEAD)
+    head = (*_SURFACES_HEAD, "current / good flights")
     return Table("Surfaces", head, [(*row, ratio) for row, ratio in zip(rows, ratios, strict=True)])
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import threading
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,19 +22,10 @@ from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.detection.event import Event
 from servofd.outputs.palette import SERIES
+from servofd.outputs.recording.content import MANY_VEHICLES, Trace
 from servofd.outputs.recording.layout import ALARM_LINE, LINK, REPORT, live_layout
 from servofd.outputs.recording.stream import STATES, Recorder, application_name, surface_place
-from servofd.outputs.recording.surface import (
-    AIRSPEED,
-    SUPPLY,
-    breaks_s,
-    ratio,
-    send_current,
-    send_curves,
-    send_styles,
-    style_current,
-)
-from servofd.outputs.recording.verdicts import MANY_VEHICLES
+from servofd.outputs.recording.surface import around, breaks_s, send_current, send_curves, send_styles, style_current
 from servofd.outputs.sentence import spoken
 from servofd.servo.context import Context
 
@@ -50,29 +41,12 @@ _ABOUT = "Recorded in flight. `servofd review` of this recording gives the verdi
 
 
 class Samples(NamedTuple):
-    """What was evaluated of one surface; columns of shape (n,) unless said."""
+    """What was evaluated of one surface, and the commands that have come since the samples before."""
 
     surface: str
-    time_s: FloatArray
-    command_deg: FloatArray
-    simulated_deg: FloatArray
-    measured_deg: FloatArray
-    residual_deg: FloatArray
-    threshold_deg: FloatArray
-    command_s: FloatArray
-    """Commands that have come since the samples before, on their own times, shape (m,)."""
-    came_deg: FloatArray
-    context: Context
-
-
-class Currents(NamedTuple):
-    """What was drawn beside the position of one surface; columns of shape (n,)."""
-
-    surface: str
-    time_s: FloatArray
-    drawn_a: FloatArray
-    healthy_a: FloatArray
-    within_a: FloatArray
+    trace: Trace
+    is_beside: bool = False
+    """Whether it is a current, in amperes, beside the position."""
 
 
 class LiveRecording:
@@ -81,7 +55,7 @@ class LiveRecording:
     `currents` are the surfaces that are watched by their current alone: their samples are in amperes. Those `beside`
     are watched by it and by their position.
 
-    What ``servofd review`` needs to judge it afterwards are its `properties` (`recording.verdicts.live_verdicts`).
+    What ``servofd review`` needs to judge it afterwards are its `properties` (`recording.content.live_verdicts`).
     """
 
     def __init__(
@@ -95,7 +69,7 @@ class LiveRecording:
         port: int | None = None,
         properties: Mapping[str, Any] | None = None,
     ) -> None:
-        self._entries: deque[Samples | Currents | Event] = deque(maxlen=_ROOM)
+        self._entries: deque[Samples | Event] = deque(maxlen=_ROOM)
         self.dropped = 0
         self._stop = threading.Event()
         self._sinks = []
@@ -112,7 +86,7 @@ class LiveRecording:
         self._thread = threading.Thread(target=self._run, name="servofd record", daemon=True)
         self._thread.start()
 
-    def add(self, entry: Samples | Currents | Event) -> None:
+    def add(self, entry: Samples | Event) -> None:
         """Record samples or an event; never waits."""
         self.dropped += len(self._entries) == self._entries.maxlen
         self._entries.append(entry)
@@ -164,8 +138,9 @@ class _Sink:
     """Batches of the fastest one that make one of this."""
     currents: Set[str]
     """Surfaces whose samples are in amperes."""
-    kept: list[Samples | Currents | Event] = field(default_factory=list)
-    lanes: dict[str, _Lane] = field(default_factory=dict)
+    kept: list[Samples | Event] = field(default_factory=list)
+    lanes: defaultdict[tuple[str, bool], _Lane] = field(default_factory=lambda: defaultdict(_Lane))
+    """Of each surface, and of each current beside one."""
     around_s: dict[str, float] = field(default_factory=dict)
     """Until when airspeed and supply were sent [s]."""
     error: str = ""
@@ -181,55 +156,40 @@ class _Sink:
 
     def _send(self) -> None:
         """Runs of samples joined, events between them."""
-        waiting: dict[str, list[Samples]] = {}
+        waiting: dict[tuple[str, bool], list[Trace]] = {}
         for entry in self.kept:
             if isinstance(entry, Samples):
-                waiting.setdefault(entry.surface, []).append(entry)
-            elif isinstance(entry, Currents):
-                self._drawn(entry)
-            else:
-                # In order: what it was before the event, it was until the event.
-                if entry.surface in waiting:
-                    self._samples(entry.surface, waiting.pop(entry.surface))
-                self._event(entry)
-        for surface, pieces in waiting.items():
-            self._samples(surface, pieces)
+                waiting.setdefault((entry.surface, entry.is_beside), []).append(entry.trace)
+                continue
+            # In order: what it was before the event, it was until the event.
+            if (entry.surface, False) in waiting:
+                self._samples(entry.surface, waiting.pop((entry.surface, False)))
+            self._event(entry)
+        for (surface, is_beside), pieces in waiting.items():
+            self._samples(surface, pieces, is_beside=is_beside)
         self.recorder.stream.flush(timeout_sec=_PATIENCE_S)
 
-    def _drawn(self, entry: Currents) -> None:
-        lane = self.lanes.setdefault(f"{entry.surface} current", _Lane())
-        known_s = np.concatenate([lane.tail_s, entry.time_s])
-        broken_s, lane.tail_s = breaks_s(known_s), known_s[-10:]
-        send_current(self.recorder, surface_place(entry.surface), broken_s, *entry[1:])
-
-    def _samples(self, surface: str, pieces: list[Samples]) -> None:
-        time_s, *deflections, residual_deg, threshold_deg, command_s, came_deg = (
-            np.concatenate(column) for column in list(zip(*pieces, strict=True))[1:-1]
-        )
-        place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
-        if not time_s.size:  # beside a current that is watched alone
-            self.recorder.scalars(f"{place}/command", command_s, came_deg)
-            return
-        self._around(pieces[-1].context)
-        if lane.shown in ("", "NO DATA"):
-            self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
+    def _samples(self, surface: str, pieces: list[Trace], *, is_beside: bool = False) -> None:
+        columns, context = list(zip(*pieces, strict=True))[:8], pieces[-1].context
+        trace = Trace(*(np.concatenate(column) for column in columns), context=context)
+        time_s, place, lane = trace.time_s, surface_place(surface), self.lanes[surface, is_beside]
+        if time_s.size and not is_beside:
+            self._around(context)
+            if lane.shown in ("", "NO DATA"):
+                self._state(surface, float(time_s[0]), "FAULT" if lane.faulty else "OK")
         known_s = np.concatenate([lane.tail_s, time_s])
         broken_s, lane.tail_s = breaks_s(known_s), known_s[-10:]
-        self.recorder.scalars(f"{place}/command", command_s, came_deg)
-        if surface in self.currents:
-            _, healthy_a, drawn_a = deflections
-            send_current(self.recorder, place, broken_s, time_s, drawn_a, healthy_a, threshold_deg)
-            return
-        send_curves(self.recorder, place, broken_s, (time_s, *deflections, residual_deg, threshold_deg))
-        self.recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
-        self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))
+        self.recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
+        if is_beside or surface in self.currents:
+            columns_a = (time_s, trace.measured_deg, trace.simulated_deg, trace.threshold_deg)
+            send_current(self.recorder, place, broken_s, columns_a)
+        elif time_s.size:  # there is none beside a current that is watched alone
+            send_curves(self.recorder, place, broken_s, trace)
+            self.recorder.scalars(ALARM_LINE, time_s[[0, -1]], np.ones(2))
 
     def _around(self, context: Context) -> None:
         """Airspeed and supply, as far as they are news."""
-        for place, at_s, values in (
-            (AIRSPEED, context.airspeed_s, context.airspeed_m_s),
-            (SUPPLY, context.voltage_s, context.voltage_v),
-        ):
+        for place, _, at_s, values in around(context):
             new = slice(int(np.searchsorted(at_s, self.around_s.get(place, -np.inf), side="right")), None)
             if at_s[new].size:
                 self.recorder.scalars(place, at_s[new], values[new])
@@ -245,12 +205,12 @@ class _Sink:
         self.recorder.texts(place, [(time_s, _LEVELS.get(event.event, "INFO"), words)])
         if event.surface and event.event in _STATE_AFTER:
             if event.event != "no_data":
-                self.lanes.setdefault(event.surface, _Lane()).faulty = event.event == "alarm"
+                self.lanes[event.surface, False].faulty = event.event == "alarm"
             self._state(event.surface, time_s, _STATE_AFTER[event.event])
 
     def _state(self, surface: str, time_s: float, word: str) -> None:
-        place, lane = surface_place(surface), self.lanes.setdefault(surface, _Lane())
-        lane.shown = word
+        place = surface_place(surface)
+        self.lanes[surface, False].shown = word
         self.recorder.states(f"{place}/state", [(time_s, word)])
         self.recorder.line_colours(f"{place}/residual", [(time_s, (STATES[word], "threshold", "threshold"))])
 

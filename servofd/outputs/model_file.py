@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,20 +26,15 @@ if TYPE_CHECKING:
     from servofd.identification.result import Identification
 
 _SCALES = {"slow_dynamics": "bandwidth_scale", "damping": "damping_scale"}
-_GROUPS = ("surfaces", "servos")
 
 
-class ModelFile(NamedTuple):
-    """An aircraft file, and what it leaves as it was."""
+def model_file(
+    found: Sequence[Explanation], aircraft: Aircraft, source: str, logs: Sequence[FlightLog]
+) -> tuple[str, dict[str, str]]:
+    """Aircraft file whose surfaces have what was missing; empty if nothing is better than what was known.
 
-    text: str
-    """Empty if nothing is better than what was known."""
-    kept: dict[str, str]
-    """Surfaces that have no better model, and why."""
-
-
-def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, logs: Sequence[FlightLog]) -> ModelFile:
-    """Aircraft file whose surfaces have what was missing; what has no better model stays as it was."""
+    Beside it the surfaces that have no better model and stay as they were, and why.
+    """
     document = aircraft.model_dump(exclude_none=True, exclude_defaults=True)
     kept = {one.surface: one.not_saved for one in found if one.not_saved}
     lines, is_better = [], False
@@ -68,9 +63,9 @@ def model_file(found: Sequence[Explanation], aircraft: Aircraft, source: str, lo
                 f"# Held-out error of {one.surface}: {before_deg:.4g} deg rms before, {after_deg:.4g} with this model.",
             ]
     if not is_better:
-        return ModelFile("", kept)
+        return "", kept
     lines = [*(f"# {surface}: as it was: {reason}." for surface, reason in kept.items()), *lines]
-    return ModelFile("\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n", kept)
+    return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n", kept
 
 
 def _table(found: Explanation) -> EffectTable:
@@ -104,7 +99,7 @@ def _toml(document: Mapping[str, Any]) -> list[str]:
     lines = toml_lines({key: value for key, value in document.items() if not isinstance(value, dict)})
     if document.get("table"):
         lines += ["", "[table]", *toml_lines(document["table"])]
-    for group in _GROUPS:
+    for group in ("surfaces", "servos"):
         for name, table in document.get(group, {}).items():
             effects = table.get("effects", {})
             plain = {key: value for key, value in table.items() if key != "effects"}

@@ -7,11 +7,10 @@ import platform
 import re
 import sys
 import webbrowser
-from collections.abc import Mapping
 from html import unescape
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from servofd.core.files import beginning
 from servofd.outputs.document import Document
@@ -86,17 +85,12 @@ def open_page(address: str) -> None:
         webbrowser.open(address)
 
 
-class Beside(NamedTuple):
-    """Pages of servofd in a folder."""
+def beside(page: str | Path) -> tuple[list[tuple[str, str]], dict[str, str]]:
+    """Other pages in the folder of one, to which it can lead.
 
-    overviews: tuple[tuple[str, str], ...]
-    """Title and file name of those of many flights: of a fleet, of trends."""
-    flights: Mapping[str, str]
-    """File name of the page of each log, by the log's; of logs of one name none."""
-
-
-def beside(page: str | Path) -> Beside:
-    """Other pages in the folder of one, to which it can lead."""
+    Title and file name of those of many flights (of a fleet, of trends); and the file name of the page of each log, by
+    the log's, of logs of one name none.
+    """
     overviews: list[tuple[str, str]] = []
     flights: dict[str, list[str]] = {}
     for path in sorted(Path(page).resolve().parent.glob("*.html")):
@@ -107,7 +101,7 @@ def beside(page: str | Path) -> Beside:
             flights.setdefault(log, []).append(path.name)
         elif title.startswith(OF_MANY):
             overviews.append((title, path.name))
-    return Beside(tuple(overviews), {log: names[0] for log, names in flights.items() if len(names) == 1})
+    return overviews, {log: names[0] for log, names in flights.items() if len(names) == 1}
 
 
 def _head(path: Path) -> str:

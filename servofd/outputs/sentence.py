@@ -9,20 +9,11 @@ from typing import TYPE_CHECKING
 
 from servofd.core.evidence import Detectable
 from servofd.detection.kinds import KINDS, filled
-from servofd.detection.verdict import (
-    CommonCause,
-    Fault,
-    LogAudit,
-    Status,
-    SurfaceAudit,
-    by_gravity,
-    check,
-    gravest,
-    next_step,
-)
+from servofd.detection.verdict import Fault, LogAudit, Status, SurfaceAudit, by_gravity, check, gravest, next_step
 
 if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
+    from servofd.detection.verdict import CommonCause
 
 STATUSES: tuple[Status, ...] = ("fault", "suspect", "healthy", "unknown", "no_data")
 """Of surfaces, the one that decides first: what could not be judged does not count beside what could."""
@@ -64,8 +55,8 @@ def sentence(surfaces: Sequence[SurfaceAudit]) -> str:
     suspect = [s for s in surfaces if s.status == "suspect"]
     healthy = [s for s in surfaces if s.status == "healthy"]
     if faulty:
-        each = "; ".join(f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in sorted(faulty, key=gravity))
-        return f"{each}. Do not fly."
+        each = (f"{spoken(s.surface).upper()} {_what(gravest(s.faults))}" for s in worst_first(faulty))
+        return f"{'; '.join(each)}. Do not fly."
     if suspect:
         by_current = all(s.suspicions and all(f.witness == "current" for f in s.suspicions) for s in suspect)
         them, witness = ("it", ", by its current") if len(suspect) == 1 else ("them", ", by their currents")
@@ -96,10 +87,14 @@ def _cleared(healthy: Sequence[SurfaceAudit], dark: Sequence[SurfaceAudit]) -> s
     return " ".join(part for part in (text, missing, not_moved) if part)
 
 
-def gravity(surface: SurfaceAudit) -> int:
-    """Place of a surface among others, by what its faults or suspicions may do to the aircraft; the worst is first."""
-    found = surface.faults or surface.suspicions
-    return gravity_of([gravest(found).kind] if found else [])
+def worst_first(surfaces: Sequence[SurfaceAudit]) -> list[SurfaceAudit]:
+    """Surfaces by their status, and by what their faults or suspicions may do to the aircraft."""
+
+    def place(surface: SurfaceAudit) -> tuple[int, int]:
+        found = surface.faults or surface.suspicions
+        return STATUSES.index(surface.status), gravity_of([gravest(found).kind] if found else [])
+
+    return sorted(surfaces, key=place)
 
 
 def gravity_of(kinds: Iterable[str]) -> int:
@@ -142,7 +137,7 @@ def answers(audit: LogAudit) -> list[str]:
     several is said once.
     """
     advised: dict[str, list[str]] = {}
-    surfaces = sorted(audit.surfaces, key=lambda s: (STATUSES.index(s.status), gravity(s)))
+    surfaces = worst_first(audit.surfaces)
     for surface in surfaces:
         if surface.status in ("fault", "suspect"):
             step, either = next_step(surface).removeprefix("do not fly; "), other_way_round(surface)

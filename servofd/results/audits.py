@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, cast, overload
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
 from logparsers import FlightLog
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.aircraft.schema import Aircraft
-from servofd.aircraft.series import Series
 from servofd.axes.verdict import AxisAudit
 from servofd.batch.find import META_FILE, find_logs, kind_of
 from servofd.batch.key import Job
-from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
-from servofd.core.files import write_whole
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.core.series import latest
-from servofd.detection.residual import Residuals, Threshold, ThresholdKind
+from servofd.detection.residual import ThresholdKind
 from servofd.detection.verdict import LogAudit, SurfaceAudit
 from servofd.feedback.flown import known_aircraft, layout_of, logs_of
 from servofd.feedback.tables import as_described, frame_of, is_table
@@ -29,15 +27,14 @@ from servofd.fleets.overview import Overview, overview
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import read_logs
 from servofd.jobs import workflow
-from servofd.outputs.audit_report import audit_report, axis_chart
-from servofd.outputs.chart import Chart, current_charts, flight_chart
+from servofd.outputs.audit_report import audit_report
+from servofd.outputs.chart import Chart, axis_chart, flight_chart
 from servofd.outputs.compare_report import Track, charts, compare_report, overlaid, track_of
 from servofd.outputs.document import Document
 from servofd.outputs.figure import chart_figure
 from servofd.outputs.fleet_report import fleet_report, flight_name
-from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.results.shown import Drawn, Shown, fields_of, in_words_of_python, over_time, plain_log
+from servofd.results.shown import Drawn, Shown, fields_of, frame, in_words_of_python
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,18 +45,11 @@ if TYPE_CHECKING:
     from servofd.results.models import Flown
 
 
-class AuditedSurface(SurfaceAudit, Drawn):
+class AuditedSurface(Drawn, SurfaceAudit):
     """Verdict on one surface."""
-
-    __slots__ = ()
-    __repr__ = Drawn.__repr__
 
     def chart(self) -> Chart:
         """The whole flight of the surface."""
-        by_current = current_charts(self) if self.residuals is None else []
-        if by_current:
-            return by_current[-1]
-        self._curves()
         return flight_chart(self)
 
     def series(self) -> pd.DataFrame:
@@ -68,26 +58,21 @@ class AuditedSurface(SurfaceAudit, Drawn):
         One row for each position, with the time of the log as index [s]; `judged` is false while the filter settles and
         where nothing was measured. The command is the last that was sent before.
         """
-        segment, residuals, threshold = self._curves()
+        segment, residuals, threshold = self.segment, self.residuals, self.threshold
+        if segment is None or residuals is None or threshold is None:
+            raise NoMeasurement(f"{self.surface}: there is nothing to draw: {self.reason}")
         columns = {
+            "time_s": residuals.time_s,
             "command_deg": latest(segment.command_s, segment.command_deg, residuals.time_s),
             **{name: getattr(residuals, name) for name in ("simulated_deg", "measured_deg", "residual_deg")},
             "threshold_deg": threshold.level_deg,
             "judged": residuals.settled,
         }
-        return over_time(residuals.time_s, columns)
-
-    def _curves(self) -> tuple[Series, Residuals, Threshold]:
-        if self.segment is None or self.residuals is None or self.threshold is None:
-            raise NoMeasurement(f"{self.surface}: there is nothing to draw: {self.reason}")
-        return self.segment, self.residuals, self.threshold
+        return frame(columns).set_index("time_s")
 
 
-class AuditedAxis(AxisAudit, Drawn):
+class AuditedAxis(Drawn, AxisAudit):
     """What the motion of the aircraft tells of one axis."""
-
-    __slots__ = ()
-    __repr__ = Drawn.__repr__
 
     def chart(self) -> Chart:
         """The whole flight of the axis."""
@@ -98,20 +83,18 @@ class AuditedAxis(AxisAudit, Drawn):
 
         `share` is the distance from healthy over its threshold; `judged` is false outside the calibrated regime.
         """
-        columns = {"expected": self.asked, "shown": self.shown, "share": np.sqrt(np.maximum(self.score, 0.0))}
-        return over_time(self.time_s, columns | {"judged": self.inputs.usable})
+        shares = np.sqrt(np.maximum(self.score, 0.0))
+        columns = {"time_s": self.time_s, "expected": self.asked, "shown": self.shown, "share": shares}
+        return frame(columns | {"judged": self.inputs.usable}).set_index("time_s")
 
 
-class Audit(LogAudit, Shown):
+class Audit(Shown, LogAudit):
     """Verdicts on the surfaces of one run of a log.
 
     Each is `found["elevator"]` or `found.elevator`, and `found["roll"]` an axis. A loop over it gives itself, so that a
     loop over `audit` need not know whether a log holds runs. Two are equal if they say the same; ``a - b`` compares
     them. A pickle of it holds verdicts and curves, and not the other channels of the log.
     """
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     @classmethod
     def _of(cls, found: LogAudit) -> Self:
@@ -123,13 +106,7 @@ class Audit(LogAudit, Shown):
         """Itself, once."""
         return iter((self,))
 
-    @overload
-    def __getitem__(self, name: str) -> Any: ...  # noqa: ANN401 - a surface or an axis
-
-    @overload
-    def __getitem__(self, name: int) -> Self: ...
-
-    def __getitem__(self, name: str | int) -> Any:
+    def __getitem__(self, name: str | int) -> Any:  # noqa: ANN401 - a surface, an axis or itself
         """Verdict on one surface or axis; by number the only run, itself, as in a loop."""
         if isinstance(name, int):
             return (self,)[name]
@@ -149,10 +126,8 @@ class Audit(LogAudit, Shown):
         """With the surfaces and axes, which a notebook completes."""
         return sorted({*super().__dir__(), *filter(str.isidentifier, self._named())})
 
-    def _named(self) -> dict[str, AuditedSurface | AuditedAxis]:
-        axes = cast("tuple[AuditedAxis, ...]", self.axes)
-        surfaces = cast("tuple[AuditedSurface, ...]", self.surfaces)
-        return {one.axis: one for one in axes} | {one.surface: one for one in surfaces}
+    def _named(self) -> dict[str, Any]:
+        return {one.axis: one for one in self.axes} | {one.surface: one for one in self.surfaces}
 
     def __eq__(self, other: object) -> bool:
         """Whether both say the same of the same log."""
@@ -169,7 +144,8 @@ class Audit(LogAudit, Shown):
         return list(self._named())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _audit_of, (plain_log(self.log, {}), self.aircraft, self.surfaces, self.axes, self.common_causes)
+        log = replace(self.log, channels={}, span_s=self.log.ends_s)
+        return Audit, (log, self.aircraft, self.surfaces, self.axes, self.common_causes)
 
     def report(self) -> Document:
         """Verdicts in words, tables and charts."""
@@ -186,25 +162,18 @@ class Audit(LogAudit, Shown):
 
     def plot(self, name: str | None = None, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
-        if name is not None:
-            named: Drawn = self[name]
-            return named.plot(ax)
-        judged = ((s, s.residuals is not None and s.threshold is not None) for s in self.surfaces)
-        drawn = [self[s.surface] for s, has_curves in judged if has_curves or s.feedback == "current"]
-        drawn = drawn or [self[axis.axis] for axis in self.axes]
-        if not drawn:
-            raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
-        worst: Drawn = min(drawn, key=lambda one: LEAST_CLEARED.index(one.status))
-        return worst.plot(ax)
+        if name is None:
+            drawn: list[Any] = [s for s in self.surfaces if s.threshold is not None or s.feedback == "current"]
+            if not (drawn or self.axes):
+                raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
+            worst = min(drawn or self.axes, key=lambda one: LEAST_CLEARED.index(one.status))
+        figure: Figure = (worst if name is None else self[name]).plot(ax)
+        return figure
 
     def _rows(self) -> list[dict[str, Any]]:
         return [_row(one) for one in self.surfaces] + [
             {"surface": axis.axis, "status": axis.status, "reason": axis.reason} for axis in self.axes
         ]
-
-
-def _audit_of(log: dict[str, Any], *others: Any) -> Audit:  # noqa: ANN401 - the other fields
-    return Audit(FlightLog(**log), *others)
 
 
 def _row(one: SurfaceAudit) -> dict[str, Any]:
@@ -223,10 +192,8 @@ def _row(one: SurfaceAudit) -> dict[str, Any]:
     }
 
 
-class Audits(tuple[Audit, ...]):
+class Audits(Shown, tuple[Audit, ...]):
     """The runs of one log, each with its verdicts."""
-
-    __slots__ = ()
 
     def __repr__(self) -> str:
         """One result after the other."""
@@ -235,17 +202,12 @@ class Audits(tuple[Audit, ...]):
     def _repr_html_(self) -> str:
         return "".join(one._repr_html_() for one in self)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """One row for each run and surface."""
-        needs("pandas")
-        import pandas as pd
+    def report(self) -> Document:
+        """All runs, and the verdicts of each."""
+        return audit_report(self)
 
-        return pd.DataFrame([{"run": one.log.run} | row for one in self for row in one._rows()])
-
-    def save_html(self, path: str | Path) -> Path:
-        """Write the page of all runs, and give the path."""
-        write_whole(path, html_page(audit_report(self)).encode())
-        return Path(path)
+    def _rows(self) -> list[dict[str, Any]]:
+        return [{"run": one.log.run} | row for one in self for row in one._rows()]
 
 
 @in_words_of_python
@@ -326,11 +288,8 @@ def _described(log: Any, columns: Mapping[str, str]) -> tuple[Any, Aircraft]:  #
     return log, aircraft_of_columns(columns)
 
 
-class Fleet(Overview, Shown):
+class Fleet(Shown, Overview):
     """What many logs say together."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def report(self) -> Document:
         """Flights, the worst first, then surfaces and faults."""
@@ -358,7 +317,7 @@ def _fleet_of(inputs: list[str], job: Job) -> Fleet:
     unseen = not (bar.is_terminal or bar.is_jupyter)
     judging = audit_fleet(logs, job)
     judged = track(judging, f"{len(logs)} logs", len(logs), console=bar, transient=True, disable=unseen)
-    return Fleet._of(overview([row for one in judged for row in one.rows]))
+    return Fleet(**fields_of(overview([row for one in judged for row in one.rows])))
 
 
 @in_words_of_python
@@ -378,7 +337,7 @@ def fleet(folder: str | Path, aircraft: Aircraft | str | Path | None = None, *, 
     {'fault': 1}
     """
     if (Path(folder) / META_FILE).is_file():
-        return Fleet._of(overview(read_logs(Path(folder))))
+        return Fleet(**fields_of(overview(read_logs(Path(folder)))))
     return _fleet_of([str(folder)], Job(known_aircraft(aircraft), servo))
 
 
@@ -390,9 +349,10 @@ class Comparison(Shown):
     second: Audit
 
     @property
-    def names(self) -> tuple[str, str]:
+    def names(self) -> list[str]:
         """Of both flights."""
-        return _name(self.first.log), _name(self.second.log)
+        logs = (self.first.log, self.second.log)
+        return [flight_name({"path": log.source.name, "run": log.run}) for log in logs]
 
     def report(self) -> Document:
         """Verdicts of the same surfaces beside each other, and their curves over each other."""
@@ -423,10 +383,6 @@ class Comparison(Shown):
             apart = None if first is None or second is None else first - second
             rows.append(row | {"max_abs_deg_a": first, "max_abs_deg_b": second, "max_abs_deg_difference": apart})
         return rows
-
-
-def _name(log: FlightLog) -> str:
-    return log.source.name + (f" (run {log.run})" if log.run else "")
 
 
 def compare(first: Audit, second: Audit) -> Comparison:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from logparsers import FlightLog
 from logparsers.units import MS_PER_S
 from servofd.aircraft.axes import MotionModel, motion_to_toml
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.result import Calibration, calibration_to_toml
-from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, needs, suggest
+from servofd.core.errors import ConfigError, NoMeasurement, UnknownName, suggest
 from servofd.discrepancy.explanation import Explanation
 from servofd.feedback.flown import log_files
 from servofd.identification.result import Identification
@@ -26,7 +26,7 @@ from servofd.outputs.figure import chart_figure
 from servofd.outputs.identify_report import identify_charts, identify_report
 from servofd.outputs.model_file import model_file
 from servofd.outputs.trend_report import quantity_row, trend_chart, trend_report
-from servofd.results.shown import Shown, fields_of, in_words_of_python, plain_log, shown
+from servofd.results.shown import Shown, fields_of, frame, in_words_of_python, shown
 from servofd.simulation.flight import SimulatedFlight
 from servofd.wear.trend import AircraftTrend, trend_document, trend_logs
 
@@ -37,11 +37,8 @@ if TYPE_CHECKING:
     from servofd.feedback.flown import Log
 
 
-class Identified(Identification, Shown):
+class Identified(Shown, Identification):
     """A servo, how sure its numbers are, and the evidence."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def report(self) -> Document:
         """Numbers with their intervals, and figures."""
@@ -69,10 +66,6 @@ class Explained(Shown):
     source: str
     logs: tuple[FlightLog, ...]
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        logs = [plain_log(log, log.channels) for log in self.logs]
-        return _explained_of, (self.explanation, self.aircraft, self.source, logs)
-
     @property
     def answer(self) -> str:
         """What is missing, how much, whether that is a fault, and what to do next."""
@@ -93,7 +86,8 @@ class Explained(Shown):
 
     def save(self, path: str | Path) -> Path:
         """Write the aircraft file with the better model, and give the path."""
-        return self._save(path, model_file([self.explanation], self.aircraft, self.source, self.logs).text)
+        text, _ = model_file([self.explanation], self.aircraft, self.source, self.logs)
+        return self._save(path, text)
 
     def _rows(self) -> list[dict[str, Any]]:
         document = self.explanation.document()
@@ -103,10 +97,6 @@ class Explained(Shown):
             errors = {name: step[name] for name in ("train_rms_deg", "held_out_rms_deg")}
             rows.append({"effect": step["effect"], "form": step["form"], "sizes": sizes, **errors})
         return rows
-
-
-def _explained_of(explanation: Explanation, aircraft: Aircraft, source: str, logs: list[dict[str, Any]]) -> Explained:
-    return Explained(explanation, aircraft, source, tuple(FlightLog(**log) for log in logs))
 
 
 @in_words_of_python
@@ -135,11 +125,8 @@ def explain(
     return Explained(found.explanations[0], found.aircraft, found.source, found.logs)
 
 
-class Calibrated(Calibration, Shown):
+class Calibrated(Shown, Calibration):
     """An aircraft calibrated from good flights."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def to_toml(self) -> str:
         """The aircraft file, with its comments."""
@@ -199,18 +186,15 @@ class CalibratedAxes(Shown):
 def calibrate(*args: Any, **options: Any) -> Any:  # noqa: ANN401 - by what the flights hold
     """As `servofd.jobs.workflow.calibrate`; of flights without feedback, what motion tells of the axes."""
     try:
-        return Calibrated._of(workflow.calibrate(*args, **options))
+        return Calibrated(**fields_of(workflow.calibrate(*args, **options)))
     except NoMeasurement:
         if len(args) != 1 or options.get("aircraft") is not None:
             raise
         return CalibratedAxes(workflow.calibrate_axes(args[0], spans=options.get("spans", ())))
 
 
-class Trend(AircraftTrend, Shown):
+class Trend(Shown, AircraftTrend):
     """All surfaces of one aircraft over its flights."""
-
-    __slots__ = ()
-    __repr__ = Shown.__repr__
 
     def report(self) -> Document:
         """What changes over the flights, and since when."""
@@ -239,21 +223,12 @@ trend = shown("trend", trend_logs, Trend)
 class Flown(SimulatedFlight):
     """A simulated flight, which is a log for every verb."""
 
-    __slots__ = ()
-
-    @classmethod
-    def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
-        return cls(**fields_of(found))
-
     def to_pandas(self) -> pd.DataFrame:
         """As a plain table: time, and command and measured position of each surface [deg]."""
-        needs("pandas")
-        import pandas as pd
-
         columns = {"time_s": self.time_s}
         for k, name in enumerate(self.surfaces):
             columns |= {f"{name}_cmd_deg": self.command_deg[:, k], f"{name}_pos_deg": self.measured_deg[:, k]}
-        return pd.DataFrame(columns)
+        return frame(columns)
 
     def __repr__(self) -> str:
         return f"Flown: {', '.join(self.surfaces)}, {self.time_s[-1]:.1f} s"

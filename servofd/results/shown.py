@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import wraps
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from logparsers import Channel, FlightLog, LogError
+from logparsers import LogError
 from servofd.core.errors import ServofdError, needs
 from servofd.core.files import write_whole
-from servofd.core.types import FloatArray
 from servofd.feedback.draft import BY_DAYS
 from servofd.outputs.chart import Chart
 from servofd.outputs.document import Document
@@ -55,20 +54,13 @@ class Shown(ABC):
         """Text of its page."""
         return html_page(self.report())
 
-    @classmethod
-    def _of(cls, found: Any) -> Self:  # noqa: ANN401 - the data type that it extends
-        return cls(**fields_of(found))
-
     def _save(self, path: str | Path, text: str) -> Path:
         write_whole(path, text.encode())
         return Path(path)
 
     def to_pandas(self) -> pd.DataFrame:
         """One row for each surface or quantity."""
-        needs("pandas")
-        import pandas as pd
-
-        return pd.DataFrame(self._rows())
+        return frame(self._rows())
 
     def save_html(self, path: str | Path) -> Path:
         """Write its page, and give the path."""
@@ -95,16 +87,7 @@ _SHORT, _SHOWN = 3, 6
 
 P = ParamSpec("P")
 Given = TypeVar("Given")
-
-
-class Extending(Protocol):
-    """A result that is made of what its verb found."""
-
-    @classmethod
-    def _of(cls, found: Any) -> Self: ...  # noqa: ANN401 - any data type
-
-
-Result = TypeVar("Result", bound=Extending)
+Result = TypeVar("Result")
 
 _OPTION = re.compile(r"(?<![\w-])(?:-(?P<short>[cs])|--(?P<long>[a-z][a-z-]*))(?![\w-])(?: (?P<value>[A-Za-z0-9.]+))?")
 _DISORDER = ("split the log there", "sort it by its time, or number the flights in a column run")
@@ -133,8 +116,8 @@ def in_words_of_python(verb: Callable[P, Given]) -> Callable[P, Given]:
     return call
 
 
-def shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable[P, Result]:
-    """The verb as the command line calls it, with a result that shows itself."""
+def shown(name: str, verb: Callable[P, object], kind: Callable[..., Result]) -> Callable[P, Result]:
+    """The verb as the command line calls it, with a result of the `kind` that shows itself."""
 
     @wraps(verb)
     @in_words_of_python
@@ -143,14 +126,14 @@ def shown(name: str, verb: Callable[P, object], kind: type[Result]) -> Callable[
             signature(verb).bind(*args, **options)
         except TypeError as error:
             raise TypeError(f"servofd.{name}: {error}; help(servofd.{name}) lists them") from None
-        return kind._of(verb(*args, **options))
+        return kind(**fields_of(verb(*args, **options)))
 
     call.__name__ = call.__qualname__ = name
     return call
 
 
 class Drawn(ABC):
-    """A surface or an axis that draws itself, and gives its numbers over time."""
+    """A surface or an axis that draws itself."""
 
     __slots__ = ()
 
@@ -163,30 +146,19 @@ class Drawn(ABC):
     def chart(self) -> Chart:
         """The whole flight of it."""
 
-    @abstractmethod
-    def series(self) -> pd.DataFrame:
-        """Its numbers over time."""
-
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Figure of the whole flight; into one's own axes, the upper part into one, or all of it into several."""
-        needs("matplotlib")
         return chart_figure(self.chart(), ax)
 
 
-def over_time(time_s: FloatArray, columns: Mapping[str, Any]) -> pd.DataFrame:
-    """Table of columns over the time of a log [s]."""
+def frame(columns_or_rows: Any) -> pd.DataFrame:  # noqa: ANN401 - as pandas takes it
+    """Table of pandas."""
     needs("pandas")
     import pandas as pd
 
-    return pd.DataFrame(columns, index=pd.Index(time_s, name="time_s"))
+    return pd.DataFrame(columns_or_rows)
 
 
 def fields_of(found: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
     """Its fields by their names."""
     return {field.name: getattr(found, field.name) for field in fields(found)}
-
-
-def plain_log(log: FlightLog, channels: Mapping[str, Channel]) -> dict[str, Any]:
-    """What a pickle holds of a log."""
-    span_s = log.span_s or (0.0, log.duration_s)
-    return fields_of(log) | {"channels": dict(channels), "parameters": dict(log.parameters), "span_s": span_s}

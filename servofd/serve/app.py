@@ -7,9 +7,10 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 from urllib.parse import parse_qsl, quote
 
 from starlette.applications import Starlette
@@ -29,19 +30,13 @@ from servofd.outputs.document import Cell, Document, Table
 from servofd.outputs.fleet_report import FLIGHTS_HEAD, flight_row
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED
-from servofd.serve.flights import RESULTS, SHIPPED, Choice, Flight, Flights, TooLarge, Upload
+from servofd.serve.flights import RESULTS, Choice, Flight, Flights, TooLarge, Upload
 from servofd.serve.guard import Guard
-from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, curves_in, text_in
+from servofd.serve.judge import AUDIT, PAGE, PROGRESS, RECORDING, Summary, Verb, curves_in, text_in
 from servofd.serve.preview import preview
-from servofd.serve.tasks import Verb
 from servofd.serve.viewer import FILES, viewer_files
 
 _KINDS = {AUDIT: "application/json", PAGE: "text/html; charset=utf-8", RECORDING: "application/octet-stream"}
-_OF_SUMMARY = frozenset(
-    ("status", "sentence", "start_utc", "duration_s", "too_long", "surface", "surfaces", "table", "outline")
-)
-"""What the list of flights tells of a verdict."""
-_COMPARED = 2
 _STATUSES = (*LEAST_CLEARED, "not_a_log")
 """Of flights in the list, the one to look at first."""
 _ICON = (
@@ -54,9 +49,9 @@ _MOST_BYTES = 1_000_000
 """Largest form [bytes]."""
 
 
-def _refused(text: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> HTTPException:
-    """What to raise where a request makes no sense, or asks for what is not there."""
-    return HTTPException(status, text)
+_refused = partial(HTTPException, HTTPStatus.BAD_REQUEST)
+"""What to raise where a request makes no sense."""
+_not_there = partial(HTTPException, HTTPStatus.NOT_FOUND)
 
 
 async def _fields_of(request: Request) -> ImmutableMultiDict[str, str]:
@@ -143,7 +138,7 @@ class _Routes:
             asked=asked,
             verdict=status,
             statuses=_STATUSES,
-            aircraft=[*self._flights.aircraft(), *SHIPPED],
+            aircraft=self._flights.aircraft(),
             preparing=not is_prepared(),
         )
 
@@ -159,7 +154,7 @@ class _Routes:
             upload = await run_in_threadpool(self._flights.upload, name, int(expected) if expected.isdecimal() else 0)
             async for some in request.stream():
                 await run_in_threadpool(upload.write, some)
-            taken, upload = await run_in_threadpool(upload.finish), None
+            (flight, notice), upload = await run_in_threadpool(upload.finish), None
         except TooLarge as error:
             return JSONResponse({"error": str(error)}, HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         except OSError as error:
@@ -169,8 +164,7 @@ class _Routes:
         finally:
             if upload is not None:
                 upload.abandon()
-        row = {} if taken.flight is None else self._row(taken.flight)
-        return JSONResponse(row | {"notice": taken.notice}, HTTPStatus.CREATED)
+        return JSONResponse((self._row(flight) if flight else {}) | {"notice": notice}, HTTPStatus.CREATED)
 
     async def act(self, request: Request) -> Response:
         """Something to do with the flights that are ticked."""
@@ -186,14 +180,14 @@ class _Routes:
             said = [await run_in_threadpool(act, one) for one in ticked]
             return _page(Document(title, "no_data", " ".join(said)), deleted=deleted)
         flights = [flight for one in ticked if (flight := self._flights.get(one)) is not None]
-        if verb not in _VERBS:
+        if verb not in get_args(Verb):
             raise _refused("There is nothing of that name to do.")
         if not flights:
             raise _refused(f"Tick the flights to {'follow' if verb == 'trend' else verb} first.")
         if verb == "trend" and not (aircraft or self._flights.job.aircraft or flights[0].choice.aircraft):
             raise _refused("A trend follows one aircraft: choose its file beside the button first.")
         try:
-            task = self._flights.begin(_VERBS[verb], flights, aircraft=aircraft, surface=form.get("surface", ""))
+            task = self._flights.begin(cast("Verb", verb), flights, aircraft=aircraft, surface=form.get("surface", ""))
         except ConfigError as error:
             raise _refused(f"{error}.") from None
         return RedirectResponse(f"/tasks/{task.id}", HTTPStatus.SEE_OTHER)
@@ -219,7 +213,7 @@ class _Routes:
             "flight": row,
             "recording": (folder / RECORDING).is_file(),
             "viewer": f"/flights/{quote(flight.id)}/{RECORDING}",
-            "aircraft": [*self._flights.aircraft(), *SHIPPED],
+            "aircraft": self._flights.aircraft(),
             "chosen": flight.choice.aircraft,
             "preview": shown,
             "pairs": _pairs(columns),
@@ -244,7 +238,7 @@ class _Routes:
         flight, name = self._known(request.path_params["id"]), request.path_params["file"]
         path = self._flights.results(flight.id) / name
         if name not in _KINDS or not path.is_file():
-            raise _refused("There is no such result of this flight.", HTTPStatus.NOT_FOUND)
+            raise _not_there("There is no such result of this flight.")
         download = {AUDIT: f"{flight.name}.json", RECORDING: f"{flight.name}.rrd"}.get(name)
         if "download" in request.query_params and name == PAGE:
             download = f"{flight.name}.html"
@@ -254,7 +248,7 @@ class _Routes:
         """A calibration, trend or explanation, or how far it is."""
         task = self._flights.task(request.path_params["id"])
         if task is None:
-            raise _refused("There is no such calibration, trend or explanation.", HTTPStatus.NOT_FOUND)
+            raise _not_there("There is no such calibration, trend or explanation.")
         folder = self._flights.task_folder(task.id)
         found = text_in(folder / PAGE) if task.state == "done" else ""
         if found:
@@ -265,17 +259,17 @@ class _Routes:
 
     async def compare(self, request: Request) -> Response:
         chosen = request.query_params.getlist("flight")
-        if len(chosen) != _COMPARED:
+        if len(chosen) != 2:
             done = [flight for flight in self._flights.all() if flight.state == "done"]
             how = "Choose both; they are shown beside each other."
             asks = Document("Compare", "no_data", "Which two flights?", how)
-            return _page(asks, template="compare.html", done=done, chosen=chosen[:_COMPARED])
+            return _page(asks, template="compare.html", done=done, chosen=chosen[:2])
         flights = [self._known(one) for one in chosen]
         folders = [self._flights.results(one.id) for one in flights]
         try:
             documents = [json.loads((folder / AUDIT).read_text(encoding="utf-8")) for folder in folders]
         except OSError:
-            raise _refused("One of the two is not judged yet.", HTTPStatus.CONFLICT) from None
+            raise HTTPException(HTTPStatus.CONFLICT, "One of the two is not judged yet.") from None
         names, links = [one.name for one in flights], [f"/flights/{one.id}" for one in flights]
         first, second = map(curves_in, folders)
         both = {name: (track, second[name]) for name, track in first.items() if name in second}
@@ -288,12 +282,13 @@ class _Routes:
         name = request.path_params["file"] or "index.html"
         folder = await run_in_threadpool(viewer_files, self._flights.folder / RESULTS)
         if folder is None or name not in FILES:
-            raise _refused('The viewer is not here; pip install "servofd[view]" brings it.', HTTPStatus.NOT_FOUND)
+            raise _not_there('The viewer is not here; pip install "servofd[view]" brings it.')
         return FileResponse(folder / name, media_type=FILES[name], headers={"Cache-Control": "private, max-age=86400"})
 
     def _row(self, flight: Flight) -> dict[str, Any]:
         """A flight in the list; it tells no folder. What is at work says how far it is."""
-        known = {name: one for name, one in asdict(flight.summary or Summary("", "")).items() if name in _OF_SUMMARY}
+        known = asdict(flight.summary or Summary("", ""))
+        del known["key"]
         if flight.state == "at work":
             known["sentence"] = text_in(self._flights.results(flight.id) / PROGRESS)
         size = f"{flight.size_bytes / 1e6:.1f} MB"
@@ -302,7 +297,7 @@ class _Routes:
     def _known(self, flight_id: str) -> Flight:
         flight = self._flights.get(flight_id)
         if flight is None:
-            raise _refused("There is no such flight; it may have been deleted.", HTTPStatus.NOT_FOUND)
+            raise _not_there("There is no such flight; it may have been deleted.")
         return flight
 
 
@@ -313,9 +308,6 @@ def _moments(given: Sequence[str]) -> tuple[float, float]:
         if math.isfinite(first) and math.isfinite(second):
             return first, second
     raise _refused("Align two flights by a moment of each, in seconds.")
-
-
-_VERBS: Mapping[str, Verb] = {"calibrate": "calibrate", "trend": "trend", "explain": "explain"}
 
 
 def _within(found: str, title: str, template: str, values: Mapping[str, Any]) -> Response:

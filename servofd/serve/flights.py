@@ -14,12 +14,12 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 from servofd.aircraft.columns import aircraft_of_columns
 from servofd.aircraft.schema import load_aircraft
@@ -29,8 +29,7 @@ from servofd.batch.local import cores, interrupts_wait, processes
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.files import distinct_file_names, make_folder, write_whole
 from servofd.outputs.sentence import spoken
-from servofd.serve.judge import Summary, judge
-from servofd.serve.tasks import Task, Verb, do
+from servofd.serve.judge import SUMMARY, TASK, Summary, Task, Verb, do, judge, kept
 
 State = Literal["waiting", "at work", "done"]
 
@@ -79,22 +78,8 @@ class Flight:
         return self.log.name
 
 
-class Taken(NamedTuple):
-    """What became of a file that was dropped."""
-
-    flight: Flight | None
-    """None for what is no flight: an aircraft file."""
-    notice: str
-    """What to say of it; empty of a new flight, which its row shows."""
-
-
-class _Work(NamedTuple):
-    """Something for a process: what to call, and who hears of its end."""
-
-    begin: Callable[[], Callable[[], object] | None]
-    """Gives what to call, or None if it is not wanted any more."""
-    end: Callable[[Any], None]
-    """Takes what came of it, or why nothing did."""
+_Run = Callable[[Callable[[], object]], Any]
+"""Gives what came of a call in another process, or why nothing did."""
 
 
 class Flights:
@@ -114,7 +99,7 @@ class Flights:
         self._tasks: dict[str, Task] = {}
         self._ended = False
         self._lock = threading.Lock()
-        self._waiting: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[Callable[[_Run], object] | None] = queue.SimpleQueue()
         self._workers = [threading.Thread(target=self._work, daemon=True) for _ in range(workers or cores())]
         self._finder = threading.Thread(target=self._find, daemon=True)
 
@@ -147,7 +132,7 @@ class Flights:
     def results(self, flight_id: str) -> Path:
         """Folder of its results."""
         if not _ID.fullmatch(flight_id):
-            raise ConfigError("no such flight")
+            raise ConfigError("no such flight or task")
         return self.folder / RESULTS / flight_id
 
     def upload(self, name: str, expected_bytes: int) -> Upload:
@@ -160,12 +145,10 @@ class Flights:
 
     def add(self, log: Path, flight_id: str) -> Flight:
         """Take up a log of the folder; one that was judged in the same way before is done."""
-        choice, key = Choice(), ""
-        with suppress(OSError, ValueError, TypeError):  # what was chosen before
-            choice = Choice(**json.loads((self.results(flight_id) / _CHOICE).read_text(encoding="utf-8")))
+        choice = kept(Choice, self.results(flight_id) / _CHOICE) or Choice()  # what was chosen before
+        summary, key = kept(Summary, self.results(flight_id) / SUMMARY), ""
         with suppress(ConfigError):
             key = self.job_of(choice).key
-        summary = Summary.read(self.results(flight_id))
         if summary is not None and summary.key != key:
             summary = None
         with self._lock:
@@ -175,15 +158,11 @@ class Flights:
             flight = Flight(flight_id, log, log.stat().st_size, "done" if summary else "waiting", summary, choice)
             self._flights[flight_id] = flight
         if flight.state == "waiting":
-            self._judge(flight_id)
+            self._waiting.put(partial(self._judging, flight_id))
         return flight
 
     def choose(self, flight_id: str, choice: Choice) -> None:
-        """Judge a flight again, with what was chosen.
-
-        Raises `ConfigError` if what was chosen is not there or makes no sense, or the flight is gone or is being
-        judged.
-        """
+        """Judge a flight again, with what was chosen; raises `ConfigError` if it is gone or is being judged as well."""
         self.job_of(choice)
         with self._lock:
             flight = self._flights.get(flight_id)
@@ -195,7 +174,7 @@ class Flights:
         make_folder(self.results(flight_id))
         write_whole(self.results(flight_id) / _CHOICE, json.dumps(asdict(choice)).encode())
         if flight.state == "done":
-            self._judge(flight_id)
+            self._waiting.put(partial(self._judging, flight_id))
 
     def remove(self, flight_id: str) -> str:
         """Move the log of a flight to the bin; gives what to say of it."""
@@ -220,24 +199,20 @@ class Flights:
         return "It is not in the bin any more." if self.get(flight_id) is None else "This flight is in the list."
 
     def aircraft(self) -> list[str]:
-        """Aircraft files of the folder."""
-        return sorted(path.name for path in self.folder.glob("*.toml") if path.is_file())
+        """Aircraft files of the folder, and those that come with servofd."""
+        return [*sorted(path.name for path in self.folder.glob("*.toml") if path.is_file()), *SHIPPED]
 
     def job_of(self, choice: Choice) -> Job:
-        """What to judge with, as it was chosen.
-
-        Raises `ConfigError` if it is not there, or makes no sense.
-        """
+        """What to judge with, as it was chosen; raises `ConfigError` if it is not there, or makes no sense."""
         if choice.columns:
             return replace(self.job, aircraft=aircraft_of_columns(choice.columns))
         if not choice.aircraft:
             return self.job
-        if choice.aircraft in SHIPPED:
-            return replace(self.job, aircraft=load_aircraft(choice.aircraft))
         if choice.aircraft not in self.aircraft():
             raise ConfigError(f"{choice.aircraft}: there is no such aircraft file in the folder")
+        source = choice.aircraft if choice.aircraft in SHIPPED else self.folder / choice.aircraft
         try:
-            return replace(self.job, aircraft=load_aircraft(self.folder / choice.aircraft))
+            return replace(self.job, aircraft=load_aircraft(source))
         except ConfigError as error:
             raise ConfigError(str(error).replace(f"{self.folder}{os.sep}", "")) from None
 
@@ -253,18 +228,10 @@ class Flights:
 
     def task_folder(self, task_id: str) -> Path:
         """Folder of its results."""
-        if not _ID.fullmatch(task_id):
-            raise ConfigError("no such task")
-        return self.folder / RESULTS / _TASKS / task_id
+        return self.results(task_id).parent / _TASKS / task_id
 
     def begin(self, verb: Verb, flights: Sequence[Flight], *, aircraft: str = "", surface: str = "") -> Task:
-        """Calibrate from flights, follow them, or explain a surface of one.
-
-        Raises
-        ------
-        ConfigError
-            If the aircraft file is not there or makes no sense.
-        """
+        """Calibrate from flights, follow them, or explain a surface of one; raises what `job_of` does."""
         choice = Choice(aircraft) if aircraft else flights[0].choice
         known = self.job_of(choice).aircraft
         names = ", ".join(one.name for one in flights)
@@ -278,17 +245,15 @@ class Flights:
         logs = [str(one.log) for one in flights]
         call = partial(do, task, str(self.task_folder(task.id)), logs, known, surface, output)
         self._set_task(task)
-
-        def at_work() -> Callable[[], object]:
-            self._set_task(replace(task, state="at work"))
-            return call
-
-        def end(done: Task | str) -> None:
-            failed = replace(task, state="done", status="unknown", sentence=str(done))
-            self._set_task(done if isinstance(done, Task) else failed)
-
-        self._waiting.put(_Work(at_work, end))
+        self._waiting.put(partial(self._doing, task, call))
         return task
+
+    def _doing(self, task: Task, call: Callable[[], object], run: _Run) -> object:
+        self._set_task(replace(task, state="at work"))
+        done = run(call)
+        failed = replace(task, state="done", status="unknown", sentence=str(done))
+        self._set_task(done if isinstance(done, Task) else failed)
+        return done
 
     def _set_task(self, task: Task) -> None:
         with self._lock:
@@ -307,48 +272,41 @@ class Flights:
                     self.add(path, flight_id)
             except OSError:  # gone, or not to be read
                 continue
-        folder = self.folder / RESULTS / _TASKS
-        tasks = [task for path in folder.glob("*") if (task := Task.read(path)) is not None] if folder.is_dir() else []
+        tasks = [kept(Task, path) for path in (self.folder / RESULTS / _TASKS).glob(f"*/{TASK}")]
         with self._lock:
-            self._tasks = {task.id: task for task in tasks} | self._tasks
+            self._tasks = {task.id: task for task in tasks if task is not None} | self._tasks
 
-    def _judge(self, flight_id: str) -> None:
-        def end(found: Summary | str) -> None:
-            self._set(flight_id, "done", Summary("unknown", found) if isinstance(found, str) else found)
-
-        self._waiting.put(_Work(partial(self._begun, flight_id), end))
-
-    def _begun(self, flight_id: str) -> Callable[[], object] | None:
+    def _judging(self, flight_id: str, run: _Run) -> object:
         flight = self.get(flight_id)
         if flight is None or flight.state != "waiting":
             return None
         self._set(flight_id, "at work", None)
         try:
-            job = self.job_of(flight.choice)
+            found = run(partial(judge, str(flight.log), str(self.results(flight_id)), self.job_of(flight.choice)))
         except ConfigError as error:
-            self._set(flight_id, "done", Summary("unknown", f"Could not be judged: {error}."))
-            return None
-        return partial(judge, str(flight.log), str(self.results(flight_id)), job)
+            found = f"Could not be judged: {error}."
+        self._set(flight_id, "done", Summary("unknown", found) if isinstance(found, str) else found)
+        return found
 
     def _work(self) -> None:
         """Do what waits, in a process that is replaced if it dies; a flight that it dies of says so."""
         while True:
             with processes(1) as pool:
                 while (work := self._waiting.get()) is not None and not self._ended:
-                    call = work.begin()
-                    if call is None:
-                        continue
-                    try:
-                        with interrupts_wait():
-                            future = pool.submit(call)
-                        work.end(future.result())
-                    except BrokenProcessPool:
-                        work.end(_DIED)
+                    if work(partial(self._run, pool)) == _DIED:
                         break
-                    except Exception as error:
-                        work.end(f"Could not be judged: {str(error).replace(f'{self.folder}{os.sep}', '')}")
                 else:
                     return
+
+    def _run(self, pool: ProcessPoolExecutor, call: Callable[[], object]) -> object:
+        try:
+            with interrupts_wait():
+                future = pool.submit(call)
+            return future.result()
+        except BrokenProcessPool:
+            return _DIED
+        except Exception as error:
+            return f"Could not be judged: {str(error).replace(f'{self.folder}{os.sep}', '')}"
 
     def _set(self, flight_id: str, state: State, summary: Summary | None) -> None:
         with self._lock:
@@ -393,8 +351,11 @@ class Upload:
             raise self._no_room(error) from None
         self._digest.update(some)
 
-    def finish(self) -> Taken:
-        """All have come: the log goes into the folder, and is judged when its turn comes."""
+    def finish(self) -> tuple[Flight | None, str]:
+        """All have come: the log goes into the folder, and is judged when its turn comes.
+
+        Gives its flight, or None for an aircraft file, and what to say of it: nothing of a new flight.
+        """
         try:
             self._file.close()
             path, flight_id = Path(self._path), self._digest.hexdigest()
@@ -412,7 +373,7 @@ class Upload:
             self._file.close()
         Path(self._path).unlink(missing_ok=True)
 
-    def _placed(self, path: Path, flight_id: str) -> Taken:
+    def _placed(self, path: Path, flight_id: str) -> tuple[Flight | None, str]:
         """In the folder, as a flight or as an aircraft file."""
         path.chmod(0o644)
         named = self._name == self.given
@@ -420,7 +381,7 @@ class Upload:
             with suppress(ConfigError, NoMeasurement):
                 load_aircraft(path.rename(path.with_suffix(".toml")))
                 target = _moved(path.with_suffix(".toml"), self._flights.folder, self._name)
-                return Taken(None, f"{target.name} is an aircraft file: choose it on the page of a flight.")
+                return None, f"{target.name} is an aircraft file: choose it on the page of a flight."
             path = path.with_suffix(".toml")
         make_folder(self._flights.results(flight_id))  # by which a server that begins again knows that it was dropped
         target = _moved(path, self._flights.folder, self._name)
@@ -428,11 +389,11 @@ class Upload:
         if flight.log != target:  # the same bytes came twice at once
             target.unlink()
             return self._already(flight)
-        return Taken(flight, "" if named and target.name == self._name else f"{self.given} is kept as {target.name}.")
+        return flight, "" if named and target.name == self._name else f"{self.given} is kept as {target.name}."
 
-    def _already(self, known: Flight) -> Taken:
+    def _already(self, known: Flight) -> tuple[Flight, str]:
         same = "is" if known.name == self._name else f"holds the same bytes as {known.name}, which is"
-        return Taken(known, f"{self.given} {same} here already.")
+        return known, f"{self.given} {same} here already."
 
     def _no_room(self, error: OSError) -> TooLarge:
         return TooLarge(f"{self._name}: there is no room for it on the disk ({error.strerror})")

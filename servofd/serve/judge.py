@@ -1,31 +1,44 @@
-"""One log of the page, judged in a process of its own: verdict, page and recording go to a folder."""
+"""What is done in a process of its own and left in a folder: a log judged, some calibrated, followed or explained."""
 
 from __future__ import annotations
 
 import io
 import json
+import re
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from logparsers import LogError
+from servofd.aircraft.axes import motion_to_toml
+from servofd.aircraft.schema import Aircraft
 from servofd.batch.key import Job
+from servofd.calibrating.result import calibration_to_toml
+from servofd.core.errors import NoMeasurement, ServofdError
 from servofd.core.files import make_folder, write_whole
 from servofd.detection.verdict import LogAudit
-from servofd.jobs.workflow import FailedLog, judged
+from servofd.jobs.explaining import explain_logs
+from servofd.jobs.workflow import FailedLog, calibrate, calibrate_axes, judged
 from servofd.outputs.audit_report import audit_report
+from servofd.outputs.calibrate_report import calibrate_report, motion_report
 from servofd.outputs.compare_report import Track, track_of
+from servofd.outputs.document import Document
+from servofd.outputs.explain_report import explain_report
 from servofd.outputs.json_report import to_json, worst_outline
 from servofd.outputs.page import html_page
 from servofd.outputs.sentence import LEAST_CLEARED, spoken, whole_sentence, worst
+from servofd.outputs.trend_report import trend_report
 from servofd.serve.preview import preview, what_it_is
 
-AUDIT, PAGE, RECORDING, SUMMARY = "audit.json", "page.html", "recording.rrd", "summary.json"
-"""What the folder of a flight holds; the summary is written last."""
+AUDIT, PAGE, RECORDING = "audit.json", "page.html", "recording.rrd"
+SUMMARY, TASK = "summary.json", "task.json"
+"""What the folder of a flight or a task holds; these two are written last."""
 PROGRESS, _CURVES = "progress.txt", "curves.npz"
 _POINTS = 2400
 """Of the curves of a surface that two flights are compared by: twice what a page draws."""
@@ -54,14 +67,35 @@ class Summary:
     table: bool = False
     """Whether it is a table, whose columns may be chosen."""
 
-    @classmethod
-    def read(cls, folder: Path) -> Self | None:
-        """Summary in the folder of a flight; None if there is none that can be read."""
-        try:
-            known = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-            return cls(**known | {name: tuple(known[name]) for name in ("outline", "surfaces")})
-        except (OSError, ValueError, TypeError, KeyError):
-            return None
+
+Verb = Literal["calibrate", "trend", "explain"]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is done with several flights, or one surface, at a click; `id` names its folder."""
+
+    id: str
+    verb: Verb
+    title: str
+    state: str = "waiting"
+    status: str = ""
+    sentence: str = ""
+    wrote: str = ""
+    """Aircraft file of the folder that a calibration wrote."""
+    flights: tuple[str, ...] = ()
+    """Digests of the logs."""
+
+
+Kept = TypeVar("Kept")
+
+
+def kept(kind: Callable[..., Kept], path: Path) -> Kept | None:
+    """A summary or a task as it was left in a file; None if there is none that can be read."""
+    with suppress(OSError, ValueError, TypeError, AttributeError):
+        known = json.loads(path.read_text(encoding="utf-8"))
+        return kind(**{name: tuple(one) if isinstance(one, list) else one for name, one in known.items()})
+    return None
 
 
 def judge(log: str, folder: str, job: Job) -> Summary:
@@ -100,10 +134,7 @@ def _curves(audit: LogAudit) -> bytes:
     """What each surface did, as arrays of a file that is read without running anything."""
     tracks = {one.surface: track for one in audit.surfaces if (track := track_of(one, _POINTS)) is not None}
     content = io.BytesIO()
-    arrays: dict[str, Any] = {}
-    for k, track in enumerate(tracks.values()):
-        arrays |= {f"{k}.{field}": array for field, array in track._asdict().items()}
-    np.savez_compressed(content, names=np.array(list(tracks), dtype=str), **arrays)
+    np.savez_compressed(content, *map(np.array, tracks.values()), names=np.array(list(tracks), dtype=str))
     return content.getvalue()
 
 
@@ -111,11 +142,8 @@ def curves_in(folder: Path) -> dict[str, Track]:
     """What each surface of a flight did; empty if not known."""
     try:
         with np.load(folder / _CURVES, allow_pickle=False) as known:
-            return {
-                str(name): Track(*(known[f"{k}.{field}"] for field in Track._fields))
-                for k, name in enumerate(known["names"])
-            }
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            return {str(name): Track(*known[f"arr_{k}"]) for k, name in enumerate(known["names"])}
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
         return {}
 
 
@@ -179,3 +207,56 @@ def _summary(results: list[LogAudit | FailedLog], documents: list[dict[str, Any]
         job.key,
         surfaces=tuple(surface.surface for surface in shown.surfaces),
     )
+
+
+_OPTION = re.compile(r" \(--?[a-z][a-z-]*\)")
+"""Of the command line, in a sentence."""
+
+
+def do(task: Task, folder: str, logs: list[str], aircraft: Aircraft | None, surface: str, output: str) -> Task:
+    """Do it; page and result go into the folder, an aircraft file to `output`; what is wrong is part of the result."""
+    target = Path(folder)
+    make_folder(target)
+    wrote = ""
+    try:
+        if task.verb == "calibrate":
+            report, wrote = _calibrated(logs, aircraft, Path(output), so_far(target, "Calibrated"))
+        elif task.verb == "trend":
+            from servofd.wear.trend import trend_document, trend_logs
+
+            if aircraft is None:
+                choose = "choose its file, or calibrate one from good flights first"
+                raise NoMeasurement(f"a trend follows one aircraft: {choose}")
+            pages = {Path(log).name: f"/flights/{flight}" for log, flight in zip(logs, task.flights, strict=True)}
+            report = trend_report(trend_document(trend_logs(logs, aircraft, workers=0)), pages)
+        else:
+            wanted, tried = (surface,) if surface else (), so_far(target, "Tried")
+            found = explain_logs(logs, aircraft, surfaces=wanted, alone=bool(surface), progress=tried)
+            if not found.explanations:
+                raise NoMeasurement("; ".join(found.failures))
+            report = explain_report(found.explanations, ", ".join(Path(log).name for log in logs), found.failures)
+    except (LogError, ServofdError) as error:
+        text = _OPTION.sub("", str(error))
+        for log in logs:
+            text = text.replace(log, Path(log).name)
+        report = Document(task.title, "unknown", f"Could not {task.verb}.", text)
+    write_whole(target / PAGE, html_page(report).encode())
+    said = f"{report.sentence} {report.facts if report.status == 'unknown' else ''}".strip()
+    done = replace(task, state="done", status=report.status, sentence=said, wrote=wrote)
+    write_whole(target / TASK, json.dumps(asdict(done)).encode())
+    return done
+
+
+def _calibrated(
+    logs: list[str], aircraft: Aircraft | None, output: Path, progress: Callable[[str], None]
+) -> tuple[Document, str]:
+    """An aircraft from good flights; of flights without feedback from its motion."""
+    try:
+        found = calibrate(logs, aircraft, progress=progress)
+    except NoMeasurement:
+        model = calibrate_axes(logs)
+        text, report = f'name = "{output.stem}"\n\n{motion_to_toml(model)}', motion_report(model)
+    else:
+        text, report = calibration_to_toml(found), calibrate_report(found)
+    write_whole(output, text.encode())
+    return report, output.name

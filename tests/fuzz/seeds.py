@@ -24,10 +24,9 @@ from servofd.batch.key import Job
 from servofd.feedback.draft import draft_aircraft, draft_to_toml
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore
+from servofd.outputs.recording.content import Recording, verdicts_of
 from servofd.outputs.recording.stream import recording_file
 from servofd.outputs.recording.surface import send_context, send_surface
-from servofd.outputs.recording.verdicts import verdicts_of
-from servofd.outputs.recording.write import recording_of
 from servofd.servo.context import Context
 from servofd.servo.faults import Bias, Stuck
 from servofd.simulation.flight import SimulatedFlight, simulate_flight
@@ -251,7 +250,7 @@ def recordings(folder: Path) -> list[bytes]:
     log, path = folder / "flight.csv", folder / "audit.rrd"
     log.write_bytes(_written(".csv"))
     (found,) = audit(log, PLANE, surfaces=("rudder",))
-    recording, time_s = recording_of(found), np.arange(0.0, SECONDS, 0.5)
+    recording, time_s = Recording.of(found), np.arange(0.0, SECONDS, 0.5)
     with recording_file(path, "servofd", None) as recorder:
         recorder.properties(log.name, verdicts_of(recording))
         send_surface(recorder, found.surfaces[0], recording.traces["rudder"], recording.start_s, "measured")

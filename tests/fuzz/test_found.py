@@ -28,12 +28,10 @@ from servofd.feedback.draft import surface_entry
 from servofd.fleets.store import FleetStore, read_table
 from servofd.live.session import stamped
 from servofd.outputs.recording import read
-from servofd.outputs.recording.content import Trace
+from servofd.outputs.recording.content import Recording, Trace, audit_of
 from servofd.outputs.recording.read import rejudged, statistics_of
 from servofd.outputs.recording.stream import recording_file
-from servofd.outputs.recording.verdicts import audit_of
 from servofd.outputs.recording.viewer import run_rerun
-from servofd.outputs.recording.write import recording_of
 from servofd.servo.library import find_servo
 from tests.fuzz import seeds
 from tests.fuzz.doors import DOORS
@@ -75,10 +73,10 @@ def test_a_recording_whose_numbers_no_servo_reaches(curve: str, tmp_path: Path) 
     path = tmp_path / "flight.csv"
     path.write_bytes(seeds.logs_of("table")[0])
     (found,) = audit(path, servo="hs225bb-eq31", surfaces=("elevator",))
-    recording = recording_of(found)
+    recording = Recording.of(found)
     values = getattr(recording.traces["elevator"], curve).copy()
     values[20] = -1e308
-    damaged = replace(recording, traces={"elevator": replace(recording.traces["elevator"], **{curve: values})})
+    damaged = replace(recording, traces={"elevator": recording.traces["elevator"]._replace(**{curve: values})})
     (again,) = rejudged(damaged).audit.surfaces
     assert (again.status, again.faults) == ("unknown", ())
     assert "reaches 1e+308 deg" in again.reason

@@ -11,8 +11,8 @@ import pytest
 from servofd.cli import main
 from servofd.outputs.live_recording import LiveRecording, Samples
 from servofd.outputs.palette import COLOURS, rgba
+from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.stream import surface_place
-from servofd.servo.context import NO_CONTEXT
 from tests.recordings.inside import everything
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
@@ -56,7 +56,7 @@ def test_names_of_surfaces_are_kept_as_they_are(surface: str, tmp_path: Path) ->
     columns = [np.full(5, float(k)) for k in range(5)]
     asked_deg, simulated_deg, measured_deg, residual_deg, threshold_deg = columns
     deflections = asked_deg, simulated_deg, measured_deg
-    live.add(Samples(surface, time_s, *deflections, residual_deg, threshold_deg, time_s, asked_deg, NO_CONTEXT))
+    live.add(Samples(surface, Trace(time_s, *deflections, residual_deg, threshold_deg, time_s, asked_deg)))
     live.close()
     time_us, values = curves(tmp_path / "live.rrd")[surface_place(surface, "deflection")]
     np.testing.assert_array_equal(time_us, np.arange(5) * 100_000)

@@ -17,9 +17,8 @@ from logparsers.replay import replayed
 from servofd.cli import main
 from servofd.live.session import stamped
 from servofd.outputs.live_recording import LiveRecording, Samples
-from servofd.outputs.recording.content import Trace
+from servofd.outputs.recording.content import Trace, live_verdicts
 from servofd.outputs.recording.read import read_recording, rejudged
-from servofd.outputs.recording.verdicts import live_verdicts
 
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 
@@ -41,20 +40,7 @@ def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: 
         trace = Trace.of(surface)
         assert trace is not None
         for rows in np.array_split(np.arange(trace.time_s.size), 7):
-            live.add(
-                Samples(
-                    surface.surface,
-                    trace.time_s[rows],
-                    trace.command_deg[rows],
-                    trace.simulated_deg[rows],
-                    trace.measured_deg[rows],
-                    trace.residual_deg[rows],
-                    trace.threshold_deg[rows],
-                    trace.asked_s[rows],
-                    trace.asked_deg[rows],
-                    trace.context,
-                )
-            )
+            live.add(Samples(surface.surface, Trace(*(column[rows] for column in trace[:8]), context=trace.context)))
     live.close()
     again = rejudged(read_recording(path)).audit
     assert [s.status for s in again.surfaces] == [s.status for s in audit.surfaces]

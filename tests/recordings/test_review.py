@@ -165,11 +165,12 @@ def test_a_recording_of_a_killed_process_is_read(tmp_path: Path) -> None:
     code = f"""
 import os, signal, servofd
 from servofd.outputs.recording.stream import Recorder
-from servofd.outputs.recording.write import fill, recording_of
+from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.write import fill
 import rerun as rr
 stream = rr.RecordingStream("servofd-killed", send_properties=False)
 stream.save({str(path)!r})
-fill(Recorder(stream), recording_of(*servofd.audit({str(STUCK)!r})))
+fill(Recorder(stream), Recording.of(*servofd.audit({str(STUCK)!r})))
 stream.flush()
 os.kill(os.getpid(), signal.SIGKILL)
 """

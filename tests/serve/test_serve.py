@@ -30,7 +30,7 @@ from logparsers import EmptyLog
 from servofd.batch.key import Job
 from servofd.core.files import make_folder
 from servofd.serve.flights import RESULTS, Flight, Flights, TooLarge, Upload
-from servofd.serve.judge import Summary, judge
+from servofd.serve.judge import SUMMARY, Summary, judge, kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -188,7 +188,7 @@ def test_what_is_not_a_log_says_so_and_tells_no_folder(tmp_path: Path) -> None:
         page = (tmp_path / "results" / "page.html").read_text()
         assert "<img" not in page
         assert str(tmp_path) not in page + (tmp_path / "results" / "audit.json").read_text() + summary.sentence
-        assert Summary.read(tmp_path / "results") == summary
+        assert kept(Summary, tmp_path / "results" / SUMMARY) == summary
 
 
 def test_a_log_of_another_name_is_never_written_over(tmp_path: Path) -> None:
@@ -296,7 +296,7 @@ def test_a_flight_that_no_browser_could_show_gets_no_recording(tmp_path: Path, m
     summary = judge(str(STUCK), str(folder), Job(surfaces=("elevator",)))
     assert summary.too_long
     assert not (folder / "recording.rrd").exists()
-    assert Summary.read(folder) == summary
+    assert kept(Summary, folder / SUMMARY) == summary
 
 
 @pytest.mark.slow

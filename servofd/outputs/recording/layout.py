@@ -1,7 +1,4 @@
-"""What the viewer shows on opening: an overview and a tab for each surface; the whole flight at once.
-
-Time axes are linked, legends stand top left, side panels are folded.
-"""
+"""What the viewer shows on opening: an overview and a tab for each surface; the whole flight at once."""
 
 from __future__ import annotations
 
@@ -19,8 +16,7 @@ from servofd.outputs.recording.stream import TIME_BOOT, shown, surface_place
 from servofd.outputs.recording.surface import axis_place, deflection_range, residual_range
 
 _ALL_AXES = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
-"""Where Rerun 0.41 keeps the range that linked time axes share (its ``GLOBAL_VIEW_ID``); not documented, hence the
-picture test."""
+"""Where Rerun 0.41 keeps the range that linked time axes share (its ``GLOBAL_VIEW_ID``); a picture tests it."""
 
 
 def blueprint(
@@ -64,11 +60,11 @@ def blueprint(
     )
 
 
-def curves(name: str, places: Sequence[str], *, origin: str = "/", span: tuple[float, float] | None = None) -> Any:  # noqa: ANN401
-    """Plot of some entities, from the bottom to the top of `span`; it fits itself to the curves without one."""
+def curves(name: str, origin: str, *entities: str, span: tuple[float, float] | None = None) -> Any:  # noqa: ANN401
+    """Plot of entities below `origin`, from bottom to top of `span`; it fits itself to the curves without one."""
     return rrb.TimeSeriesView(
-        origin=origin,
-        contents=list(places),
+        origin=origin or "/",
+        contents=[f"{origin}{entity}" for entity in entities],
         name=shown(name),
         axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
         axis_y=None if span is None else rrb.ScalarAxis(range=span),
@@ -77,10 +73,10 @@ def curves(name: str, places: Sequence[str], *, origin: str = "/", span: tuple[f
     )
 
 
-def lanes(name: str, places: Sequence[str], *, origin: str = "/") -> Any:  # noqa: ANN401
-    """Coloured lanes, one of each entity; `origin` as for `curves`."""
-    axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
-    return rrb.StateTimelineView(origin=origin, contents=list(places), name=shown(name), time_view=axis)
+def lanes(name: str, origin: str, *entities: str) -> Any:  # noqa: ANN401
+    """Coloured lanes, one of each entity below `origin`."""
+    axis, contents = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal), [f"{origin}{one}" for one in entities]
+    return rrb.StateTimelineView(origin=origin or "/", contents=contents, name=shown(name), time_view=axis)
 
 
 def stacked(name: str, views: Sequence[Any], shares: Sequence[float]) -> Any:  # noqa: ANN401
@@ -108,13 +104,14 @@ _LAST_S = 60.0
 def audit_layout(recording: Recording) -> Any:  # noqa: ANN401 - rerun is untyped
     """Layout of an audit's recording."""
     drawn = {name: trace for name, trace in recording.traces.items() if trace.time_s.size}
-    tabs = [_overview([surface.surface for surface in recording.audit.surfaces], list(drawn))]
     currents = [s.surface for s in recording.audit.surfaces if s.current is not None and s.current.time_s is not None]
     alone = [name for name in currents if name not in drawn]
-    for name, trace in drawn.items():
-        tabs.append(_surface(name, deflection_range(trace), residual_range(trace), has_current=name in currents))
-    tabs += map(_by_current, alone)
-    tabs += [_axis(axis) for axis in recording.audit.axes]
+    tabs = [
+        _overview([surface.surface for surface in recording.audit.surfaces], list(drawn)),
+        *(_surface(n, deflection_range(t), residual_range(t), has_current=n in currents) for n, t in drawn.items()),
+        *map(_by_current, alone),
+        *map(_axis, recording.audit.axes),
+    ]
     alarms: list[tuple[str, Fault | AxisEvent]] = [
         *((surface.surface, fault) for surface in recording.audit.surfaces for fault in surface.faults),
         *((axis.axis, event) for axis in recording.audit.axes for event in axis.events if event.is_own),
@@ -137,10 +134,7 @@ def live_layout(
     *,
     following: bool = False,
 ) -> Any:  # noqa: ANN401
-    """Layout of what a monitor records: the whole flight, or the last minute, following.
-
-    `currents` are the surfaces that it watches by their current, `beside` those by that and their position.
-    """
+    """Layout of what a monitor records (`LiveRecording`): the whole flight, or the last minute, following."""
     tabs = [_by_current(n) if n in currents else _surface(n, has_current=n in beside) for n in surfaces]
     return blueprint([_overview(surfaces, surfaces), *tabs], _LAST_S if following else None)
 
@@ -148,8 +142,8 @@ def live_layout(
 def _by_current(name: str) -> Any:  # noqa: ANN401 - rerun is untyped
     """What was asked of a surface without a position, and what its servo drew."""
     place = surface_place(name)
-    what = (("command [deg]", "command"), ("current [A]", "current"))
-    return stacked(name, [curves(f"{name}: {text}", [f"{place}/{one}"], origin=place) for text, one in what], [2, 3])
+    views = [curves(f"{name}: command [deg]", place, "/command"), curves(f"{name}: current [A]", place, "/current")]
+    return stacked(name, views, [2, 3])
 
 
 def _surface(
@@ -160,22 +154,14 @@ def _surface(
     has_current: bool = False,
 ) -> Any:  # noqa: ANN401
     """Deflection, residual and state of one surface, one below the other, from bottom to top of given ranges [deg]."""
-    place, beside = surface_place(name), ("deflection [deg]", "residual and thresholds [deg]")
-    shaded = [
-        [f"{place}/deflection", f"{place}/shade/deflection/**"],
-        [f"{place}/residual", f"{place}/onboard", f"{place}/shade/residual/**"],
-    ]
+    place, residuals = surface_place(name), ("/residual", "/onboard", "/shade/residual/**")
     views = [
-        *(
-            curves(f"{name}: {words}", places, origin=place, span=span)
-            for words, places, span in zip(beside, shaded, (deflection, residual), strict=True)
-        ),
-        lanes(f"{name}: state", [f"{place}/state"], origin=f"{place}/state"),
+        curves(f"{name}: deflection [deg]", place, "/deflection", "/shade/deflection/**", span=deflection),
+        curves(f"{name}: residual and thresholds [deg]", place, *residuals, span=residual),
+        *([curves(f"{name}: current [A]", place, "/current")] if has_current else []),
+        lanes(f"{name}: state", f"{place}/state", ""),
     ]
-    if has_current:
-        views.insert(2, curves(f"{name}: current [A]", [f"{place}/current"], origin=place))
-        return stacked(name, views, [4, 3, 3, 1.4])
-    return stacked(name, views, [4, 3, 1.4])
+    return stacked(name, views, [4, *[3] * (len(views) - 2), 1.4])
 
 
 def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN401
@@ -186,8 +172,8 @@ def _overview(names: Sequence[str], shown: Sequence[str]) -> Any:  # noqa: ANN40
         return rrb.Vertical(below, name="Overview")
     ratios = [f"{surface_place(name)}/{what}" for name in shown for what in ("ratio", "onset")]
     views = [
-        lanes("State", [f"{surface_place(name)}/state" for name in shown]),
-        curves("|residual| / threshold (1 = alarm; drawn up to 5)", [ALARM_LINE, *ratios], span=(0.0, 5.0)),
+        lanes("State", "", *(f"{surface_place(name)}/state" for name in shown)),
+        curves("|residual| / threshold (1 = alarm; drawn up to 5)", "", ALARM_LINE, *ratios, span=(0.0, 5.0)),
         below,
     ]
     return stacked("Overview", views, [0.8 + 0.4 * len(shown), 3, 2.6])
@@ -197,8 +183,8 @@ def _axis(axis: AxisAudit) -> Any:  # noqa: ANN401 - rerun is untyped
     """Effect, distance and state of one axis, one below the other."""
     place, unit = axis_place(axis), FORMS[axis.model.form].unit
     views = [
-        curves(f"{axis.axis}: effect of the command [{unit}]", [f"{place}/effect"], origin=place),
-        curves(f"{axis.axis}: distance from healthy (1 = alarm)", [f"{place}/distance"], origin=place),
-        lanes(f"{axis.axis}: state", [f"{place}/state"], origin=f"{place}/state"),
+        curves(f"{axis.axis}: effect of the command [{unit}]", place, "/effect"),
+        curves(f"{axis.axis}: distance from healthy (1 = alarm)", place, "/distance"),
+        lanes(f"{axis.axis}: state", f"{place}/state", ""),
     ]
     return stacked(axis.axis, views, [4, 3, 1.4])

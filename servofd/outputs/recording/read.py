@@ -14,17 +14,16 @@ import numpy as np
 from rerun.chunk import RrdReader
 
 from logparsers.detect import RECORDING
-from servofd.aircraft.series import LeftOut, is_streamed
+from servofd.aircraft.series import is_streamed
 from servofd.core.errors import RecordingError
 from servofd.core.files import beginning
 from servofd.core.types import FloatArray, IntArray
 from servofd.current.audit import again_by_current
 from servofd.detection.audit import audit_segment
 from servofd.detection.verdict import WITHIN_SIGMAS, CurrentAudit, Statistics
-from servofd.outputs.recording.content import Recording, Trace
+from servofd.outputs.recording.content import LIVE, Recording, Trace, audit_of
 from servofd.outputs.recording.stream import PROPERTIES, TIME_BOOT, seconds, surface_place
 from servofd.outputs.recording.surface import AIRSPEED, SUPPLY
-from servofd.outputs.recording.verdicts import LIVE, audit_of
 from servofd.outputs.recording.viewer import run_rerun
 from servofd.servo.context import Context
 
@@ -38,23 +37,19 @@ _PANICS = (101, 102)
 def read_recording(path: str | Path) -> Recording:
     """Read what an audit wrote, complete or left behind by a process that was killed: every value as it was audited."""
     stored = _Stored.of(Path(path))
-    name = Path(path).name
     if not stored.properties:
         what = "not a recording of servofd" if stored.entities else "an empty recording"
         raise RecordingError(f"{path}: {what}; 'servofd audit LOG --rrd FILE' writes one")
-    audit, notes, left_out = audit_of(stored.properties, name)
+    audit, notes = audit_of(stored.properties, Path(path).name)
     columns: list[FloatArray] = []  # airspeed and supply, as far as they were recorded
     for place in (AIRSPEED, SUPPLY):
-        found = stored.curves(place) or (np.zeros(0), np.zeros((0, 1)))
-        columns += [_exact(stored, found[0], f"{place}/seconds"), found[1][:, 0]]
-    context, surfaces = Context(*columns), []
-    traces: dict[str, Trace] = {}
-    for surface in audit.surfaces:
-        trace = _trace(stored, surface.surface, left_out.get(surface.surface, ()), context)
-        traces |= {} if trace is None else {surface.surface: trace}
-        current = surface.current and _drawn(stored, surface.surface, surface.current)
-        surfaces.append(replace(surface, current=current))
-    return Recording(replace(audit, surfaces=tuple(surfaces)), traces, notes, context=context)
+        time_s, values = stored.curves(place, f"{place}/seconds") or (np.zeros(0), np.zeros((0, 1)))
+        columns += [time_s, values[:, 0]]
+    context = Context(*columns)
+    found = ((one.surface, _trace(stored, one.surface, context)) for one in audit.surfaces)
+    traces = {name: trace for name, trace in found if trace is not None}
+    surfaces = tuple(replace(s, current=s.current and _drawn(stored, s.surface, s.current)) for s in audit.surfaces)
+    return Recording(replace(audit, surfaces=surfaces), traces, notes, context=context)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +108,11 @@ class _Stored:
                 chunks[chunk.entity_path].append(curve)
         return cls(properties, frozenset(entities), chunks)
 
-    def curves(self, place: str) -> tuple[FloatArray, FloatArray] | None:
-        """Times [s] and values of shape (n, k) of one entity, in order of time."""
+    def curves(self, place: str, exact: str = "") -> tuple[FloatArray, FloatArray] | None:
+        """Times [s] and values of shape (n, k) of one entity, in order of time.
+
+        An entity `exact` has the times to the last bit, where they are no whole microseconds; unless it is damaged.
+        """
         parts = self.chunks.get(place)
         if not parts:
             return None
@@ -127,7 +125,10 @@ class _Stored:
         broken = (np.diff(time_us, prepend=np.int64(0)) == 1) & np.all(np.isnan(values), axis=1)
         if broken.any():
             time_us, values = time_us[~broken], values[~broken]
-        return seconds(time_us), values
+        time_s, stamps = seconds(time_us), self.curves(exact)
+        if stamps is not None and len(stamps[1]) == len(time_s) and np.all(np.abs(stamps[1][:, 0] - time_s) < 1e-6):
+            time_s = stamps[1][:, 0]
+        return time_s, values
 
 
 def is_recording(path: Path) -> bool:
@@ -164,43 +165,23 @@ def _values(chunk: Any) -> dict[str, Any]:  # noqa: ANN401
 
 def _drawn(stored: _Stored, surface: str, current: CurrentAudit) -> CurrentAudit:
     """The verdict of a current, with its curves."""
-    found = stored.curves(surface_place(surface, "current"))
+    found, asked = (stored.curves(surface_place(surface, name)) for name in ("current", "command"))
     if found is None:
         return current
     time_s, (drawn_a, healthy_a, high_a, _) = found[0], found[1].T
-    asked = stored.curves(surface_place(surface, "command"))
-    command = None if asked is None else (asked[0], asked[1][:, 0])
-    sigma_a = (high_a - healthy_a) / WITHIN_SIGMAS
+    command, sigma_a = asked and (asked[0], asked[1][:, 0]), (high_a - healthy_a) / WITHIN_SIGMAS
     return replace(current, time_s=time_s, current_a=drawn_a, healthy_a=healthy_a, sigma_a=sigma_a, command=command)
 
 
-def _trace(stored: _Stored, surface: str, left_out: tuple[LeftOut, ...], context: Context) -> Trace | None:
-    deflection = stored.curves(surface_place(surface, "deflection"))
+def _trace(stored: _Stored, surface: str, context: Context) -> Trace | None:
+    deflection = stored.curves(surface_place(surface, "deflection"), surface_place(surface, "seconds"))
     residual = stored.curves(surface_place(surface, "residual"))
     if deflection is None or residual is None:
         return None
-    shown, judged = deflection[1], residual[1]
-    time_s = _exact(stored, deflection[0], surface_place(surface, "seconds"))
+    (time_s, shown), judged = deflection, residual[1]
+    asked = stored.curves(surface_place(surface, "command"), surface_place(surface, "command_seconds")) or deflection
     rows = min(len(time_s), len(judged))  # a recording that was cut short may lack the last of them
-    command = stored.curves(surface_place(surface, "command"))
-    if command is None:
-        asked_s, asked_deg = time_s, shown[:, 0]
-    else:
-        asked_s, asked_deg = _exact(stored, command[0], surface_place(surface, "command_seconds")), command[1][:, 0]
-    (asked, simulated, measured), (residual_deg, level_deg) = shown[:rows, :3].T, judged[:rows, :2].T
-    return Trace(
-        *(time_s[:rows], asked, simulated, measured, residual_deg, level_deg),
-        *(asked_s, asked_deg, left_out, context),
-    )
-
-
-def _exact(stored: _Stored, time_s: FloatArray, place: str) -> FloatArray:
-    """Time stamps to the last bit, where they are no whole microseconds; unless they are damaged."""
-    found = stored.curves(place)
-    if found is None or len(found[1]) != len(time_s):
-        return time_s
-    exact_s = found[1][:, 0]
-    return exact_s if np.all(np.abs(exact_s - time_s) < 1e-6) else time_s
+    return Trace(time_s[:rows], *shown[:rows, :3].T, *judged[:rows, :2].T, asked[0], asked[1][:, 0], context=context)
 
 
 def statistics_of(trace: Trace) -> Statistics | None:
@@ -236,17 +217,16 @@ def rejudged(recording: Recording) -> Recording:
     """
     audit = recording.audit
     audit = replace(audit, log=replace(audit.log, span_s=(recording.start_s, recording.end_s)))
-    surfaces = []
+    surfaces, duration_s = [], audit.log.duration_s
     for surface in audit.surfaces:
         trace, known = recording.traces.get(surface.surface), audit.aircraft.surfaces[surface.surface]
         if trace is not None and trace.time_s.size > 1:
             streamed = is_streamed(audit.log.format, known.command.channel)
             segment = trace.segment(surface.surface, known.command_period_s, is_streamed=streamed)
-            expected, duration_s = surface.expected, audit.log.duration_s
-            drawn = surface.current if surface.current is not None and surface.current.time_s is not None else None
-            surface = audit_segment(segment, audit.aircraft, duration_s=duration_s, expected=expected)  # noqa: PLW2901
-            surface = replace(surface, current=drawn)  # noqa: PLW2901 - the same, judged again
-        surfaces.append(again_by_current(surface, audit.aircraft, recording.context, audit.log.duration_s))
+            judged = audit_segment(segment, audit.aircraft, duration_s=duration_s, expected=surface.expected)
+            is_drawn = surface.current is not None and surface.current.time_s is not None
+            surface = replace(judged, current=surface.current if is_drawn else None)  # noqa: PLW2901 - judged again
+        surfaces.append(again_by_current(surface, audit.aircraft, recording.context, duration_s))
     again = Recording.of(replace(audit, surfaces=tuple(surfaces)))
     notes = (*(n for n in recording.notes if n != LIVE), "judged again, by the recorded threshold")
     return Recording(replace(again.audit, log=audit.log), {**recording.traces, **again.traces}, notes)

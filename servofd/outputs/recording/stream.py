@@ -1,7 +1,4 @@
-"""A recording while it is written: large columns, static styles, states, texts, markers, on exact times.
-
-What audit, explain and monitor record, they record through this; each passes its own Rerun stream.
-"""
+"""A recording while it is written, by audit, explain or monitor: columns, styles, states, texts, on exact times."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 from servofd.core.series import tenths
 from servofd.core.types import BoolArray, FloatArray
 from servofd.detection.verdict import WITHIN_SIGMAS, CurrentAudit, SurfaceAudit, describe
-from servofd.outputs.recording.content import CURVES, Trace
+from servofd.outputs.recording.content import Trace
 from servofd.outputs.recording.stream import STATES, Recorder, microseconds, seconds, surface_place
 from servofd.outputs.sentence import spoken
 from servofd.servo.context import Context
@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
     from servofd.onboard.seen import Seen
 
-DEFLECTIONS = ("command", "simulated", "measured")
-WIDTHS = (1.0, 2.5, 1.5)
-"""Widths of the lines of deflections."""
-RESIDUALS = ("residual", "+threshold", "-threshold")
+_DEFLECTIONS = ("command", "simulated", "measured")
+_RESIDUALS = ("residual", "+threshold", "-threshold")
+_CURRENTS = ("drawn", "good servo", "+good ones differ by", "-good ones differ by")
 AIRSPEED, SUPPLY = "/flight/airspeed", "/flight/supply"
 """Entities of airspeed and supply."""
 MARKER_HEIGHT = 4.6
@@ -66,13 +65,12 @@ def send_surface(
     # Before the first sample, and from where the cursor stands at first: else the legend has colours of its own.
     tints = [(start_s, STATES[changes[0][1]]), *((time_s, STATES[word]) for time_s, word in changes[1:])]
     recorder.line_colours(f"{place}/residual", [(t, (tint, "threshold", "threshold")) for t, tint in tints])
-    send_curves(recorder, place, breaks_s(trace.time_s), [getattr(trace, name) for name in CURVES])
+    send_curves(recorder, place, breaks_s(trace.time_s), trace)
     # Commands on their own time stamps, unless each came with a measurement: then the curve has them all.
     _send_seconds(recorder, f"{place}/seconds", trace.time_s)
     if not np.array_equal(trace.asked_s, trace.time_s):
         recorder.scalars(f"{place}/command", trace.asked_s, trace.asked_deg)
         _send_seconds(recorder, f"{place}/command_seconds", trace.asked_s)
-    recorder.scalars(f"{place}/ratio", *ratio(trace.time_s, trace.residual_deg, trace.threshold_deg))
     starts_s = np.array([fault.start_s for fault in surface.faults])
     if starts_s.size:
         heights = np.full(starts_s.size, MARKER_HEIGHT)
@@ -85,36 +83,29 @@ def send_surface(
                 recorder.shade(f"{place}/shade/{name}/{level}", spans, (low + high) / 2.0, high - low, level)
 
 
-CURRENTS = ("drawn", "good servo", "+good ones differ by", "-good ones differ by")
-
-
 def _send_current(recorder: Recorder, place: str, current: CurrentAudit, *, is_alone: bool) -> None:
     """What was drawn and what a good servo draws; without a position, what was asked as well."""
-    if current.time_s is None or current.current_a is None or current.healthy_a is None or current.sigma_a is None:
+    time_s, drawn_a, healthy_a, sigma_a = current.time_s, current.current_a, current.healthy_a, current.sigma_a
+    if time_s is None or drawn_a is None or healthy_a is None or sigma_a is None:
         return
     style_current(recorder, place)
-    width_a = WITHIN_SIGMAS * current.sigma_a
-    send_current(
-        recorder, place, breaks_s(current.time_s), current.time_s, current.current_a, current.healthy_a, width_a
-    )
+    send_current(recorder, place, breaks_s(time_s), (time_s, drawn_a, healthy_a, WITHIN_SIGMAS * sigma_a))
     if is_alone and current.command is not None:
         recorder.scalars(f"{place}/command", *current.command)
 
 
 def style_current(recorder: Recorder, place: str) -> None:
     """Name and colour the curves of a current, and the command above it."""
-    recorder.lines(f"{place}/current", CURRENTS, ("measured", "simulated", "threshold", "threshold"))
+    recorder.lines(f"{place}/current", _CURRENTS, ("measured", "simulated", "threshold", "threshold"))
     recorder.lines(f"{place}/command", ("command",), ("command",))
 
 
-def send_current(
-    recorder: Recorder, place: str, broken_s: FloatArray, time_s: FloatArray, drawn_a: FloatArray,
-    healthy_a: FloatArray, width_a: FloatArray,
-) -> None:  # fmt: skip
-    """Send what was drawn beside what a good servo draws, with what good ones differ by, and break the curves."""
-    recorder.scalars(f"{place}/current", broken_s, np.full((broken_s.size, 4), np.nan))
-    values = [drawn_a, healthy_a, healthy_a + width_a, healthy_a - width_a]
-    recorder.scalars(f"{place}/current", time_s, np.column_stack(values))
+def send_current(recorder: Recorder, place: str, broken_s: FloatArray, columns: Sequence[FloatArray]) -> None:
+    """Send time, what was drawn, what a good servo draws, and what good ones differ by, and break the curves."""
+    time_s, drawn_a, healthy_a, width_a = columns
+    _send_broken(
+        recorder, f"{place}/current", broken_s, time_s, [drawn_a, healthy_a, healthy_a + width_a, healthy_a - width_a]
+    )
 
 
 def send_on_board(recorder: Recorder, surface: str, seen: Seen) -> None:
@@ -126,23 +117,26 @@ def send_on_board(recorder: Recorder, surface: str, seen: Seen) -> None:
 
 
 def send_styles(recorder: Recorder, surface: str, tint: str = "simulated") -> None:
-    """Name and colour the curves of a surface; `tint` is its colour in the overview.
-
-    That of the residual follows the state: `Recorder.line_colours`.
-    """
+    """Name and colour the curves of a surface, but the residual, which its state colours; `tint`: in the overview."""
     place = surface_place(surface)
-    recorder.lines(f"{place}/deflection", DEFLECTIONS, DEFLECTIONS, widths=WIDTHS)
-    recorder.lines(f"{place}/residual", RESIDUALS, widths=[1.5, 1.0, 1.0])
+    recorder.lines(f"{place}/deflection", _DEFLECTIONS, _DEFLECTIONS, widths=(1.0, 2.5, 1.5))
+    recorder.lines(f"{place}/residual", _RESIDUALS, widths=[1.5, 1.0, 1.0])
     recorder.lines(f"{place}/ratio", [surface], [tint], aggregation_policy="Max")
 
 
-def send_curves(recorder: Recorder, place: str, broken_s: FloatArray, columns: Sequence[FloatArray]) -> None:
-    """Send time, command, simulated and measured deflection, residual and threshold, and break the curves."""
-    time_s, *deflections, residual_deg, threshold_deg = columns
-    levels = [residual_deg, threshold_deg, -threshold_deg]
-    for name, values in (("deflection", deflections), ("residual", levels)):
-        recorder.scalars(f"{place}/{name}", broken_s, np.full((broken_s.size, 3), np.nan))
-        recorder.scalars(f"{place}/{name}", time_s, np.column_stack(values))
+def send_curves(recorder: Recorder, place: str, broken_s: FloatArray, trace: Trace) -> None:
+    """Send deflections, residual and threshold, break these curves, and send how near the threshold it was."""
+    time_s, *deflections, residual_deg, threshold_deg = trace[:6]
+    _send_broken(recorder, f"{place}/deflection", broken_s, time_s, deflections)
+    _send_broken(recorder, f"{place}/residual", broken_s, time_s, [residual_deg, threshold_deg, -threshold_deg])
+    recorder.scalars(f"{place}/ratio", *ratio(time_s, residual_deg, threshold_deg))
+
+
+def _send_broken(
+    recorder: Recorder, place: str, broken_s: FloatArray, time_s: FloatArray, columns: Sequence[FloatArray]
+) -> None:
+    recorder.scalars(place, broken_s, np.full((broken_s.size, len(columns)), np.nan))
+    recorder.scalars(place, time_s, np.column_stack(columns))
 
 
 def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
@@ -151,12 +145,15 @@ def _send_seconds(recorder: Recorder, place: str, time_s: FloatArray) -> None:
         recorder.scalars(place, time_s, time_s)
 
 
+def around(context: Context) -> list[tuple[str, str, FloatArray, FloatArray]]:
+    """Entity, name, times [s] and values of airspeed and supply."""
+    airspeed = (AIRSPEED, "airspeed [m/s]", context.airspeed_s, context.airspeed_m_s)
+    return [airspeed, (SUPPLY, "servo supply [V]", context.voltage_s, context.voltage_v)]
+
+
 def send_context(recorder: Recorder, context: Context) -> None:
     """Airspeed and supply, on their own time stamps."""
-    for place, name, time_s, values in (
-        (AIRSPEED, "airspeed [m/s]", context.airspeed_s, context.airspeed_m_s),
-        (SUPPLY, "servo supply [V]", context.voltage_s, context.voltage_v),
-    ):
+    for place, name, time_s, values in around(context):
         if time_s.size:
             recorder.lines(place, [name], ["simulated"])
             recorder.scalars(place, time_s, values)
@@ -212,8 +209,6 @@ def _states_of(trace: Trace, surface: SurfaceAudit) -> list[tuple[float, str]]:
     A fault begins with its alarm: what the lane shows, a monitor would have known in flight. Where nothing was judged
     it says so, whatever was before.
     """
-    if not trace.time_s.size:
-        return []
     first_s, last_s = float(trace.time_s[0]), float(trace.time_s[-1])
     if not surface.is_judged:
         return [(first_s, "NO DATA")]
@@ -252,8 +247,6 @@ def events(trace: Trace | None, surface: SurfaceAudit, start_s: float = 0.0) -> 
 
 def ratio(time_s: FloatArray, residual_deg: FloatArray, threshold_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest |residual| / threshold of each tenth of a second: times [s] and ratios, of shape (m,)."""
-    if not time_s.size:
-        return time_s, time_s
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(residual_deg) / threshold_deg
     first = tenths(time_s)

@@ -1,11 +1,4 @@
-"""An audit as a Rerun recording.
-
-Entities below ``/surfaces/<name>``: ``deflection`` (command, simulated, measured [deg]), ``residual`` (residual and
-both thresholds [deg]), ``command`` (on its own time stamps [deg]), ``ratio``, ``state``, ``onset``,
-``events``, ``shade/*``, ``onboard`` (residual and thresholds of a script on board [deg]); ``/flight/**``
-(airspeed, supply); ``/report`` is the verdict in words. Time lines: ``time_boot``, and ``time_utc`` where the log
-knows it.
-"""
+"""An audit as a Rerun recording; `docs/recordings.md` lists its entities."""
 
 from __future__ import annotations
 
@@ -16,25 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from servofd.detection.verdict import LogAudit
-from servofd.onboard.seen import seen_of
 from servofd.outputs.audit_report import audit_report
 from servofd.outputs.document import Bullets, markdown
 from servofd.outputs.palette import SERIES
-from servofd.outputs.recording.content import Recording
+from servofd.outputs.recording.content import Recording, verdicts_of
 from servofd.outputs.recording.layout import ALARM_LINE, REPORT, audit_layout
 from servofd.outputs.recording.stream import Recorder, application_name, recording_file
 from servofd.outputs.recording.surface import send_axis, send_context, send_on_board, send_surface
-from servofd.outputs.recording.verdicts import verdicts_of
 
 
 def save_recording(audit: LogAudit, path: str | Path) -> None:
     """Write everything the audit read and found into one .rrd file, with its layout inside."""
-    write_recording(recording_of(audit), path)
-
-
-def recording_of(audit: LogAudit) -> Recording:
-    """What a recording of an audit will hold; see `save_recording`."""
-    return replace(Recording.of(audit), on_board=seen_of(audit.log, audit.aircraft))
+    write_recording(Recording.of(audit), path)
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
