@@ -60,7 +60,7 @@ def _load_bank() -> None:
         monitor.feed((time_s[piece], asked_deg[piece]), (time_s[piece], moved_deg[piece]))
         look = monitor.due()
         if look is not None:
-            monitor.events_of(look, look.judge())
+            monitor.events_of(look, look.find())
 
 
 @dataclass(slots=True)
@@ -312,10 +312,10 @@ class Session:
         if self._pool is None:
             while looks := vehicle.due():
                 for monitor, look in looks:
-                    events += monitor.events_of(look, look.judge())
+                    events += monitor.events_of(look, look.find())
             return events
         for monitor, look in vehicle.due():
-            self._looks.append((vehicle, monitor, look, self._pool.submit(look.judge)))
+            self._looks.append((vehicle, monitor, look, self._pool.submit(look.find)))
         return events
 
     def _finished_looks(self, vehicle: Vehicle) -> list[Event]:
