@@ -17,7 +17,7 @@ from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.detection.faults import named
 from servofd.detection.residual import ResidualGenerator
-from servofd.detection.seen import healthy_of
+from servofd.detection.seen import Healthy
 from servofd.simulation.commands import COMMANDS
 from trial import judged
 
@@ -62,10 +62,10 @@ def measure(duration_s: float = _DURATION_S) -> Cost:
         command_deg = COMMANDS["gusty"](time_s, rng)
         measured_deg = model.simulate(time_s, command_deg, time_s) + _NOISE_DEG * rng.standard_normal(time_s.size)
         segments.append(Series("x", time_s, command_deg, time_s, measured_deg))
-    generator = ResidualGenerator.fitting(model, segments[0])
+    generator = ResidualGenerator.fitting(model, segments[0].period_s)
 
     def alarms() -> int:
-        found = [healthy_of(surface, model).beside(segment).found for segment in segments]
+        found = [Healthy(surface, model).beside(segment).found for segment in segments]
         return sum(len(one.faults) + len(one.suspicions) for one in found)
 
     count = alarms()  # compiles

@@ -117,7 +117,7 @@ def telemetry_monitor(folder: Path) -> dict[str, Any]:
     """Replay as fast as it goes; the last position must come a day after the first."""
     path = folder / "day.tlog"
     log = logparsers.read(path)
-    aircraft = draft_aircraft(log).aircraft()
+    aircraft = draft_aircraft(log)
     begun_s, ended_s = log.span_s or (0.0, 0.0)
     del log
     gc.collect()

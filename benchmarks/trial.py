@@ -13,7 +13,7 @@ from servofd.aircraft.priors import FITTED
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.detection.residual import ResidualGenerator
-from servofd.detection.seen import Seen, healthy_of
+from servofd.detection.seen import Healthy, Seen
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
@@ -132,14 +132,14 @@ class Judged(NamedTuple):
 def judged(one: FleetFlight) -> Judged:
     """Judge one flight against the interval threshold."""
     segment = Series("x", one.time_s, one.command_deg, one.time_s, one.measured_deg)
-    generator = ResidualGenerator.fitting(_AIRCRAFT.model("x"), segment)
-    return Judged(one, segment, generator, healthy_of(_SURFACE, _AIRCRAFT.model("x")).beside(segment))
+    generator = ResidualGenerator.fitting(_AIRCRAFT.model("x"), segment.period_s)
+    return Judged(one, segment, generator, Healthy(_SURFACE, _AIRCRAFT.model("x")).beside(segment))
 
 
 def trial(case: Case) -> Trial:
     """Fly and judge one case, and its healthy twin."""
     log = judged(flight(case.seed, case.style, case.kind, case.size or "medium"))
-    residuals, (faults, suspicions, _) = log.seen.residuals, log.seen.found
+    residuals, (faults, suspicions, *_) = log.seen.residuals, log.seen.found
     settled = residuals.settled
     time_s, size_deg = residuals.time_s[settled], np.abs(residuals.residual_deg[settled])
     level_deg = log.seen.threshold.level_deg[settled]

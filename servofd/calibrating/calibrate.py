@@ -85,7 +85,7 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
     known = known_servo(fitted, records, supply_v, airspeed_m_s, fastest_m_s=fastest)
     refuse_broken(name, known, records, scaled)
     known = known.model_copy(update={"thresholds": thresholds_above(known, fitted, records)})
-    sizes = detectable([watched(known, record) for record in records])
+    sizes = detectable(watched(known, record).looked for record in records)
     logs = ", ".join(f"{flight.label} ({flight.segment.duration_s:.0f} s)" for flight in flights)
     servo = linear_servo(fitted.theta, f"fitted to {logs}")
     # The first fit knows what other servos would have done as well.
@@ -173,7 +173,7 @@ def _shown(estimate: Estimate, *, least: bool) -> str:
 def _sharper(known: CalibratedServo, fitted: Fit, records: Sequence[Record], now: Detectable) -> str:
     """What three more flights for each of these would show, if good flights differ by as little as they may."""
     surer = after_more_flights(known, fitted)
-    then = detectable([watched(surer, record) for record in records])
+    then = detectable(watched(surer, record).looked for record in records)
     shown = [
         f"{words.format(after)} ({'none' if before is None else format(before, form)} now)"
         for words, form, before, after in (
@@ -236,7 +236,7 @@ def calibrate_aircraft(
     """
     kept = {name: "not asked for" for name in aircraft.surfaces if name not in flights}
     for name, those in flights.items():
-        reason = hardly_moved(those) if those else "no measured deflection"
+        reason = hardly_moved([flight.segment for flight in those]) if those else "no measured deflection"
         if reason:
             kept[name] = reason
     wanted = [name for name in aircraft.surfaces if name not in kept]

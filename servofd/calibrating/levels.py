@@ -100,7 +100,7 @@ def draft_tolerance(model: ServoModel, segment: Series) -> Drafted | None:
     Raises `DesignError` if no residual filter suits the servo at this pace.
     """
     segment, _ = with_hold(model, segment)
-    residuals = ResidualGenerator.fitting(model, segment).run(segment)
+    residuals = ResidualGenerator.fitting(model, segment.period_s).run(segment)
     usual = residuals.settled & np.isfinite(residuals.residual_deg)
     if not usual.any():
         return None

@@ -14,7 +14,7 @@ from servofd.cli.terminal import print_table, say
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.detection.nullspace import design_nullspace_filter
 from servofd.detection.pulse import design_pulse_filter, fastest_pole_rad_s
-from servofd.feedback.draft import draft_aircraft, draft_to_toml, fitted_to_toml
+from servofd.feedback.draft import draft_to_toml
 from servofd.feedback.flown import flown_aircraft, one_log
 from servofd.servo.library import Servo, library, servo_named
 
@@ -27,7 +27,7 @@ def run(options: Options) -> int:
     # Of what was booted more than once, the longest flight tells most.
     log = max(one_log(options.log).by_boots(), key=lambda flight: flight.duration_s)
     if log.is_of_autopilot:
-        say(draft_to_toml(draft_aircraft(log)), end="")
+        say(draft_to_toml(log), end="")
     elif log.format == "faser":
         raise NoMeasurement(f"{log.label}: FASER logs have their aircraft file: configs/faser.toml")
     else:
@@ -37,7 +37,7 @@ def run(options: Options) -> int:
                 f"{log.label}: no servo can be fitted to {', '.join(aircraft.surfaces)}: record commands and positions "
                 "of a flight in which they move"
             )
-        say(fitted_to_toml(log, aircraft), end="")
+        say(draft_to_toml(log, aircraft), end="")
     return 0
 
 

@@ -19,7 +19,7 @@ def run(options: Options) -> int:
     check_targets((options.json, options.html), {"a log": options.logs, "the aircraft file": [options.config]})
     shown, surfaces = partial(progress, "trend"), tuple(options.surface)
     seen = trend_logs(options.logs, options.config, surfaces=surfaces, workers=options.workers, progress=shown)
-    pages = beside(options.html).flights if options.html else {}
+    pages = beside(options.html)[1] if options.html else {}
     show(trend_report(trend_document(seen), pages), json=options.json, html=options.html)
     for problem in seen.problems[:_SHOWN]:
         complain(problem)

@@ -135,7 +135,7 @@ class BothStream(Following):
 
     def __init__(self, position: Following, current: CurrentStream) -> None:
         self._position, self._current = position, current
-        self.history, self.logged, self.doubts_wiring = position.history, position.logged, position.doubts_wiring
+        self.history, self.logged = position.history, position.logged
         self.latched = 0
         self._rests_s = -np.inf
         """Until when there is no look at what the current raises [s]."""

@@ -22,7 +22,6 @@ from servofd.detection.stream import (
     MEMORY_S,
     CommandBuffer,
     Following,
-    History,
     Piece,
     Remembered,
 )
@@ -115,7 +114,7 @@ class CurrentStream(Following):
 
     def _take(self, time_s: FloatArray, command_deg: FloatArray) -> None:
         """Keep commands."""
-        self.logged.append(time_s, command_deg)
+        self.logged.add(time_s, command_deg)
 
     def position(self, time_s: float, measured_deg: float) -> None:
         """Add a reading, in the unit of its channel; one that is no number is left out."""
@@ -173,7 +172,7 @@ class CurrentStream(Following):
         raised = np.zeros(time_s.size, dtype=np.int8)
         if worth_s.size and not self.latched:
             raised[min(int(np.searchsorted(time_s, worth_s[0])), time_s.size - 1)] = self.latched = BY_WINDOWS
-        self.history.append(History.packed(residuals, threshold))
+        self.history.keep(residuals, threshold)
         return Piece(residuals, threshold, raised, np.ones(time_s.size, dtype=bool))
 
     def remembered(self, context: Context, from_s: float, until_s: float) -> Remembered | None:

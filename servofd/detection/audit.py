@@ -16,13 +16,20 @@ from servofd.aircraft.pace import WARM_UP_STEPS
 from servofd.aircraft.series import Series, bus_of, cut, too_far
 from servofd.core.errors import DesignError, NoMeasurement
 from servofd.core.evidence import NOTHING_DETECTABLE
+from servofd.core.series import outline
 from servofd.detection.causes import before_it_fell, with_common_causes
-from servofd.detection.evidence import reported, status_of
-from servofd.detection.flights import Flight
+from servofd.detection.evidence import (
+    LEAST_OF_THE_LOG,
+    MOST_OF_THE_LOG,
+    TRIED_DEG,
+    coverage,
+    not_judgeable,
+    why_not_cleared,
+)
 from servofd.detection.known import crude_line, hardly_moved
 from servofd.detection.own import departed
-from servofd.detection.seen import TooShortError, healthy_of, rarely_asked, too_few
-from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, two_digits
+from servofd.detection.seen import Healthy, TooShortError, rarely_asked, too_few
+from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, accusation, describe, two_digits
 from servofd.estimate.record import Record
 
 if TYPE_CHECKING:
@@ -30,8 +37,10 @@ if TYPE_CHECKING:
 
     from logparsers.records import FlightLog
     from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.core.evidence import Detectable
     from servofd.detection.residual import ThresholdKind
-    from servofd.detection.seen import Healthy
+    from servofd.detection.seen import Seen
+    from servofd.detection.verdict import Status
 
 _FASTEST_RATE_HZ = 50_000.0
 """Rate of positions above which the unit of the time stamps is wrong [Hz]."""
@@ -128,7 +137,7 @@ def audit_segment(
     surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
     verdict = _verdict_on(name, surface, expected=expected)
     # Whoever names a level wants to know what reaches it, and that alone.
-    healthy = healthy_of(surface, aircraft.model(name), asked=threshold_deg is not None)
+    healthy = Healthy(surface, aircraft.model(name), asked=threshold_deg is not None)
     problem = _too_little(segment, healthy)
     if problem:
         return verdict(status="unknown", reason=problem, segment=segment)
@@ -143,33 +152,66 @@ def audit_segment(
         seen = healthy.beside(segment)
     except (DesignError, TooShortError) as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
-    rows, residuals = seen.residuals.settled, seen.residuals
+    return _reported(verdict, seen, duration_s)
+
+
+def _reported(verdict: Callable[..., SurfaceAudit], seen: Seen, duration_s: float) -> SurfaceAudit:
+    """The verdict with what was seen of a flight of some length [s], and what was not."""
+    segment, residuals, threshold, found = seen.segment, seen.residuals, seen.threshold, seen.found
+    rows, share = residuals.settled, min(seen.judged_s / max(duration_s, 1e-9), 1.0)
     statistics = Statistics.of(residuals.residual_deg[rows], residuals.error_deg[rows])
-    faults, suspicions, shown = seen.found.faults, seen.found.suspicions, seen.detectable()
-    status, reason = status_of(residuals, seen.threshold, faults, suspicions, shown, seen.well(statistics.max_abs_deg))
-    if seen.against:
-        status, reason = "unknown", seen.against
-        faults, suspicions, shown = (), (), NOTHING_DETECTABLE
-    if seen.doubt:
-        status = "suspect" if status in ("healthy", "unknown") else status
-        reason = f"{seen.doubt}; {reason}"
-    if seen.beyond:
-        status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {seen.beyond}"
-    return reported(
-        verdict,
-        seen.segment,
-        residuals,
-        seen.threshold,
-        min(seen.judged_s / max(duration_s, 1e-9), 1.0),
-        status,
-        reason,
-        seen.notes,
-        faults=faults,
-        suspicions=suspicions,
+    shown = NOTHING_DETECTABLE if found.against else seen.detectable()
+    status, reason = _earned(seen, shown, statistics.max_abs_deg)
+    uncovered, remarks = coverage(segment, residuals)
+    problem = uncovered or ("judged for too little of the log" if share < LEAST_OF_THE_LOG else "")
+    if status == "healthy" and problem:
+        status, reason = "unknown", f"{problem}; as far as it was judged, {reason}"
+    reason = "; ".join((reason, *remarks))
+    if share < MOST_OF_THE_LOG:
+        reason += f"; judged for {share:.0%} of the log"
+    if segment.left_out_in_words:
+        reason += f"; {segment.left_out_in_words}"
+    if segment.frozen_s > 0.0:
+        reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
+        if segment.frozen_to_end and status != "fault":
+            status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
+    asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
+    sizes_deg = np.where(rows, residuals.residual_deg, np.nan)
+    return verdict(
+        status=status,
+        reason="; ".join((reason, *seen.notes)),
+        tried=status != "unknown" or shown.loss_share is not None or asked_deg >= TRIED_DEG,
+        faults=() if found.against else found.faults,
+        suspicions=() if found.against else found.suspicions,
         statistics=statistics,
         false_alarms_per_hour=seen.false_alarms_per_hour(),
+        segment=segment,
+        residuals=residuals,
+        threshold=threshold,
+        threshold_deg=threshold.typical_deg,
         detectable=shown,
+        judged_share=share,
+        outline=outline(residuals.time_s, sizes_deg, threshold.level_deg),
     )
+
+
+def _earned(seen: Seen, shown: Detectable, largest_deg: float) -> tuple[Status, str]:
+    """What a surface has earned, and why, by its largest residual [deg] and the faults that would have shown."""
+    status: Status = "unknown"
+    found, reason = seen.found, seen.found.against
+    if not reason and found.faults:
+        status, reason = "fault", accusation(found.faults)
+    elif not reason and found.suspicions:
+        looks = "; ".join(describe(fault) for fault in found.suspicions)
+        status, reason = "suspect", f"no alarm stands, but look at it: {looks}"
+    reason = reason or why_not_cleared(seen.residuals, shown, seen.threshold.typical_deg)
+    if not reason:
+        status, reason = "healthy", "; ".join(filter(None, (seen.well(largest_deg), not_judgeable(shown))))
+    if seen.doubt:
+        status, reason = ("suspect" if status in ("healthy", "unknown") else status), f"{seen.doubt}; {reason}"
+    if seen.beyond:
+        status, reason = ("unknown" if status == "healthy" else status), f"{reason}; {seen.beyond}"
+    return status, reason
 
 
 def judged_by(surface: Surface, threshold_deg: float | None, threshold: ThresholdKind | None) -> Surface:
@@ -252,7 +294,7 @@ def _unpredicted(surface: Surface, segment: Series, asked_deg: float) -> str:
         )
     if share is None:
         counting = segment.at(np.isfinite(segment.measured_deg))
-        lacking = hardly_moved([Flight("", counting)]) or f"{counting.duration_s:.0f} s of it were not enough"
+        lacking = hardly_moved([counting]) or f"{counting.duration_s:.0f} s of it were not enough"
         return f"no servo can be fitted to this log: {lacking}; {record}"
     return rarely_asked(segment) or (
         f"no servo predicts this surface from its command, which stays within {asked} (a fitted one "

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.verdict import CommonCause, SurfaceAudit, accusation, describe, two_digits
 from servofd.servo.context import Context
 
@@ -37,7 +38,7 @@ _DEAD: Final = 0.3
 _EMPTY, _FULL = 0.75, 0.95
 """Share of its highest volts at which a battery is empty (3.2 of 4.2 V a cell), and below which one is passed by for
 glitches: a share of its readings."""
-_FROZEN = ("stuck", "hardover", "deadband", "floating")
+_FROZEN = (*STANDS_STILL, "deadband")
 _AT_START_S = 5.0
 """Time after the first sample within which a fault was there from the beginning [s]."""
 _FROZEN_SAMPLES = 5

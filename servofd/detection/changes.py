@@ -21,7 +21,7 @@ Whole logs and streams are tested sample by sample the same; `servofd.detection.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from servofd.estimate.record import LONGEST_S
 from servofd.servo.loops import compiled, inner
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.core.types import BoolArray, FloatArray
@@ -450,45 +450,26 @@ def first_over(
     return by_level_s, by_windows_s
 
 
-class Looked(Protocol):
-    """A stretch of flight after its tests."""
-
-    @property
-    def tests(self) -> Tests:
-        """What they knew."""
-        ...
-
-    @property
-    def tested(self) -> Tested:
-        """What came of them."""
-        ...
-
-    @property
-    def judged(self) -> BoolArray:
-        """Which samples they took, shape (m,)."""
-        ...
-
-
-def detectable(flights: Sequence[Looked]) -> Detectable:
+def detectable(flights: Iterable[tuple[Tests, Tested, BoolArray]]) -> Detectable:
     """The smallest change of each kind that some window of these flights would have shown, 19 times in 20.
 
-    A change shows where its score, of unit variance, passes its threshold by 1.64 standard deviations.
+    A change shows where its score, of unit variance, passes its threshold by 1.64 standard deviations. Of each flight
+    its tests, what came of them, and which samples they took, shape (m,).
     """
     sizes: dict[str, float] = dict.fromkeys(("loss", "bias", "weak", "play", "band"), np.inf)
-    for flight in flights:
-        limits = flight.tests.limits
-        table = flight.tested.statistics
+    for tests, tested, judged in flights:
+        limits, table = tests.limits, tested.statistics
         if not len(table):
             continue
         for test, (kind, _) in enumerate(_SCORES):
             each = float(np.quantile(table[:, _EACH + test], _OFTEN))
             size = (limits[_FIRST + test] + _POWER) / each if each > 0.0 else np.inf
             sizes[kind] = min(sizes[kind], size * (_BENT if kind == "weak" else 1.0))
-        total_deg = float(np.median(flight.tested.sigma_deg[flight.judged])) if flight.judged.any() else np.inf
-        seen_deg = total_deg * (np.sqrt(limits[2]) + _POWER / np.sqrt(_ENERGY_S[-1] / flight.tests.period_s))
+        total_deg = float(np.median(tested.sigma_deg[judged])) if judged.any() else np.inf
+        seen_deg = total_deg * (np.sqrt(limits[2]) + _POWER / np.sqrt(_ENERGY_S[-1] / tests.period_s))
         sizes["bias"] = min(sizes["bias"], seen_deg / PRIORS[1].between)
         count, weight = np.median(table[:, [_COUNT, _WEIGHT]], axis=0)
-        needed = (limits[_BAND] + _POWER) * np.sqrt(count * np.median(flight.tests.spectrum))
+        needed = (limits[_BAND] + _POWER) * np.sqrt(count * np.median(tests.spectrum))
         if weight > 0.0:
             sizes["band"] = min(sizes["band"], _BETWEEN_LINES * max(2.0 * needed / weight, _LEAST_WAVE_DEG))
     units = dict(zip(NAMES, (prior.between for prior in PRIORS), strict=True))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from logparsers.protocol import Severity
-from servofd.detection.wiring import wiring_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -121,14 +120,6 @@ class Look(NamedTuple):
     threshold: Threshold
     find: Callable[[], Found]
     """Faults and suspicions; depends on nothing else."""
-    doubts_wiring: bool
-    """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
-
-    def judge(self) -> tuple[tuple[Fault, ...], tuple[Fault, ...], str]:
-        """Faults and suspicions, and why nothing should be concluded from them."""
-        faults, suspicions, _ = self.find()
-        problem = wiring_problem(self.residuals) if self.doubts_wiring and (faults or suspicions) else ""
-        return ((), (), problem) if problem else (faults, suspicions, "")
 
 
 @dataclass(slots=True)

@@ -9,24 +9,23 @@ leaves, an oscillation a filtered wave; less speed adds a lag, and play what pla
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
-from servofd.core.series import outline
-from servofd.detection.verdict import accusation, describe, two_digits
+from servofd.detection.named import in_a_row
+from servofd.detection.verdict import two_digits
 from servofd.servo.loops import compiled, play
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
     from servofd.aircraft.series import Series
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.residual import ResidualGenerator, Residuals, Threshold
-    from servofd.detection.verdict import Fault, Status, SurfaceAudit
 
 MOST_OF_THE_LOG, SHORTEST_JUDGED_S = 0.9, 0.25
 """Share of the log, and seconds of it, that must be judged for a verdict."""
@@ -94,7 +93,7 @@ _FEWEST_S = 3.0
 _LEAST = 0.5
 LEAST_OF_THE_LOG = 0.5
 """Share of the log that must be judged before a surface is cleared."""
-_TRIED_DEG = 3.0
+TRIED_DEG = 3.0
 """A surface that was asked to move by so much was tried, also where its threshold is too wide to show a jam."""
 _STOPS_S, _STOPS_SHARE = 3.0, 0.1
 """A stream that ends earlier than the log, by this many seconds and by this share of it, has stopped."""
@@ -154,6 +153,8 @@ _BISECTIONS = 9
 """Halvings of the interval in which a smallest size is found."""
 _WIDEST_DEG = 20.0
 """Widest play that is tried [deg]."""
+_LEAST_ROOM_DEG, _LEAST_GAIN = 1e-12, 1e-9
+"""Room below a threshold that counts as none [deg], and residual over threshold of a size that never shows."""
 _LARGEST = {"bias_deg": 45.0, "loss_share": 1.0, "oscillation_deg": 20.0}
 
 
@@ -164,86 +165,59 @@ def passing(
     use = residuals.settled & np.isfinite(residuals.residual_deg)
     if np.count_nonzero(use) < 2:
         return NOTHING_DETECTABLE
-    judge = _Judge(residuals, threshold.level_deg, use, persistence)
+    time_s, still_deg = residuals.time_s, residuals.simulated_deg
+    level_deg, residual_deg = threshold.level_deg[use], residuals.residual_deg[use]
+    since_s = time_s[use] - time_s[use][0]
+    onsets = since_s <= _LATEST_ONSET * since_s[-1]
     ones = np.where(np.isfinite(residuals.measured_deg), 1.0, np.nan)
+
+    def added(error_deg: FloatArray) -> FloatArray:
+        """What an error of the position adds to the residual."""
+        return np.nan_to_num(generator.filtered(time_s, ones * error_deg, residuals.restart)[use])
+
+    def most(values: FloatArray) -> FloatArray:
+        """The most that an alarm would see of these, for each onset."""
+        ending = in_a_row(values, persistence)[persistence - 1 :]
+        row = np.append(ending, np.zeros(persistence))[: values.size]
+        seen: FloatArray = np.maximum.accumulate(row[::-1])[::-1][onsets]
+        return seen
+
+    def needed(error_deg: FloatArray, sign: float) -> FloatArray:
+        """Size that a fault of each onset needs, if it adds this error for each unit of its size."""
+        unit_deg = sign * added(error_deg)
+        room_deg = level_deg - np.sign(unit_deg) * residual_deg
+        sizes: FloatArray = 1.0 / np.maximum(most(unit_deg / np.maximum(room_deg, _LEAST_ROOM_DEG)), _LEAST_GAIN)
+        return sizes
+
+    def shows(error_deg: FloatArray) -> bool:
+        """Whether 19 of 20 onsets of this very error raise an alarm."""
+        return bool(np.mean(most((residual_deg + added(error_deg)) / level_deg) > 1.0) >= _POWER / 100.0)
+
+    turn = 2.0 * np.pi * _OSCILLATES_HZ * time_s
     signals = {
-        "bias_deg": [generator.filtered(residuals.time_s, ones, residuals.restart)],
-        "loss_share": [generator.filtered(residuals.time_s, -residuals.simulated_deg, residuals.restart)],
-        "oscillation_deg": [
-            generator.filtered(
-                residuals.time_s, ones * wave(2.0 * np.pi * _OSCILLATES_HZ * residuals.time_s), residuals.restart
-            )
-            for wave in (np.sin, np.cos)
-        ],
+        "bias_deg": [(ones, 1.0), (ones, -1.0)],
+        "loss_share": [(still_deg, -1.0)],
+        "oscillation_deg": [(wave, sign) for wave in (np.sin(turn), np.cos(turn)) for sign in (1.0, -1.0)],
     }
     found: dict[str, float | None] = {}
     for name, ways in signals.items():
-        signs = (1.0,) if name == "loss_share" else (1.0, -1.0)
-        size = float(np.percentile(np.concatenate([judge.needed(s * way) for way in ways for s in signs]), _POWER))
+        size = float(np.percentile(np.concatenate([needed(*way) for way in ways]), _POWER))
         found[name] = size if size <= _LARGEST[name] else None
     lag_s = float(np.sum(1.0 / generator.filter_parameters().decay_rad_s).real)
-    start_deg = float(residuals.simulated_deg[use][0])
+    start_deg, reach_deg = float(still_deg[use][0]), min(float(np.ptp(still_deg[use])), _WIDEST_DEG)
 
     def slowed(speed: float) -> FloatArray:
-        result = np.empty(residuals.time_s.size)
-        _lag(residuals.time_s, residuals.simulated_deg, max(lag_s * (1.0 / speed - 1.0), 1e-9), result)
-        return result
+        late_deg = np.empty(time_s.size)
+        _lag(time_s, still_deg, max(lag_s * (1.0 / speed - 1.0), 1e-9), late_deg)
+        return late_deg - still_deg
 
-    def loose(width_deg: float) -> FloatArray:
-        return play(residuals.simulated_deg, width_deg, start_deg)
-
-    def shows(moved: Callable[[float], FloatArray], size: float) -> bool:
-        error_deg = ones * (moved(size) - residuals.simulated_deg)
-        return judge.shown(generator.filtered(residuals.time_s, error_deg, residuals.restart))
-
-    reach_deg = min(float(np.ptp(residuals.simulated_deg[use])), _WIDEST_DEG)
-    found["slow_share"] = _bisected(lambda speed: shows(slowed, speed), _LEAST_SPEED, 1.0)
-    width_deg = _bisected(lambda width: shows(loose, width), reach_deg, 0.0) if reach_deg > 0.0 else None
-    found["deadband_deg"] = width_deg
+    found["slow_share"] = _bisected(lambda speed: shows(slowed(speed)), _LEAST_SPEED, 1.0)
+    found["deadband_deg"] = None
+    if reach_deg > 0.0:
+        loose = _bisected(lambda width: shows(play(still_deg, width, start_deg) - still_deg), reach_deg, 0.0)
+        found["deadband_deg"] = loose
     # Two digits: more are not known.
     return Detectable(**{name: None if size is None else float(f"{size:.2g}") for name, size in found.items()})
-
-
-class _Judge:
-    """Whether an addition to the residual raises an alarm, whenever it sets in."""
-
-    def __init__(self, residuals: Residuals, level_deg: FloatArray, use: BoolArray, persistence: int) -> None:
-        self.residual_deg, self.level_deg, self.use = residuals.residual_deg[use], level_deg[use], use
-        self.persistence = persistence
-        time_s = residuals.time_s[use]
-        share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
-        self.onsets = share <= _LATEST_ONSET
-
-    def needed(self, signal: FloatArray) -> FloatArray:
-        """Size that a fault of each onset needs, if it adds this much for each unit of its size."""
-        added = signal[self.use]
-        sides = []
-        for side in (1.0, -1.0):
-            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-                size = (self.level_deg - side * self.residual_deg) / (side * added)
-            reached = np.isfinite(size) & (side * added > 0.0)
-            sides.append(np.where(reached, np.maximum(size, 0.0), 1e9))
-        size = np.minimum(*(_in_a_row(side, self.persistence, np.maximum, 1e9) for side in sides))
-        needed: FloatArray = np.minimum.accumulate(size[::-1])[::-1][self.onsets]
-        return needed
-
-    def shown(self, added: FloatArray) -> bool:
-        """Whether 19 of 20 onsets of this very addition raise an alarm."""
-        residual_deg = self.residual_deg + np.nan_to_num(added[self.use])
-        sides = (residual_deg > self.level_deg, residual_deg < -self.level_deg)
-        beyond = np.logical_or(*(_in_a_row(side, self.persistence, np.logical_and, 0) for side in sides))
-        after = np.logical_or.accumulate(beyond[::-1])[::-1][self.onsets]
-        return bool(np.mean(after) >= _POWER / 100.0)
-
-
-def _in_a_row(values: NDArray[Any], many: int, join: np.ufunc, beyond: float) -> NDArray[Any]:
-    """Several values from each on, joined (the largest, or whether all hold); `beyond` is the value after the end."""
-    joined, width = np.append(values, np.full(many - 1, beyond, values.dtype)), 1
-    while width < many:
-        step = min(width, many - width)
-        joined = join(joined[:-step], joined[step:])
-        width += step
-    return joined
 
 
 def _bisected(shows: Callable[[float], bool], large: float, none: float) -> float | None:
@@ -252,10 +226,7 @@ def _bisected(shows: Callable[[float], bool], large: float, none: float) -> floa
         return None
     for _ in range(_BISECTIONS):
         middle = 0.5 * (large + none)
-        if shows(middle):
-            large = middle
-        else:
-            none = middle
+        large, none = (middle, none) if shows(middle) else (large, middle)
     return large
 
 
@@ -266,67 +237,6 @@ def _lag(time_s: FloatArray, values: FloatArray, lag_s: float, result: FloatArra
         if k > 0:
             state += (1.0 - np.exp(-(time_s[k] - time_s[k - 1]) / lag_s)) * (values[k] - state)
         result[k] = state
-
-
-def status_of(
-    residuals: Residuals,
-    threshold: Threshold,
-    faults: Sequence[Fault],
-    suspicions: Sequence[Fault],
-    shown: Detectable,
-    well: str,
-) -> tuple[Status, str]:
-    """What a surface has earned, and why; `well` says in which way it is healthy, if it is."""
-    if faults:
-        return "fault", accusation(faults)
-    if suspicions:
-        return "suspect", f"no alarm stands, but look at it: {'; '.join(describe(fault) for fault in suspicions)}"
-    problem = why_not_cleared(residuals, shown, threshold.typical_deg)
-    if problem:
-        return "unknown", problem
-    return "healthy", "; ".join(filter(None, (well, not_judgeable(shown))))
-
-
-def reported(
-    verdict: Callable[..., SurfaceAudit],
-    segment: Series,
-    residuals: Residuals,
-    threshold: Threshold,
-    judged_share: float,
-    status: Status,
-    reason: str,
-    after: Sequence[str] = (),
-    **found: Any,  # noqa: ANN401 - fields of the verdict
-) -> SurfaceAudit:
-    """The verdict with what was seen of the flight, and what was not."""
-    asked_deg = float(np.ptp(segment.command_deg)) if segment.command_deg.size else 0.0
-    uncovered, remarks = coverage(segment, residuals)
-    problem = uncovered or ("judged for too little of the log" if judged_share < LEAST_OF_THE_LOG else "")
-    if status == "healthy" and problem:
-        status, reason = "unknown", f"{problem}; as far as it was judged, {reason}"
-    reason = "; ".join((reason, *remarks))
-    if judged_share < MOST_OF_THE_LOG:
-        reason += f"; judged for {judged_share:.0%} of the log"
-    if segment.left_out_in_words:
-        reason += f"; {segment.left_out_in_words}"
-    if segment.frozen_s > 0.0:
-        reason += f"; {segment.frozen_s:.1f} s of frozen telemetry not judged"
-        if segment.frozen_to_end and status != "fault":
-            status, reason = "no_data", "telemetry froze and never came back; before that, " + reason
-    return verdict(
-        tried=status != "unknown" or found["detectable"].loss_share is not None or asked_deg >= _TRIED_DEG,
-        status=status,
-        reason="; ".join((reason, *after)),
-        segment=segment,
-        residuals=residuals,
-        threshold=threshold,
-        threshold_deg=threshold.typical_deg,
-        judged_share=judged_share,
-        outline=outline(
-            residuals.time_s, np.where(residuals.settled, residuals.residual_deg, np.nan), threshold.level_deg
-        ),
-        **found,
-    )
 
 
 def too_short(judged_s: float) -> str:

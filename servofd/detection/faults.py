@@ -27,6 +27,7 @@ from servofd.detection.hypotheses import (
     ranked,
     unexplained_deg,
 )
+from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.moving import watched
 from servofd.detection.outages import LONGEST_S
 from servofd.detection.verdict import EVEN, Fault
@@ -88,8 +89,6 @@ _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_
 _SHORTEST_WEAR_S: Final = 2.0
 _OF_ONE_CONTACT: Final = 3
 """So many brief faults, each soon after the one before, have one cause."""
-_STANDING: Final = {"stuck", "hardover", "floating"}
-"""Kinds of which each may be another: all that shows is that a surface stands still."""
 SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 
@@ -222,6 +221,8 @@ class Found(NamedTuple):
     suspicions: tuple[Fault, ...]
     left_deg: FloatArray
     """What the healthy servo, or a fault, leaves of each position [deg], (m,); NaN where none is judged."""
+    against: str = ""
+    """Why nothing should be concluded from them."""
 
 
 def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
@@ -296,7 +297,7 @@ def _size(fault: Fault, name: str) -> float:
 
 def _has_no_name(fault: Fault) -> bool:
     """Whether it is not more probable than all other kinds; that a surface stands still has a name, if not why."""
-    stands = fault.kind in _STANDING and bool({*fault.alternatives[:1]} & _STANDING)
+    stands = fault.kind in STANDS_STILL and any(other in STANDS_STILL for other in fault.alternatives[:1])
     return fault.kind == "unknown" or (fault.probability < EVEN and not stands)
 
 
@@ -378,13 +379,14 @@ def as_raised(flight: Watched, found: Found, look: Callable[[float, float], Foun
     for fault in found.faults:
         crossed_s = time_s[(passed >= 1.0) & (time_s >= fault.alarm_s)]
         alarm_s = float(crossed_s[0]) if crossed_s.size else np.inf
-        for after_s in LOOKS_S if alarm_s > fault.alarm_s else ():
-            at_s = float(time_s[min(int(np.searchsorted(time_s, fault.alarm_s + after_s)), time_s.size - 1)])
-            if at_s >= alarm_s or any(each.alarm_s > over_s for each in look(at_s - LOOKS_BACK_S, at_s).faults):
+        places = np.searchsorted(time_s, fault.alarm_s + np.array(LOOKS_S))
+        for at_s in time_s[np.minimum(places, time_s.size - 1)].tolist():
+            if at_s >= alarm_s:
                 break
-        else:
-            at_s = alarm_s
-        raised.append(replace(fault, alarm_s=min(at_s, alarm_s)) if np.isfinite(min(at_s, alarm_s)) else fault)
+            if any(each.alarm_s > over_s for each in look(at_s - LOOKS_BACK_S, at_s).faults):
+                alarm_s = at_s
+                break
+        raised.append(replace(fault, alarm_s=alarm_s) if np.isfinite(alarm_s) else fault)
         over_s = raised[-1].alarm_s if fault.end_s is None else fault.end_s
     return found._replace(faults=tuple(raised))
 

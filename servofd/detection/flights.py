@@ -55,7 +55,7 @@ def cropped(segment: Series, spans: tuple[Span, ...]) -> Series:
     return segment.at(inside)
 
 
-def busiest(flight: Flight, most_samples: int) -> list[Flight]:
+def busiest(segment: Series, most_samples: int) -> list[Series]:
     """Pieces of a flight with most motion, as a slow servo would move, of at most `most_samples` samples in all.
 
     Each eighth of the flight gives one: what a fault does to the commands must not draw all of them to itself.
@@ -64,14 +64,13 @@ def busiest(flight: Flight, most_samples: int) -> list[Flight]:
     --------
     >>> from servofd.aircraft.series import Series
     >>> t = np.arange(100.0)
-    >>> long = Flight("a", Series("x", t, np.where(t > 50.0, 5.0, 0.0), t, t))
-    >>> [piece.segment.measured_s.size for piece in busiest(long, 40)]
+    >>> long = Series("x", t, np.where(t > 50.0, 5.0, 0.0), t, t)
+    >>> [piece.measured_s.size for piece in busiest(long, 40)]
     [5, 5, 5, 5, 5, 5, 5, 5]
     """
-    segment = flight.segment
     size = segment.measured_s.size
     if size <= most_samples:
-        return [flight]
+        return [segment]
     smooth_deg = _smoothed(asked_deg(segment), segment.period_s)
     travel_deg = np.cumsum(np.abs(np.diff(smooth_deg, prepend=smooth_deg[0])))
     length = most_samples // _PIECES
@@ -79,20 +78,15 @@ def busiest(flight: Flight, most_samples: int) -> list[Flight]:
     for rows in np.array_split(np.arange(size), _PIECES):
         gained_deg = travel_deg[rows[length - 1 :]] - travel_deg[rows[: rows.size - length + 1]]
         first = int(rows[0]) + int(np.argmax(gained_deg))
-        pieces.append(_piece(flight, first, first + length))
+        pieces.append(_piece(segment, first, first + length))
     return pieces
 
 
-def _piece(flight: Flight, first: int, last: int) -> Flight:
+def _piece(segment: Series, first: int, last: int) -> Series:
     """Measurements of some rows, with the commands in force from the first to the last of them."""
-    segment = flight.segment
     from_s, to_s = (float(segment.measured_s[k]) for k in (first, last - 1))
     begin, end = np.searchsorted(segment.command_s, (from_s, to_s), side="right").tolist()
-    commands = slice(max(begin - 1, 0), max(end, 1))
-    return Flight(
-        flight.label,
-        segment.at(slice(first, last), commands),
-    )
+    return segment.at(slice(first, last), slice(max(begin - 1, 0), max(end, 1)))
 
 
 def _smoothed(command_deg: FloatArray, period_s: float) -> FloatArray:

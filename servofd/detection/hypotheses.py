@@ -9,9 +9,8 @@ other parameters had to go, and from the number of free sizes (BIC).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from servofd.estimate.family import bent, new_state, sensitivities, simulated, v
 from servofd.estimate.fit import residual
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator
 
     from servofd.core.types import BoolArray, FloatArray
     from servofd.detection.moving import OtherMotion, Watched
@@ -113,9 +112,11 @@ class Guess:
     """Misfit, and how far the other parameters had to go."""
     freedom: int
     parameters: dict[str, Estimate] = field(default_factory=dict)
-    theta: FloatArray | None = None
+    theta: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Of the servo; empty where it means nothing."""
     power: float = 0.0
-    added: tuple[str, FloatArray] | None = None
+    rests_deg: float | None = None
+    """Where it stays, or about where, whatever is asked."""
     place: int | None = None
     """Index among `NAMES` of the parameter that was changed, where its size is fitted around the value tried."""
     behind: bool = False
@@ -243,9 +244,8 @@ def ranked(window: Window) -> list[Guess]:
     best: dict[str, Guess] = {}
     guesses = sorted(_guesses(window), key=lambda each: _score(window, each))
     first = guesses[0]
-    if first.place is not None and first.theta is not None:  # its size was estimated from another one: once more
-        size = dict.fromkeys(first.parameters, (1.0 if first.kind == "deadband" else window.theta[first.place], 0.0))
-        again = _sized(window, _Tried(first.kind, first.theta, size, first.place, behind=first.behind))
+    if first.place is not None:  # its size was estimated from another one: once more
+        again = _sized(window, first)
         guesses = [again if _score(window, again) < _score(window, first) else first, *guesses[1:]]
     for guess in guesses:
         best.setdefault(guess.kind, guess)
@@ -275,14 +275,10 @@ def _guesses(window: Window) -> Iterator[Guess]:
     cost, best, covariance = window.reduced(error_deg, slopes, one)
     bias = Estimate.of(best[FITTED], float(np.sqrt(covariance[FITTED, FITTED])))
     yield Guess("bias", cost, 1, {"bias_deg": bias}, _with(theta, bias_deg=theta[1] + best[FITTED]))
-    for behind in (False, True) if window.own is not None else (False,):
-        yield _sized(window, _likeliest(window, slopes, _SCALES, partial(_weakened, theta, behind=behind)))
-    for slower in (_of_less_torque, _slower):
-        yield _sized(window, _likeliest(window, slopes, _SPEEDS, partial(slower, theta)))
-    yield _sized(window, _finer(window, _likeliest(window, slopes, _SPEEDS, partial(_rate_limited, theta))))
-    for name in ("deadband_deg", "play_deg"):
-        yield _sized(window, _likeliest(window, slopes, _WIDTHS_DEG, partial(_loosened, theta, name)))
-    yield _sized(window, _likeliest(window, slopes, _STICKING_DEG, partial(_stuck_on, theta)))
+    for tries in _tries(window):
+        yield _sized(window, _likeliest(window, slopes, tries))
+    limited = _likeliest(window, slopes, [_rate_limited(theta, speed) for speed in _SPEEDS])
+    yield _sized(window, _finer(window, limited))
     yield from _oscillating(window, error_deg, slopes)
     yield from _intermittent(window, error_deg)
     yield from _immobile(window)
@@ -295,30 +291,47 @@ def _with(theta: FloatArray, **changes: float) -> FloatArray:
     return changed
 
 
-class _Tried(NamedTuple):
-    """A servo with one parameter changed."""
-
-    kind: str
-    theta: FloatArray
-    size: dict[str, tuple[float, float]]
-    """Name of the size, and the size and its deviation; what the parameter is over, where that is free."""
-    place: int | None = None
-    """As of `Guess`."""
-    power: float = 0.0
-    behind: bool = False
+def _tried(kind: str, theta: FloatArray, name: str, size: float, share: float = 0.0, **changed: Any) -> Guess:  # noqa: ANN401 - fields
+    """A servo with one thing changed, by its size, of which a share is its deviation."""
+    return Guess(kind, (0.0, 0.0), 1, {name: Estimate.of(size, share * size)}, theta, **changed)
 
 
-def _sized(window: Window, tried: _Tried) -> Guess:
-    """What a servo with one parameter changed makes of the window."""
-    kind, theta, size, place, power, behind = tried
-    reading_deg, slopes = window.reading(theta, power, behind=behind)
+def _tries(window: Window) -> Iterator[list[Guess]]:
+    """Servos with one thing changed: by little and by much, in order, of each kind."""
+    theta = window.theta
+    for behind in (False, True) if window.own is not None else (False,):
+        gains = ((share, _with(theta, gain=theta[0] * share)) for share in _SCALES)
+        yield [_tried("loss_of_effectiveness", lost, "gain", share, place=0, behind=behind) for share, lost in gains]
+    yield [_slow(theta, speed, power=float(np.log(speed))) for speed in _SPEEDS]
+    less = ((speed, float(np.log(speed))) for speed in _SPEEDS)
+    yield [_slow(_with(theta, ln_bandwidth=theta[3] + ln, ln_rate=theta[_LN_RATE] + ln), speed) for speed, ln in less]
+    for name in ("deadband_deg", "play_deg"):
+        place = NAMES.index(name)
+        loose = ((width_deg, _with(theta, **{name: theta[place] + width_deg})) for width_deg in _WIDTHS_DEG)
+        yield [_tried("deadband", more, "width_deg", width_deg, place=place) for width_deg, more in loose]
+    friction_deg = theta[NAMES.index("friction_deg")]
+    sticking = ((width_deg, _with(theta, friction_deg=friction_deg + 0.5 * width_deg)) for width_deg in _STICKING_DEG)
+    yield [_tried("deadband", more, "width_deg", width_deg, 0.25) for width_deg, more in sticking]
+
+
+def _slow(theta: FloatArray, speed: float, power: float = 0.0) -> Guess:
+    return _tried("slow", theta, "bandwidth_scale", speed, 0.1, power=power)
+
+
+def _rate_limited(theta: FloatArray, speed: float) -> Guess:
+    """A servo that is as quick as ever in small motion, and turns no faster than a share of its speed."""
+    return _slow(_with(theta, ln_rate=theta[_LN_RATE] + float(np.log(speed))), speed)
+
+
+def _sized(window: Window, tried: Guess) -> Guess:
+    """What a servo with one thing changed makes of the window; its size is fitted where it is one parameter's."""
+    kind, theta, place = tried.kind, tried.theta, tried.place
+    reading_deg, slopes = window.reading(theta, tried.power, behind=tried.behind)
     error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
-    name, (reference, spread) = next(iter(size.items()))
     if place is None:
-        cost, _, _ = window.reduced(error_deg, slopes)
-        return Guess(kind, cost, 1, {name: Estimate.of(reference, spread)}, theta, power)
+        return replace(tried, cost=window.reduced(error_deg, slopes)[0])
     cost, best, covariance = window.reduced(
-        error_deg, slopes, window.slope(theta, place, reading_deg, slopes, behind=behind)
+        error_deg, slopes, window.slope(theta, place, reading_deg, slopes, behind=tried.behind)
     )
     moved = theta.copy()
     allowed = 0.35 * abs(theta[place]) + 0.3 * (kind == "deadband")
@@ -331,79 +344,37 @@ def _sized(window: Window, tried: _Tried) -> Guess:
         cost, *_ = window.reduced(error_deg, slopes)
     deviation = float(np.sqrt(covariance[FITTED, FITTED]))
     if kind == "deadband":
-        value = moved[place] - window.theta[place]
-        return Guess(kind, cost, 1, {name: Estimate.of(max(value, 0.0), deviation)}, moved, place=place)
-    estimate = Estimate.of(moved[place] / reference, deviation / abs(reference))
-    return Guess(kind, cost, 1, {name: estimate}, moved, place=place, behind=behind)
+        estimate = Estimate.of(max(moved[place] - window.theta[place], 0.0), deviation)
+    else:
+        estimate = Estimate.of(moved[place] / window.theta[place], deviation / abs(window.theta[place]))
+    return replace(tried, cost=cost, parameters=dict.fromkeys(tried.parameters, estimate), theta=moved)
 
 
-def _likeliest(
-    window: Window, slopes: FloatArray, sizes: Sequence[float], changed: Callable[[float], _Tried]
-) -> _Tried:
-    """One kind of fault of the likeliest size: of every second one, and of the neighbours of the best of them.
+def _likeliest(window: Window, slopes: FloatArray, tries: list[Guess]) -> Guess:
+    """The likeliest of these: of every second one, and of the neighbours of the best of them.
 
     They are compared by the sensitivities of the healthy servo (m, parameters): those of each take ten times as long.
     """
 
-    def score(size: float) -> float:
-        tried = changed(size)
+    def score(place: int) -> float:
+        tried = tries[place]
         reading_deg = window.reading_alone(tried.theta, tried.power, behind=tried.behind)
         error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
-        parameters = dict.fromkeys(tried.size, Estimate.of(size, 0.0))
-        return _score(window, Guess(tried.kind, window.reduced(error_deg, slopes)[0], 1, parameters))
+        return _score(window, replace(tried, cost=window.reduced(error_deg, slopes)[0]))
 
-    scores = {place: score(sizes[place]) for place in range(0, len(sizes), 2)}
+    scores = {place: score(place) for place in range(0, len(tries), 2)}
     best = min(scores, key=lambda place: scores[place])
-    near = (place for place in (best - 1, best + 1) if 0 <= place < len(sizes))
-    scores |= {place: score(sizes[place]) for place in near}
-    return changed(sizes[min(scores, key=lambda place: scores[place])])
+    scores |= {place: score(place) for place in (best - 1, best + 1) if 0 <= place < len(tries)}
+    return tries[min(scores, key=lambda place: scores[place])]
 
 
-def _weakened(theta: FloatArray, scale: float, *, behind: bool) -> _Tried:
-    """A servo that moves by a share of what it is asked for."""
-    lost = _with(theta, gain=theta[0] * scale)
-    return _Tried("loss_of_effectiveness", lost, {"gain": (theta[0], 0.0)}, 0, behind=behind)
-
-
-def _slow(theta: FloatArray, speed: float, power: float = 0.0) -> _Tried:
-    return _Tried("slow", theta, {"bandwidth_scale": (speed, 0.1 * speed)}, power=power)
-
-
-def _of_less_torque(theta: FloatArray, speed: float) -> _Tried:
-    """A servo with a share of its torque."""
-    return _slow(theta, speed, float(np.log(speed)))
-
-
-def _slower(theta: FloatArray, speed: float) -> _Tried:
-    """A servo with its bandwidth and its largest speed at a share."""
-    less = float(np.log(speed))
-    return _slow(_with(theta, ln_bandwidth=theta[3] + less, ln_rate=theta[5] + less), speed)
-
-
-def _rate_limited(theta: FloatArray, speed: float) -> _Tried:
-    """A servo that is as quick as ever in small motion, and turns no faster than a share of its speed."""
-    return _slow(_with(theta, ln_rate=theta[_LN_RATE] + float(np.log(speed))), speed)
-
-
-def _finer(window: Window, limited: _Tried) -> _Tried:
+def _finer(window: Window, limited: Guess) -> Guess:
     """The same with the speed that explains most, near the one that was tried."""
     reading_deg, slopes = window.reading(limited.theta)
     error_deg, _ = residual(window.measured_deg, reading_deg, window.known.reach_deg)
     _, best, _ = window.reduced(error_deg, slopes, slopes[:, [_LN_RATE]])
     less = limited.theta[_LN_RATE] - window.theta[_LN_RATE] + float(np.clip(best[FITTED], -_FINER, _FINER))
     return _rate_limited(window.theta, float(np.exp(less)))
-
-
-def _loosened(theta: FloatArray, name: str, width_deg: float) -> _Tried:
-    """A servo with more of one play."""
-    place = NAMES.index(name)
-    return _Tried("deadband", _with(theta, **{name: theta[place] + width_deg}), {"width_deg": (1.0, 0.0)}, place)
-
-
-def _stuck_on(theta: FloatArray, width_deg: float) -> _Tried:
-    """A servo with more friction."""
-    sticking = _with(theta, friction_deg=theta[NAMES.index("friction_deg")] + 0.5 * width_deg)
-    return _Tried("deadband", sticking, {"width_deg": (width_deg, 0.25 * width_deg)})
 
 
 def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> Iterator[Guess]:
@@ -414,7 +385,7 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
     free = _with(window.theta, deadband_deg=0.0, friction_deg=0.0)
     reading_deg, free_slopes = window.reading(free)
     kinds = ((error_deg, slopes), (residual(window.measured_deg, reading_deg, window.known.reach_deg)[0], free_slopes))
-    best: Guess | None = None
+    swinging = []
     quickest_hz = min(_QUICKEST_HZ, 0.4 / window.record.period_s)
     for left_deg, columns in kinds:
         scaled = (left_deg[used] - np.median(left_deg[used])) / window.total_deg[used]
@@ -430,10 +401,8 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
             "amplitude_deg": Estimate.of(size, deviation),
             "frequency_hz": Estimate.of(middle, 0.1 / span_s),
         }
-        if size > 0.0 and (best is None or sum(cost) < sum(best.cost)):
-            best = Guess("oscillation", cost, 3, parameters, window.theta)
-    if best is not None:
-        yield best
+        swinging.append(Guess("oscillation", cost, 3, parameters, window.theta))
+    yield min(swinging, key=lambda guess: sum(guess.cost))
 
 
 def _strongest_hz(time_s: FloatArray, values: FloatArray, slot_s: float, apart_hz: float, quickest_hz: float) -> float:
@@ -479,9 +448,8 @@ def _immobile(window: Window) -> Iterator[Guess]:
     at_stop = value > high - _AT_STOP_DEG or value < low + _AT_STOP_DEG
     rest = window.whitened(measured_deg - value) * min(ratio, 1.0)
     moved = {"position_deg": Estimate.of(value, float(still) / np.sqrt(window.count) / window.noise.innovation)}
-    constant = ("constant", np.array([value]))
     if at_stop or float(np.std(measured_deg[used])) < _MOVING * float(still) + _MOVING_DEG:
-        yield Guess("hardover" if at_stop else "stuck", (float(rest @ rest), 0.0), 1, moved, added=constant)
+        yield Guess("hardover" if at_stop else "stuck", (float(rest @ rest), 0.0), 1, moved, rests_deg=value)
     yield from _come_to_rest(window, float(np.hypot(still, _LEAST_STILL_DEG)))
     span_s = max(float(np.ptp(window.time_s)), 1.0)
     share = (window.time_s - window.time_s.mean()) / span_s
@@ -491,9 +459,9 @@ def _immobile(window: Window) -> Iterator[Guess]:
     amplitude = max(1.4 * float(np.std(measured_deg[used])), float(still))
     size = {"amplitude_deg": Estimate.of(amplitude, 0.3 * amplitude)}
     if at_stop and amplitude < _AT_STOP_DEG:  # the air does not hold a surface at its stop
-        yield Guess("hardover", (float(rest @ rest), 0.0), 5, moved, added=constant)
+        yield Guess("hardover", (float(rest @ rest), 0.0), 5, moved, rests_deg=value)
     else:
-        yield Guess("floating", (float(rest @ rest), 0.0), 5, size, added=constant)
+        yield Guess("floating", (float(rest @ rest), 0.0), 5, size, rests_deg=value)
 
 
 def _come_to_rest(window: Window, still_deg: float) -> Iterator[Guess]:
@@ -511,7 +479,7 @@ def _come_to_rest(window: Window, still_deg: float) -> Iterator[Guess]:
     error_deg = np.where(jammed, window.measured_deg - value, error_deg)
     cost, _, _ = window.reduced(error_deg, np.where(jammed[:, None], 0.0, slopes))
     moved = {"position_deg": Estimate.of(value, still_deg / np.sqrt(resting))}
-    yield Guess("stuck", cost, 2, moved, added=("constant", np.array([value])))
+    yield Guess("stuck", cost, 2, moved, rests_deg=value)
 
 
 def concluded(
@@ -576,12 +544,9 @@ def _may_be_play(window: Window, guess: Guess) -> bool:
 
 def unexplained_deg(stretch: Window, guess: Guess) -> FloatArray:
     """What a hypothesis leaves of the positions of a stretch, shape (m,) [deg]."""
-    if guess.added is not None:
-        away: FloatArray = stretch.measured_deg - guess.added[1][0]
-        return away
-    if guess.theta is not None and guess.kind != "oscillation":
-        return (
-            stretch.measured_deg
-            - stretch.reading(guess.theta, guess.power, behind=guess.behind, outages=guess.outages)[0]
-        )
+    if guess.rests_deg is not None:
+        return stretch.measured_deg - guess.rests_deg
+    if guess.kind != "oscillation":
+        reading_deg, _ = stretch.reading(guess.theta, guess.power, behind=guess.behind, outages=guess.outages)
+        return stretch.measured_deg - reading_deg
     return np.full(stretch.time_s.size, SWINGS) * stretch.total_deg

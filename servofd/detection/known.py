@@ -16,7 +16,7 @@ from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.tolerance import Tolerance
 from servofd.detection.changes import FLOORS, MARGIN, STATISTICS
 from servofd.detection.faults import judged
-from servofd.detection.flights import Flight, asked_deg, cropped
+from servofd.detection.flights import asked_deg, cropped
 from servofd.detection.moving import statistics_of, watched
 from servofd.detection.verdict import describe
 from servofd.detection.wiring import ENOUGH_MOTION_DEG
@@ -28,7 +28,9 @@ from servofd.servo.library import Servo
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
+    from servofd.detection.flights import Flight
     from servofd.estimate.fit import Fit
 
 _OWN_MARGIN: Final = 1.3
@@ -210,15 +212,15 @@ four aircraft of even seed with a large fault in the middle all are refused with
 them with another reason), of 36 with a medium one 24; of 188 good ones none."""
 
 
-def hardly_moved(flights: Sequence[Flight]) -> str:
-    """Say what these flights lack for a fit; nothing if they may do."""
-    seconds = sum(flight.segment.duration_s for flight in flights)
+def hardly_moved(segments: Sequence[Series]) -> str:
+    """Say what these flights of a surface lack for a fit; nothing if they may do."""
+    seconds = sum(segment.duration_s for segment in segments)
     if seconds < _SHORTEST_S:
         return f"only {seconds:.1f} s of motion; a fit needs {_SHORTEST_S:g} s or more"
-    motion_deg = max(float(np.ptp(asked_deg(flight.segment))) for flight in flights)
+    motion_deg = max(float(np.ptp(asked_deg(segment))) for segment in segments)
     if motion_deg < ENOUGH_MOTION_DEG:
         return f"the command moves by {motion_deg:.2g} deg only; a fit needs {ENOUGH_MOTION_DEG:g} deg or more"
-    count = sum(int(np.count_nonzero(Record.of(flight.segment).usable)) for flight in flights)
+    count = sum(int(np.count_nonzero(Record.of(segment).usable)) for segment in segments)
     if count < _FEWEST:
         return f"only {count} positions with commands around them; a fit needs {_FEWEST}"
     return ""
@@ -292,10 +294,10 @@ def _changed(fitted: Fit, record: Record, flight: Flight, usual: tuple[float, fl
     """
     for share in _BEGINNINGS if fitted.explained_share < _DOUBTFUL else _BEGINNINGS[:1]:
         until_s = float(record.time_s[0] + share * np.ptp(record.time_s))
-        part = Flight(flight.label, cropped(flight.segment, ((-np.inf, until_s),)))
+        part = cropped(flight.segment, ((-np.inf, until_s),))
         if hardly_moved([part]):
             continue
-        begun = Record.of(part.segment, *usual)
+        begun = Record.of(part, *usual)
         own = fit([begun], start=fitted.theta)
         if own.explained_share < _POOR:
             continue

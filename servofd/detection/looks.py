@@ -15,13 +15,14 @@ from servofd.detection.event import QUIET_S, Alarm, Event, Look
 from servofd.detection.faults import AGAIN_S, LOOKS_BACK_S, LOOKS_S
 from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.stream import BY_OTHER, BY_WINDOWS, Remembered
-from servofd.detection.verdict import EXPLAINED, SURE
+from servofd.detection.verdict import EVEN, EXPLAINED, SURE
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
+    from servofd.aircraft.schema import Surface
     from servofd.core.types import FloatArray
     from servofd.detection.event import EventKind
-    from servofd.detection.residual import ThresholdKind
+    from servofd.detection.faults import Found
     from servofd.detection.stream import Following, Piece
     from servofd.detection.verdict import Fault
 
@@ -38,8 +39,6 @@ _OTHER_S, _OTHER_UNTIL_S = 5.0, 60.0
 """How often a current is asked about a position that stands still, and until how long after its alarm [s]."""
 _MOVED_DEG = 1.0
 """A surface that is further from where it was taken to be stuck, and from what is known of that, is looked at anew."""
-_LIKELY = 0.5
-"""A name of this probability keeps until then."""
 _TOLD = 0.8
 """A name of this probability is reported with the first look, others from the second one on."""
 
@@ -49,28 +48,36 @@ class Looks:
     """What stands, and when the bank looks at it next."""
 
     name: str
-    """Of the surface."""
-    quantity: Literal["position", "current"]
-    threshold: ThresholdKind
-    problem: str = ""
+    surface: Surface
+    problem: str = field(default="", init=False)
     """Why nothing is concluded from what is read; empty if there is no reason."""
-    stream: Following | None = None
+    stream: Following | None = field(default=None, init=False)
     """What is looked at; None while it has not begun."""
-    context: Context = NO_CONTEXT
-    suspicions: tuple[Fault, ...] = ()
+    context: Context = field(default=NO_CONTEXT, init=False)
+    suspicions: tuple[Fault, ...] = field(default=(), init=False)
     """What the last look found that is no fault."""
-    alarm: Alarm | None = None
+    alarm: Alarm | None = field(default=None, init=False)
     """The one that stands."""
-    _doubtful: Alarm | None = None
+    _doubtful: Alarm | None = field(default=None, init=False)
     """One that windows alone have raised and no look has confirmed: it is not reported yet."""
-    _crossed: tuple[float, float, float] | None = None
+    _crossed: tuple[float, float, float] | None = field(default=None, init=False)
     """When the residual crossed its threshold [s], both then [deg], of an alarm that is not raised yet."""
-    _finished: list[Fault] = field(default_factory=list)
-    _passing: list[Fault] = field(default_factory=list)
+    _finished: list[Fault] = field(default_factory=list, init=False)
+    _passing: list[Fault] = field(default_factory=list, init=False)
     """Over before a look could name them."""
-    _from_s: float = -np.inf
+    _from_s: float = field(default=-np.inf, init=False)
     """Since when the last fault is over [s]: what was before is not judged again."""
-    _due_s: list[float] = field(default_factory=list)
+    _due_s: list[float] = field(default_factory=list, init=False)
+
+    @property
+    def quantity(self) -> Literal["position", "current"]:
+        """What is read of it."""
+        return "current" if self.surface.is_told_by_current else "position"
+
+    @property
+    def standing(self) -> str:
+        """Kind of the fault that stands; empty if there is none."""
+        return self.alarm.kind if self.alarm is not None else ""
 
     @property
     def is_calm(self) -> bool:
@@ -94,7 +101,7 @@ class Looks:
         """Whether any alarm was raised that the tolerances of a working servo do not explain."""
         return self.alarm is not None or bool(self._finished)
 
-    def take(self, piece: Piece) -> list[Event]:
+    def _taken(self, piece: Piece) -> list[Event]:
         """The alarm that the next samples raise; when they, or their quiet, are to be looked at is noted."""
         residuals = piece.residuals
         is_by_other = self._crossed_in(piece)
@@ -109,7 +116,7 @@ class Looks:
             self._due_s = sorted([*self._due_s, *due_s])
         return events
 
-    def taken_back(self, from_s: float, until_s: float) -> list[Event]:
+    def _taken_back(self, from_s: float, until_s: float) -> list[Event]:
         """Take back an alarm between two times at which the telemetry of all surfaces turns out to have stood [s]."""
         if self._crossed is not None and from_s < self._crossed[0] <= until_s:
             self._crossed = None
@@ -123,7 +130,7 @@ class Looks:
         text = f"positions of all servos stood still from {from_s:.1f} to {until_s:.1f} s"
         return [Event(until_s, self.name, "clear", "unknown", text=text)] if is_reported else []
 
-    def begin_anew(self) -> None:
+    def _begin_looks(self) -> None:
         """Begin anew, because the stream does; what was found is kept."""
         if self.alarm is not None and self.alarm.fault is not None:
             self._finished.append(self.alarm.fault)
@@ -141,17 +148,18 @@ class Looks:
             last_s = self._due_s.pop(0)
         if not self._due_s and self.alarm is not None:
             fault, age_s = self.alarm.fault, last_s - self.alarm.raised_s
-            is_likely = fault is not None and fault.probability >= _LIKELY
+            is_likely = fault is not None and fault.probability >= EVEN
             self._due_s.append(last_s + (_LOOKS_AGAIN_S if is_likely else min(age_s, _LOOKS_AGAIN_S)))
         return self.look(at_s)
 
-    def events_of(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
+    def events_of(self, look: Look, found: Found) -> list[Event]:
         """Take what the bank made of a look.
 
         A fault that only the bank finds is one event, an alarm with its name. Later than `_NAMED_S` after the alarm a
         name that is sure takes the place of another one; all else is kept for the report.
         """
-        faults, suspicions, self.problem = verdict
+        self.problem = found.against
+        faults, suspicions = ((), ()) if found.against else (found.faults, found.suspicions)
         self.suspicions = (*self._passing, *suspicions)
         alarm, events, is_seen = self.alarm, [], False
         for fault in faults:
@@ -242,7 +250,7 @@ class Looks:
 
     def _look_later(self, look: Look, fault: Fault) -> None:
         """Put off the next look at a fault with a name: past its first seconds if that is sure, then for a while."""
-        if fault.kind == "unknown" or not fault.probability >= _LIKELY:
+        if fault.kind == "unknown" or not fault.probability >= EVEN:
             return
         named_s = fault.alarm_s + _NAMED_S
         if fault.probability >= SURE and look.at_s - fault.alarm_s >= _LOOKS_S[1]:
@@ -289,11 +297,11 @@ class Looks:
             return None
         if alarm is not None:
             from_s = max(from_s, alarm.raised_s - LOOKS_BACK_S)
-        residuals, threshold = stream.history.snapshot(self.threshold, from_s, until_s)
+        residuals, threshold = stream.history.snapshot(self.surface.threshold, from_s, until_s)
         residuals, commands = replace(residuals, context=self.context), stream.logged.copied(from_s)
         names = alarm.names if alarm is not None else {}
         find = stream.finder(Remembered(residuals, threshold, commands), names, until_s)
-        return Look(float(residuals.time_s[-1]), residuals, threshold, find, stream.doubts_wiring)
+        return Look(float(residuals.time_s[-1]), residuals, threshold, find)
 
     def _event(self, look: Look, event: EventKind, fault: Fault) -> Event:
         numbers = float(look.residuals.residual_deg[-1]), float(look.threshold.level_deg[-1])

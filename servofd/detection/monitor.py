@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,19 +26,16 @@ from servofd.core.errors import DesignError
 from servofd.core.series import latest
 from servofd.detection.event import Event, Inputs, Reading
 from servofd.detection.looks import Looks
-from servofd.detection.seen import Pace, healthy_of, least_rate_hz, too_few
+from servofd.detection.seen import Healthy, Pace, least_rate_hz, too_few
 from servofd.detection.verdict import too_slow
-from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.context import Context
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from servofd.aircraft.schema import Surface
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.event import Look
     from servofd.detection.seen import HealthyStream
-    from servofd.detection.stream import Following, Piece
-    from servofd.detection.verdict import Fault
+    from servofd.detection.stream import Piece
     from servofd.servo.context import Context
     from servofd.servo.servo_model import ServoModel
 
@@ -59,7 +56,7 @@ _LONGEST_WAIT = 6_000
 
 
 @dataclass(slots=True)
-class SurfaceMonitor:
+class SurfaceMonitor(Looks):
     """One surface, from its first sample on.
 
     Examples
@@ -76,13 +73,11 @@ class SurfaceMonitor:
     ...     here = slice(k, k + 1)
     ...     events += monitor.feed((time_s[here], command_deg[here]), (time_s[here], jammed_deg[here]))
     ...     if look := monitor.due():
-    ...         events += monitor.events_of(look, look.judge())
+    ...         events += monitor.events_of(look, look.find())
     >>> [(event.event, event.kind, round(event.time_s, 1)) for event in events + monitor.finish()]
     [('alarm', 'unknown', 12.0), ('named', 'stuck', 12.3)]
     """
 
-    name: str
-    surface: Surface
     model: ServoModel
     beside: HealthyStream | None = None
     """What is read of it in a healthy servo; None: its position, as its file describes it."""
@@ -103,7 +98,6 @@ class SurfaceMonitor:
     """Whether commands are sent at a steady rate, as on a link: where they come unevenly, the rest was lost."""
     patience_s: float = 2.0
     """Without commands or positions for so long, while the vehicle sends, nothing is known of it [s]."""
-    _looks: Looks = field(init=False)
     _waiting: tuple[list[tuple[float, float]], list[tuple[float, float]]] = field(default_factory=lambda: ([], []))
     _drawn: list[tuple[float, float]] = field(default_factory=list)
     """Currents beside positions that are not handed over yet."""
@@ -140,16 +134,12 @@ class SurfaceMonitor:
     _watch: Watch = field(default_factory=Watch)
     _asked_last: tuple[float, float] = (float("nan"), float("nan"))
     """Time [s] and value of the latest command, as the marks take it [deg]."""
-    _context: Context = NO_CONTEXT
-
-    def __post_init__(self) -> None:
-        self._looks = Looks(self.name, self.quantity, self.surface.threshold)
 
     def surroundings(self, context: Context) -> None:
         """Airspeed and supply, as far as they are known by now; samples not yet evaluated are evaluated with them."""
-        self._context = self._looks.context = context
-        if self._stream is not None:
-            self._stream.surroundings(context)
+        self.context = context
+        if self.stream is not None:
+            self.stream.surroundings(context)
 
     def feed(
         self,
@@ -190,13 +180,13 @@ class SurfaceMonitor:
         if self.quantity == "position":  # a current may well stand still
             new = New.of(self.surface, commands, positions)
             counting = self._watch.take(new.time_s, new.position_deg, self._asked_at(new), seen_deg, stands)
-        if self._stream is None:
+        if self.stream is None:
             events += self._warm_up(asked, counting)
         else:
             self._hand_over(asked, counting)
-            events += self._evaluated(self._stream.evaluate())
+            events += self._evaluated(self.stream.evaluate())
         for from_s, until_s in stood_s if self.quantity == "position" else ():
-            events += [*self._looks.taken_back(from_s, until_s), *self._stands_still(from_s, until_s)]
+            events += [*self._taken_back(from_s, until_s), *self._stands_still(from_s, until_s)]
         return events
 
     def _asked_at(self, new: New) -> FloatArray:
@@ -219,72 +209,25 @@ class SurfaceMonitor:
         return [] if was_known else [Event(now_s, self.name, "no_data", text=self.outage)]
 
     @property
-    def quantity(self) -> Literal["position", "current"]:
-        """What is read of it."""
-        return "current" if self.surface.is_told_by_current else "position"
-
-    @property
     def is_watched(self) -> bool:
         """Whether residuals are being judged."""
-        return self._stream is not None and not self.silenced
+        return self.stream is not None and not self.silenced
 
     @property
     def silenced(self) -> str:
         """Why nothing is known of it now, in words; empty if there is no reason."""
         return self.suspended or self.outage or self.problem
 
-    @property
-    def problem(self) -> str:
-        """Why this surface is not watched; empty if it is."""
-        return self._looks.problem
-
-    @property
-    def _stream(self) -> Following | None:
-        return self._looks.stream
-
-    @property
-    def suspicions(self) -> tuple[Fault, ...]:
-        """What the last look found that is no fault."""
-        return self._looks.suspicions
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """What was found so far, in order of time; each as the last look at it found."""
-        return self._looks.faults
-
-    @property
-    def has_fault(self) -> bool:
-        """Whether any alarm was raised that the tolerances of a working servo do not explain."""
-        return self._looks.has_fault
-
-    @property
-    def standing(self) -> str:
-        """Kind of the fault that stands; empty if there is none."""
-        return self._looks.alarm.kind if self._looks.alarm is not None else ""
-
-    @property
-    def is_calm(self) -> bool:
-        """Whether no alarm stands, and none is looked into."""
-        return self._looks.is_calm
-
     def rests(self, for_s: float) -> bool:
         """Whether nothing is looked into for so long [s] after what was evaluated last, as far as is known now."""
-        if self._looks.is_calm or self.reading is None:
-            return self._looks.is_calm
-        return self._looks.next_s - self.reading.time_s > for_s
-
-    def due(self) -> Look | None:
-        """What the bank should look at now, if anything."""
-        return self._looks.due()
-
-    def events_of(self, look: Look, verdict: tuple[tuple[Fault, ...], tuple[Fault, ...], str]) -> list[Event]:
-        """Take what the bank made of a look."""
-        return self._looks.events_of(look, verdict)
+        if self.is_calm or self.reading is None:
+            return self.is_calm
+        return self.next_s - self.reading.time_s > for_s
 
     @property
     def was_judged(self) -> bool:
         """Whether any sample was ever judged."""
-        return self.reading is not None and self._stream is not None
+        return self.reading is not None and self.stream is not None
 
     @property
     def is_heard(self) -> bool:
@@ -310,7 +253,7 @@ class SurfaceMonitor:
 
     @property
     def _healthy(self) -> HealthyStream:
-        return self.beside or healthy_of(self.surface, self.model)
+        return self.beside or Healthy(self.surface, self.model)
 
     @property
     def rate_hz(self) -> float:
@@ -322,7 +265,7 @@ class SurfaceMonitor:
     @property
     def too_slow(self) -> str:
         """What comes too slowly for the bandwidth of the servo, in words; empty if nothing does."""
-        return self._slow if self._stream is not None else ""
+        return self._slow if self.stream is not None else ""
 
     def excuse(self, gap_s: float, until_s: float) -> None:
         """Nothing of the vehicle was received for so long, until then [s]: that is no silence of this surface alone."""
@@ -343,10 +286,10 @@ class SurfaceMonitor:
         One position may wait for the next while the residual is far below its threshold, and commands while no
         position waits for them: evaluating two together costs what one does.
         """
-        if self._stream is None or self.reading is None or commands > 2 * _TOGETHER or positions >= _TOGETHER:
+        if self.stream is None or self.reading is None or commands > 2 * _TOGETHER or positions >= _TOGETHER:
             return False
         quiet = self._period_s <= _FAST_S and self.at_ease
-        return quiet if positions else (quiet and commands < _TOGETHER) or not self._stream.is_waiting
+        return quiet if positions else (quiet and commands < _TOGETHER) or not self.stream.is_waiting
 
     @property
     def at_ease(self) -> bool:
@@ -377,21 +320,21 @@ class SurfaceMonitor:
         """End of the stream: evaluate what waits for more, and look once more at all of it."""
         events: list[Event] = []
         left = self._watch.finish()
-        if self._stream is None:
+        if self.stream is None:
             self._waiting[1].extend(left)
             events = self._begin()
         else:
             self._hand_over([], left)
-        if self._stream is None:
+        if self.stream is None:
             return events
-        events += self._evaluated(self._stream.evaluate(final=True))
-        look = self._looks.look()
-        return events + (self.events_of(look, look.judge()) if look is not None else [])
+        events += self._evaluated(self.stream.evaluate(final=True))
+        look = self.look()
+        return events + (self.events_of(look, look.find()) if look is not None else [])
 
     def restart(self) -> list[Event]:
         """Begin anew, because the vehicle did; what was found is kept."""
         events = self.finish()
-        self._looks.begin_anew()
+        self._begin_looks()
         self._waiting = ([], [])
         self._drawn.clear()
         self._watch, self._asked_last = Watch(), (float("nan"), float("nan"))
@@ -407,7 +350,7 @@ class SurfaceMonitor:
         for time_s, value in seen:
             if np.isfinite(value) and not (self._recent and time_s <= self._recent[-1]):
                 self._recent.append(time_s)
-        if self._stream is None or len(self._recent) <= WARM_UP_STEPS:
+        if self.stream is None or len(self._recent) <= WARM_UP_STEPS:
             return []
         self._off_pace += len(seen)
         if self._off_pace < WARM_UP_STEPS:
@@ -416,7 +359,7 @@ class SurfaceMonitor:
         thin, latest_s = self._thin, self._recent[-1]
         if thin:
             events, was_known = self.restart(), self._told_slow
-            self._looks.problem, self._told_slow = thin, True
+            self.problem, self._told_slow = thin, True
             return events if was_known else [*events, Event(latest_s, self.name, "no_data", text=thin)]
         mean_s = (self._recent[-1] - self._recent[0]) / WARM_UP_STEPS
         now = float(np.median(np.diff(np.array(self._recent)))) / self._paces_s[0]
@@ -487,36 +430,36 @@ class SurfaceMonitor:
             except DesignError as error:
                 problem = str(error)
         if stream is None:
-            was_known, self._looks.problem, self._told_slow = self._told_slow, problem, True
+            was_known, self.problem, self._told_slow = self._told_slow, problem, True
             self._waiting = ([], positions[-WARM_UP_STEPS // 2 :])
             return [] if was_known else [Event(positions[-1][0], self.name, "no_data", text=problem)]
-        self._looks.problem, self._looks.stream = "", stream
+        self.problem, self.stream = "", stream
         self._command_period_s = float(np.median(pace_steps(logged_s)))
         if self.quantity == "position":
             self._slow = too_slow(self.model.transfer.bandwidth_rad_s, self._period_s, self._command_period_s)
         self._begun_s = min(self._begun_s, float(valued_s[0]))
-        stream.surroundings(self._context)
+        stream.surroundings(self.context)
         self._waiting = ([], [])
         self._hand_over(commands, positions)
         return self._evaluated(stream.evaluate())
 
     def _hand_over(self, asked: list[tuple[float, float]], seen: list[tuple[float, float]]) -> None:
-        if self._stream is not None:
-            self._stream.commands(*np.array(asked, dtype=float).reshape(-1, 2).T)
+        if self.stream is not None:
+            self.stream.commands(*np.array(asked, dtype=float).reshape(-1, 2).T)
             for time_s, measured_deg in seen:
-                self._stream.position(time_s, measured_deg)
+                self.stream.position(time_s, measured_deg)
             for time_s, current in self._drawn:
-                self._stream.drawn(time_s, current)
+                self.stream.drawn(time_s, current)
             self._drawn.clear()
 
     def _evaluated(self, piece: Piece | None) -> list[Event]:
         """Events of a piece."""
-        if self._stream is not None and self._stream.beside is not None:
-            self._shown_beside(self._stream.beside)
-        if piece is None or self._stream is None:
+        if self.stream is not None and self.stream.beside is not None:
+            self._shown_beside(self.stream.beside)
+        if piece is None or self.stream is None:
             return []
         residuals, level_deg = piece.residuals, piece.threshold.level_deg
-        events = self._looks.take(piece)
+        events = self._taken(piece)
         valued = np.isfinite(residuals.measured_deg)
         if valued.any():
             valued_s = residuals.time_s[valued]
@@ -526,14 +469,14 @@ class SurfaceMonitor:
             self._valued_s = float(valued_s[-1])
             events += self._hardly_judged()
         last = int(residuals.time_s.size) - 1
-        commands = self._stream.logged.commands().command_deg
+        commands = self.stream.logged.commands().command_deg
         if self.listener is not None:
-            came_s = self._stream.logged.time_s
+            came_s = self.stream.logged.time_s
             held = np.searchsorted(came_s, residuals.time_s, side="right") - 1
             asked_deg = commands[np.maximum(held, 0)] if commands.size else np.full(held.size, np.nan)
             new = slice(int(np.searchsorted(came_s, self._passed_on_s, side="right")), None)
             came = came_s[new].copy(), commands[new].copy()
-            self.listener(self.name, piece, Inputs(asked_deg, *came, self._context, is_current=bool(self.stands_in)))
+            self.listener(self.name, piece, Inputs(asked_deg, *came, self.context, is_current=bool(self.stands_in)))
             self._passed_on_s = float(came_s[-1]) if came_s.size else self._passed_on_s
         self.reading = Reading(
             float(residuals.time_s[last]),
@@ -548,12 +491,12 @@ class SurfaceMonitor:
     def _shown_beside(self, piece: Piece) -> None:
         """Keep what was drawn beside the position, and pass it on."""
         r, level_a = piece.residuals, piece.threshold.level_deg
-        command_deg = float(self._stream.logged.commands().command_deg[-1]) if self._stream is not None else np.nan
+        command_deg = float(self.stream.logged.commands().command_deg[-1]) if self.stream is not None else np.nan
         last = float(r.time_s[-1]), command_deg, float(r.measured_deg[-1]), float(r.residual_deg[-1])
         self.drawn = Reading(*last, float(level_a[-1]), bool(r.settled[-1]))
         if self.listener is not None:
             none = np.zeros(0)
-            self.listener(self.name, piece, Inputs(none, none, none, self._context, is_current=True))
+            self.listener(self.name, piece, Inputs(none, none, none, self.context, is_current=True))
 
     def _hardly_judged(self) -> list[Event]:
         """Say once that a link leaves too few commands to judge the servo for most of the time, and how many would."""
@@ -575,7 +518,7 @@ class SurfaceMonitor:
         A position is judged where some commands before it came; with `share` of them judged that is as many as make
         it so likely.
         """
-        lost = self._stream.lost_share(since_s) if self._stream is not None else 0.0
+        lost = self.stream.lost_share(since_s) if self.stream is not None else 0.0
         if not 0.0 < lost < 1.0 or not 0.0 < share < _MOST:
             return "", ""
         borne = 1.0 - float(np.exp(np.log(1.0 - lost) * np.log(_MOST) / np.log(share)))

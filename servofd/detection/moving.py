@@ -6,8 +6,9 @@ What a named servo does otherwise is in `servofd.detection.named`; what is teste
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from servofd.estimate.record import load_at
 if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo, Noise
     from servofd.core.types import BoolArray, FloatArray
-    from servofd.detection.outages import Outage
     from servofd.estimate.record import Record
     from servofd.servo.context import Context
 
@@ -28,21 +28,8 @@ _MOST_HELD: Final = 4
 """Rows for which a logger holds a value, as marks know it (`servofd.aircraft.marks.Why.HELD`)."""
 
 
-class OtherMotion(Protocol):
-    """Motion of a named servo, with parameters changed."""
-
-    def __call__(
-        self,
-        record: Record,
-        theta: FloatArray,
-        rows: slice,
-        start_deg: float,
-        *,
-        behind: bool = False,
-        outages: tuple[Outage, ...] = (),
-    ) -> FloatArray:
-        """Position at some samples [deg], from a given one on; travel is lost in front of its play, or behind."""
-        ...
+OtherMotion = Callable[..., "FloatArray"]
+"""Where a servo with other parameters is at some samples (m,) [deg]; see `servofd.detection.named.Moves`."""
 
 
 class Asked(NamedTuple):
@@ -183,6 +170,11 @@ class Watched:
         if self.own is None or not self.reading_deg.size:
             return self.known.reach_deg
         return float(np.min(self.reading_deg)), float(np.max(self.reading_deg))
+
+    @property
+    def looked(self) -> tuple[Tests, Tested, BoolArray]:
+        """Its tests, what came of them, and which samples they took."""
+        return self.tests, self.tested, self.judged
 
     @property
     def sigma_deg(self) -> FloatArray:

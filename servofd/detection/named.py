@@ -8,9 +8,9 @@ passes noise and sensitivities as it passes the error. A level that the user or 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from servofd.detection.residual import (
     Threshold,
     filter_in_place,
 )
+from servofd.detection.wiring import wiring_problem
 from servofd.estimate.fit import fit
 from servofd.estimate.record import Record
 from servofd.servo.context import NO_CONTEXT
@@ -80,17 +81,7 @@ _TOLERANCES = [_GAIN, NAMES.index("bias_deg"), _DELAY, _BANDWIDTH, _RATE]
 
 @lru_cache(maxsize=64)
 def named_servo(model: ServoModel, tolerance: Tolerance, period_s: float) -> CalibratedServo:
-    """The servo of the family that is most like a model, and what a good one may differ by.
-
-    Examples
-    --------
-    >>> from servofd.core.tolerance import Tolerance
-    >>> from servofd.servo.library import servo_named
-    >>> from servofd.servo.servo_model import ServoModel
-    >>> known = named_servo(ServoModel.of(servo_named("hs225bb-eq31")), Tolerance(), 0.02)
-    >>> round(known.parameters["gain"], 1), round(float(known.covariance[0, 0] ** 0.5), 4)
-    (1.0, 0.0173)
-    """
+    """The servo of the family that is most like a model, and what a good one may differ by."""
     linear = model.linear()
     time_s = np.arange(0.0, _CHIRP_S, _STEP_S)
     command_deg = _CHIRP_DEG * np.sin(np.pi * _LAST_HZ / _CHIRP_S * time_s**2)
@@ -149,7 +140,7 @@ def with_hold(model: ServoModel, segment: Series) -> tuple[Series, tuple[str, ..
 
 def _rms_deg(model: ServoModel, segment: Series) -> float:
     """What a servo leaves of the positions that are judged."""
-    residuals = ResidualGenerator.fitting(model, segment).run(segment)
+    residuals = ResidualGenerator.fitting(model, segment.period_s).run(segment)
     judged = residuals.residual_deg[residuals.settled]
     return float(np.sqrt(np.mean(judged**2))) if judged.size else float("inf")
 
@@ -173,9 +164,9 @@ class NamedMoving(Moving):
     def __init__(self, surface: Surface, model: ServoModel, period_s: float, context: Context = NO_CONTEXT) -> None:
         tolerance = surface.tolerances
         super().__init__(named_servo(model, tolerance, period_s), period_s)
-        generator = ResidualGenerator.fitting_pace(model, period_s, surface.filter_pole_rad_s)
+        generator = ResidualGenerator.fitting(model, period_s, surface.filter_pole_rad_s)
         self.alone = surface.threshold == "constant"
-        self.own = _Moves(model, context, self.known.theta)
+        self.own = Moves(model, context, self.known.theta)
         design = design_pulse_filter(model.transfer, 0.0, period_s, generator.pole_rad_s)
         self.noise_gain = design.noise_gain
         servo = model.servo(context)
@@ -295,7 +286,8 @@ def _follow_noise(
     kept[0], kept[1], kept[2], kept[3], kept[4], kept[5] = before, before_that, noise, seen, last_deg, resolution
 
 
-class _Moves(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Moves:
     """A named servo that is simulated with other parameters."""
 
     model: ServoModel
@@ -342,39 +334,27 @@ class _Moves(NamedTuple):
 def found_of(
     flight: Watched, surface: Surface, names: dict[float, Named] | None = None, *, asked: bool = False
 ) -> Found:
-    """Faults and suspicions of a flight of a named servo; `asked`: the user named the level, which alone counts then.
+    """Faults and suspicions of a flight; `asked`: the user named the level, which alone counts then.
 
-    Where a level is the only test of a fault, what the windows see beside it is suspect, if the model is known exactly
-    enough to tell, and the user has not asked for that level alone.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.detection.faults import watched_segment
-    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
-    >>> surface, model, time_s = aircraft.surfaces["rudder"], aircraft.model("rudder"), np.arange(0.0, 20.0, 0.02)
-    >>> command_deg = 10.0 * np.sin(2.0 * time_s)
-    >>> jammed_deg = np.where(time_s < 12.0, model.simulate(time_s, command_deg, time_s), 5.0)
-    >>> moving = NamedMoving(surface, model, 0.02)
-    >>> flight = watched_segment(moving.known, Series("rudder", time_s, command_deg, time_s, jammed_deg), moving)
-    >>> [(fault.kind, round(fault.start_s, 1)) for fault in found_of(flight, surface).faults]
-    [('stuck', 12.0)]
+    Of a named servo sign and scale may be wrong, which good flights show to be right. Where a level is the only test of
+    a fault, what the windows see beside it is suspect, if the model is known exactly enough to tell, and the user has
+    not asked for that level alone.
     """
     found = judged(flight, names)
-    if not flight.alone:
-        return found
-    if asked:
+    if flight.alone and asked:
         held = tuple(replace(each, kind="unknown", probability=1.0 - each.probability) for each in found.suspicions)
         faults = sorted((*found.faults, *held), key=lambda fault: fault.alarm_s)
-        return found._replace(faults=tuple(faults), suspicions=())
-    if not surface.tells_small_faults:
+        found = found._replace(faults=tuple(faults), suspicions=())
+    elif flight.alone and surface.tells_small_faults:
+        silent = flight.shown._replace(passed=np.zeros(flight.reading_deg.size))
+        below = judged(replace(flight, alone=False, shown=silent))
+        known = (*found.faults, *found.suspicions)
+        small = (each for each in (*below.faults, *below.suspicions) if not any(_meet(each, other) for other in known))
+        suspicions = (*found.suspicions, *(replace(each, level="suspect") for each in small))
+        found = found._replace(suspicions=tuple(sorted(suspicions, key=lambda fault: fault.alarm_s)))
+    if flight.own is None or not (found.faults or found.suspicions):
         return found
-    silent = flight.shown._replace(passed=np.zeros(flight.reading_deg.size))
-    below = judged(replace(flight, alone=False, shown=silent))
-    known = (*found.faults, *found.suspicions)
-    small = (each for each in (*below.faults, *below.suspicions) if not any(_meet(each, other) for other in known))
-    suspicions = (*found.suspicions, *(replace(each, level="suspect") for each in small))
-    return found._replace(suspicions=tuple(sorted(suspicions, key=lambda fault: fault.alarm_s)))
+    return found._replace(against=wiring_problem(flight.shown.residuals))
 
 
 def _meet(one: Fault, other: Fault) -> bool:

@@ -46,16 +46,6 @@ def outages_in(
     `time_s`, `measured_deg`, `error_deg` (what a good servo does not do) and its `sigma_deg` have the shape (m,);
     `still_deg` is how far apart readings of a position at rest are; `commands` are times, and values in degrees of the
     position, (n,); `delay_s` is how late the servo is.
-
-    Examples
-    --------
-    >>> time_s = np.arange(0.0, 4.0, 0.05)
-    >>> command_deg = 5.0 * time_s
-    >>> measured_deg = np.where((time_s > 1.0) & (time_s < 1.6), 5.0, command_deg)
-    >>> error_deg = measured_deg - command_deg
-    >>> found = outages_in(time_s, measured_deg, error_deg, np.full(80, 0.1), 0.05, (time_s, command_deg), 0.0)
-    >>> [(round(outage.from_s, 2), round(outage.to_s, 2)) for outage in found]
-    [(0.95, 1.6)]
     """
     found: list[Outage] = []
     for first, last in _rests(measured_deg, still_deg):

@@ -21,7 +21,7 @@ from servofd.aircraft.priors import NAMES
 from servofd.core.evidence import ModelOrigin
 from servofd.detection.changes import FLOORS, MARGIN, SQUARES, STATISTICS
 from servofd.detection.faults import judged
-from servofd.detection.flights import Flight, busiest, cropped
+from servofd.detection.flights import busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
 from servofd.detection.moving import statistics_of, watched
 from servofd.estimate.fit import LEAST_DEG, fit, reach_of, top_speed
@@ -178,16 +178,6 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
     """Return the servo that a log shows by itself; where it shows none, how well the best one explains it.
 
     `source` names the log.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> from servofd.aircraft.series import Series
-    >>> from servofd.simulation.flight import simulate_flight
-    >>> flown = simulate_flight(plain_aircraft(["rudder"], "s9254"), duration_s=60.0, seed=1, noise_deg=0.05)
-    >>> own = own_servo(Series("rudder", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0]))
-    >>> own.origin.origin, round(own.known.parameters["gain"], 2)
-    ('fitted', 1.0)
     """
     usual = usual_supply_v(segment.context), usual_airspeed_m_s([segment.context])
     segment = segment.coarser()
@@ -254,7 +244,7 @@ def fitted_to(segment: Series) -> Fit | None:
 
 def _records(part: Series, usual: tuple[float, float]) -> list[Record]:
     """What is fitted of a part of a log."""
-    pieces = (Record.of(each.segment, *usual) for each in busiest(Flight("", part), _MOST_SAMPLES))
+    pieces = (Record.of(each, *usual) for each in busiest(part, _MOST_SAMPLES))
     return [record for record in pieces if record.usable.any()]
 
 
@@ -337,7 +327,7 @@ def parts_of(segment: Series, count: int) -> Iterator[tuple[tuple[float, float],
         part = cropped(segment, ((from_s, to_s),))
         if to_s - from_s < _SHORTEST_S and count > 1:
             continue
-        if not hardly_moved([Flight("", part)]):
+        if not hardly_moved([part]):
             yield (from_s, to_s), part
 
 

@@ -118,13 +118,7 @@ class Noise:
 
 
 def crossings(residual_deg: FloatArray, threshold_deg: float) -> int:
-    """Times that a residual (n,), NaN where it was not judged, went from inside its threshold to outside.
-
-    Examples
-    --------
-    >>> crossings(np.array([0.0, 2.0, 2.0, np.nan, 2.0, 0.0, -2.0]), 1.5)
-    2
-    """
+    """Times that a residual (n,), NaN where it was not judged, went from inside its threshold to outside."""
     size_deg = np.abs(residual_deg)
     return int(np.count_nonzero((size_deg[:-1] < threshold_deg) & (size_deg[1:] >= threshold_deg)))
 

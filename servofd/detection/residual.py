@@ -122,12 +122,7 @@ class ResidualGenerator:
     pole_rad_s: float
 
     @classmethod
-    def fitting(cls, model: ServoModel, segment: Series, pole_rad_s: float | None = None) -> ResidualGenerator:
-        """Generator with the given pole, or the fastest that the segment's sample rate allows."""
-        return cls.fitting_pace(model, segment.period_s, pole_rad_s)
-
-    @classmethod
-    def fitting_pace(cls, model: ServoModel, period_s: float, pole_rad_s: float | None = None) -> ResidualGenerator:
+    def fitting(cls, model: ServoModel, period_s: float, pole_rad_s: float | None = None) -> ResidualGenerator:
         """Generator with the fastest pole that suits positions of a given period [s]."""
         generator = cls(model, pole_rad_s or fastest_pole_rad_s(model.transfer, period_s))
         generator.check(period_s)

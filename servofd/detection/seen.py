@@ -2,7 +2,7 @@
 
 A healthy servo is calibrated on good flights, fitted to a part of the log, or named. The first two are judged by the
 error of the prediction; a named one by the residual of the nullspace filter, and both by the same windows.
-`healthy_of` makes the healthy servo of a surface, and whoever judges asks it, not where it came from.
+Whoever judges asks `Healthy`, not where it came from.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ from servofd.aircraft.pace import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOS
 from servofd.core.errors import ServofdError
 from servofd.detection.changes import detectable
 from servofd.detection.evidence import passing, too_short
-from servofd.detection.faults import as_raised, judged, watched_segment
+from servofd.detection.faults import as_raised, watched_segment
 from servofd.detection.moving import Moving
 from servofd.detection.named import NamedMoving, found_of, with_hold
 from servofd.detection.probability import Noise
 from servofd.detection.residual import ResidualGenerator
 from servofd.detection.stream import Following, Stream
 from servofd.detection.verdict import two_digits
-from servofd.detection.wiring import wiring_problem
 from servofd.estimate.record import load_at
 
 if TYPE_CHECKING:
@@ -68,8 +67,6 @@ class Seen:
     """As what it moved, if it is healthy."""
     notes: tuple[str, ...] = ()
     """What a reader has to know beside the verdict."""
-    against: str = ""
-    """Why nothing can be concluded from it."""
     doubt: str = ""
     """What about its servo is like no sound one."""
     beyond: str = ""
@@ -92,7 +89,7 @@ class Seen:
         if self.level is not None:
             generator, persistence = self.level
             return passing(generator, self.residuals, self.threshold, persistence)
-        return detectable([self.flight])
+        return detectable([self.flight.looked])
 
     def well(self, largest_deg: float) -> str:
         """Sentence on a healthy surface, with its largest residual [deg]."""
@@ -140,29 +137,6 @@ class HealthyStream(Protocol):
         ...
 
 
-class Healthy(HealthyStream, Protocol):
-    """The healthy servo of a surface, beside which a log or a stream of it is seen."""
-
-    def beside(self, segment: Series) -> Seen:
-        """See a log beside it."""
-        ...
-
-
-def healthy_of(surface: Surface, model: ServoModel, *, asked: bool = False) -> Healthy:
-    """The healthy servo of a surface; `asked`: the user named the level, which alone counts for a named servo.
-
-    Examples
-    --------
-    >>> from servofd.aircraft.schema import plain_aircraft
-    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
-    >>> healthy_of(aircraft.surfaces["rudder"], aircraft.model("rudder")).stands_loss
-    False
-    """
-    if surface.calibrated is None or surface.threshold == "constant":
-        return OfModel(surface, model, asked)
-    return OfFlights(surface, model, surface.calibrated)
-
-
 def least_rate_hz(healthy: HealthyStream, command_s: FloatArray, *, is_link: bool) -> float:
     """Rate below which positions are too far apart [Hz], by the times of the first commands [s]; a link loses some."""
     is_lossy = is_link and sent_period_s(command_s) is not None
@@ -184,17 +158,32 @@ def too_few(
 
 
 @dataclass(frozen=True, slots=True)
-class OfFlights:
-    """A servo that was fitted to good flights, or to a part of the log."""
+class Healthy:
+    """The healthy servo of a surface, beside which a log or a stream of it is seen.
+
+    `asked`: the user named the level, which alone counts for a named servo.
+
+    Examples
+    --------
+    >>> from servofd.aircraft.schema import plain_aircraft
+    >>> aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
+    >>> Healthy(aircraft.surfaces["rudder"], aircraft.model("rudder")).stands_loss
+    False
+    """
 
     surface: Surface
     model: ServoModel
-    known: CalibratedServo
+    asked: bool = False
+
+    @property
+    def known(self) -> CalibratedServo | None:
+        """As fitted to good flights, or to a part of the log; None of a servo that is named."""
+        return None if self.surface.threshold == "constant" else self.surface.calibrated
 
     @property
     def stands_loss(self) -> bool:
-        """It is judged there."""
-        return True
+        """Whether it is judged where a link loses most of what is sent: its delay is known from good flights."""
+        return self.known is not None
 
     @property
     def slowest_hz(self) -> float:
@@ -203,49 +192,110 @@ class OfFlights:
 
     @property
     def needs(self) -> frozenset[str]:
-        """Airspeed and supply, where its flights showed what they do."""
+        """What its effects depend on, and airspeed and supply where its flights showed what they do."""
+        if self.known is None:
+            return self.model.physics.needs
         acting = {"airspeed_m_s": self.known.airspeed_m_s != 0.0, "servo_voltage_v": self.known.supply_v > 0.0}
         return self.model.physics.needs | {need for need, acts in acting.items() if acts}
 
     def stream(self, pace: Pace) -> Stream:
-        """See a stream beside it."""
+        """See a stream beside it.
+
+        Raises
+        ------
+        DesignError
+            If no residual filter suits the servo at this pace.
+        """
+        period_s = pace.period_s
 
         def judge(segment: Series, noise_deg: FloatArray, names: dict[float, Named]) -> Found:
-            return judged(watched_segment(self.known, segment, noise_deg=noise_deg), names)
+            return found_of(self._watched(segment, period_s, noise_deg), surface, names, asked=self.asked)
 
-        return Stream(Moving(self.known, pace.period_s), self.surface, *pace, judge)
+        known, surface = self.known, self.surface
+        moving = NamedMoving(surface, self.model, period_s) if known is None else Moving(known, period_s)
+        return Stream(moving, surface, *pace, judge)
+
+    def _watched(self, segment: Series, period_s: float, noise_deg: FloatArray | None = None) -> Watched:
+        """A log beside it; a named servo is judged at the pace of the whole."""
+        if self.known is not None:
+            return watched_segment(self.known, segment, noise_deg=noise_deg)
+        moving = NamedMoving(self.surface, self.model, period_s, segment.context)
+        return watched_segment(moving.known, segment, moving, noise_deg)
 
     def beside(self, segment: Series) -> Seen:
         """See a log beside it."""
-        known, surface, segment = self.known, self.surface, segment.coarser()
-        flight = watched_segment(known, segment)
-        rows, judged_s = flight.judged, _judged_s(flight)
-        beyond = _beyond(flight)
+        segment, hold = with_hold(self.model, segment) if self.known is None else (segment.coarser(), ())
+        time_s, period_s, surface = segment.measured_s, segment.period_s, self.surface
+        flight = self._watched(segment, period_s)
+        judged_s, beyond = _judged_s(flight), _beyond(flight)
         if too_short(judged_s):
             raise TooShortError(beyond or too_short(judged_s))
-        peak = np.flatnonzero(rows)[np.argmax(np.abs(flight.error_deg[rows]))]
-        is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
-        where = ", in motion faster than there" if is_unknown else ""
-        own_s = surface.model.fitted_between_s
-        like = "in its good flights" if own_s is None else f"it did from {own_s[0]:.0f} to {own_s[1]:.0f} s"
-        notes = []
-        if known.airspeed_m_s and not segment.context.airspeed_s.size:
-            notes.append(
-                f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights"
-            )
-        if not known.airspeed_m_s and segment.context.airspeed_s.size:
-            notes.append("its good flights hold no airspeed: calibrate it on logs that do, for fewer false alarms")
-        like = f"moves as {like} (largest residual {{largest}} deg{where})"
-        time_s = segment.measured_s
+        if not np.isfinite(flight.shown.residuals.residual_deg[flight.judged]).all():
+            raise TooShortError("the residual is not a number: check model and units")
 
         def look(from_s: float, to_s: float) -> Found:
-            return judged(watched_segment(known, segment.at((time_s >= from_s) & (time_s <= to_s))))
+            near = segment.at((time_s >= from_s) & (time_s <= to_s))
+            return found_of(self._watched(near, period_s), surface, asked=self.asked)
 
-        found = as_raised(flight, judged(flight), look)
-        against = _unasked(surface.model, segment) if found.faults or found.suspicions else ""
-        return Seen(
-            segment, flight, found, judged_s, like, tuple(notes), doubt=known.doubt, beyond=beyond, against=against
-        )
+        found, doubt, level = as_raised(flight, found_of(flight, surface, asked=self.asked), look), "", None
+        if self.known is not None:
+            doubt, (like, notes) = self.known.doubt, _as_in_good_flights(self.known, flight, segment, surface.model)
+            if found.faults or found.suspicions:
+                found = found._replace(against=_unasked(surface.model, segment))
+        else:
+            reservations = [*hold, *_reservations(self.model, segment, surface)]
+            like, notes = _as_its_model(flight, reservations, is_fault=bool(found.faults))
+            if flight.alone and not surface.tells_small_faults:
+                generator = ResidualGenerator.fitting(self.model, period_s, surface.filter_pole_rad_s)
+                level = generator, surface.persistence
+        return Seen(segment, flight, found, judged_s, like, tuple(notes), doubt, beyond, level)
+
+
+def _as_in_good_flights(
+    known: CalibratedServo, flight: Watched, segment: Series, model: ModelOrigin
+) -> tuple[str, list[str]]:
+    """As what a servo moves that was fitted, and what a reader has to know beside the verdict."""
+    rows = flight.judged
+    peak = np.flatnonzero(rows)[np.argmax(np.abs(flight.error_deg[rows]))]
+    is_unknown = flight.sigma_deg[peak] > _LITTLE_KNOWN * float(np.median(flight.sigma_deg[rows]))
+    where = ", in motion faster than there" if is_unknown else ""
+    own_s = model.fitted_between_s
+    like = "in its good flights" if own_s is None else f"it did from {own_s[0]:.0f} to {own_s[1]:.0f} s"
+    notes = []
+    if known.airspeed_m_s and not segment.context.airspeed_s.size:
+        notes.append(f"no airspeed in this log: taken to be about {known.airspeed_m_s:.0f} m/s, as in the good flights")
+    if not known.airspeed_m_s and segment.context.airspeed_s.size:
+        notes.append("its good flights hold no airspeed: calibrate it on logs that do, for fewer false alarms")
+    return f"moves as {like} (largest residual {{largest}} deg{where})", notes
+
+
+def _as_its_model(flight: Watched, reservations: list[str], *, is_fault: bool) -> tuple[str, list[str]]:
+    """The same of a servo that is named."""
+    (residuals, threshold, _), rows = flight.shown, flight.judged
+    level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
+    limit, noise = (f"{two_digits(each)} deg" for each in (level_deg, sigma_deg))
+    if is_fault and level_deg < _CLEAR_SIGMAS * sigma_deg:
+        reservations.insert(0, f"the threshold of {limit} lies within the residual's noise of {noise}")
+    above = (np.abs(residuals.residual_deg[rows]) > threshold.level_deg[rows]).any()
+    passed = ", which single readings passed" if above else ""
+    like = f"followed its command as its servo should, within {{largest}} deg (threshold {limit}{passed})"
+    return like, reservations
+
+
+_LACKING = {
+    "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
+    "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
+    "servo_load": "the log holds no load: the model takes nothing to push the servo from outside",
+    "servo_current_a": "the log holds no servo current: the reading is taken not to move with it",
+}
+
+
+def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[str]:
+    """What a reader has to know of a model: effects that want data, another scale, a calibration on other times."""
+    notes = [_LACKING[need] for need in sorted(model.physics.needs - segment.context.logged)]
+    if surface.by_other_messages:
+        notes.append("calibrated on other messages than this log has: judged within wide tolerances")
+    return notes
 
 
 _RARELY_S: Final = 0.14
@@ -271,97 +321,6 @@ def rarely_asked(segment: Series) -> str:
         f"commands come at {two_digits(1.0 / every_s)} Hz, and what the servo was asked between them is not known: log "
         "them at 10 Hz or more"
     )
-
-
-@dataclass(frozen=True, slots=True)
-class OfModel:
-    """A servo that is named."""
-
-    surface: Surface
-    model: ServoModel
-    asked: bool
-
-    @property
-    def stands_loss(self) -> bool:
-        """It is not judged there."""
-        return False
-
-    @property
-    def slowest_hz(self) -> float:
-        """That of positions."""
-        return SLOWEST_RATE_HZ
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """What its effects depend on."""
-        return self.model.physics.needs
-
-    def stream(self, pace: Pace) -> Stream:
-        """See a stream beside it.
-
-        Raises
-        ------
-        DesignError
-            If no residual filter suits the servo at this pace.
-        """
-
-        def judge(segment: Series, noise_deg: FloatArray, names: dict[float, Named]) -> Found:
-            return found_of(self._watched(segment, pace.period_s, noise_deg), self.surface, names)
-
-        return Stream(NamedMoving(self.surface, self.model, pace.period_s), self.surface, *pace, judge)
-
-    def _watched(self, segment: Series, period_s: float, noise_deg: FloatArray | None = None) -> Watched:
-        moving = NamedMoving(self.surface, self.model, period_s, segment.context)
-        return watched_segment(moving.known, segment, moving, noise_deg)
-
-    def beside(self, segment: Series) -> Seen:
-        """See a log beside it."""
-        surface, model = self.surface, self.model
-        segment, notes = with_hold(model, segment)
-        period_s = segment.period_s
-        flight = self._watched(segment, period_s)
-        residuals, threshold, _ = flight.shown
-        rows, judged_s = flight.judged, _judged_s(flight)
-        if too_short(judged_s):
-            raise TooShortError(too_short(judged_s))
-        if not np.isfinite(residuals.residual_deg[rows]).all():
-            raise TooShortError("the residual is not a number: check model and units")
-
-        def look(from_s: float, to_s: float) -> Found:
-            near = segment.at((segment.measured_s >= from_s) & (segment.measured_s <= to_s))
-            return found_of(self._watched(near, period_s), surface, asked=self.asked)
-
-        found = as_raised(flight, found_of(flight, surface, asked=self.asked), look)
-        notes = (*notes, *_reservations(model, segment, surface))
-        level_deg, sigma_deg = threshold.typical_deg, float(np.median(threshold.sigma_deg))
-        limit, noise = (f"{two_digits(each)} deg" for each in (level_deg, sigma_deg))
-        if found.faults and level_deg < _CLEAR_SIGMAS * sigma_deg:
-            within = f"the threshold of {limit} lies within the residual's noise of {noise}"
-            notes = (within, *notes)
-        above = (np.abs(residuals.residual_deg[rows]) > threshold.level_deg[rows]).any()
-        passed = ", which single readings passed" if above else ""
-        like = f"followed its command as its servo should, within {{largest}} deg (threshold {limit}{passed})"
-        against = wiring_problem(residuals) if found.faults or found.suspicions else ""
-        level = None
-        if flight.alone and not surface.tells_small_faults:
-            level = ResidualGenerator.fitting(model, segment, surface.filter_pole_rad_s), surface.persistence
-        return Seen(segment, flight, found, judged_s, like, notes, against=against, level=level)
-
-
-_LACKING = {
-    "airspeed_m_s": "the log holds no airspeed: the load of the air is left out of the model",
-    "servo_voltage_v": "the log holds no supply voltage: the rate that it limits is left out of the model",
-    "servo_load": "the log holds no load: the model takes nothing to push the servo from outside",
-    "servo_current_a": "the log holds no servo current: the reading is taken not to move with it",
-}
-
-
-def _reservations(model: ServoModel, segment: Series, surface: Surface) -> list[str]:
-    """What a reader has to know of the model: effects that want data, another scale, a calibration on other times."""
-    notes = [_LACKING[need] for need in sorted(model.physics.needs - segment.context.logged)]
-    if surface.by_other_messages:
-        notes.append("calibrated on other messages than this log has: judged within wide tolerances")
-    return notes
 
 
 def _judged_s(flight: Watched) -> float:

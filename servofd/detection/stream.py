@@ -51,53 +51,68 @@ _OF_RESIDUALS = ("time_s", "simulated_deg", "measured_deg", "residual_deg", "set
 _OF_LEVELS = ("level_deg", "sigma_deg", "noise_deg")
 
 
-class History:
-    """Evaluated samples, the latest of them; `capacity` at most."""
+class Latest:
+    """Columns of numbers in order of their first one, a time [s]; `capacity` at most, the latest of them."""
 
-    ROWS = len(_OF_RESIDUALS) + len(_OF_LEVELS)
-
-    def __init__(self, capacity: int) -> None:
-        self._rows = np.zeros((self.ROWS, capacity))
+    def __init__(self, rows: int, capacity: int) -> None:
+        self._rows = np.zeros((rows, capacity))
         self.size = 0
 
-    def append(self, rows: FloatArray) -> None:
-        """Add samples, of shape (`ROWS`, n)."""
-        capacity, count = self._rows.shape[1], rows.shape[1]
-        if self.size + count > capacity:
-            kept = max(min(self.size, capacity - capacity // _DROPPED - count), 0)
-            self._rows[:, :kept] = self._rows[:, self.size - kept : self.size].copy()
-            self.size = kept
-        count = min(count, capacity)
-        self._rows[:, self.size : self.size + count] = rows[:, rows.shape[1] - count :]
-        self.size += count
+    @property
+    def rows(self) -> FloatArray:
+        """Of shape (rows, `size`), without copies."""
+        return self._rows[:, : self.size]
 
-    def forget(self, from_s: float, until_s: float) -> None:
-        """Drop samples after one time until another [s]."""
-        first, last = np.searchsorted(self._rows[0, : self.size], (from_s, until_s), side="right").tolist()
-        left = self._rows[:, last : self.size].copy()
-        self.size = first
-        self.append(left)
+    @property
+    def time_s(self) -> FloatArray:
+        """Times of the columns, shape (n,) [s]."""
+        return self._rows[0, : self.size]
 
     @property
     def last_s(self) -> float:
-        """Time of the latest sample [s]; NaN without any."""
-        return float(self._rows[0, self.size - 1]) if self.size else float("nan")
+        """Time of the latest column [s]; NaN without any."""
+        return float(self.time_s[-1]) if self.size else float("nan")
 
-    @staticmethod
-    def packed(residuals: Residuals, threshold: Threshold) -> FloatArray:
-        """Rows of a piece, of shape (`ROWS`, n)."""
+    def append(self, columns: FloatArray) -> int:
+        """Add some, of shape (rows, n), and tell how many of the oldest had to be dropped."""
+        dropped = at = 0
+        while at < columns.shape[1]:
+            if self.size == self._rows.shape[1]:
+                fewer = self.size // _DROPPED
+                self._rows[:, : self.size - fewer] = self._rows[:, fewer : self.size].copy()
+                self.size, dropped = self.size - fewer, dropped + fewer
+            count = min(columns.shape[1] - at, self._rows.shape[1] - self.size)
+            self._rows[:, self.size : self.size + count] = columns[:, at : at + count]
+            self.size, at = self.size + count, at + count
+        return dropped
+
+
+class History(Latest):
+    """Evaluated samples."""
+
+    def __init__(self, capacity: int) -> None:
+        super().__init__(len(_OF_RESIDUALS) + len(_OF_LEVELS), capacity)
+
+    def keep(self, residuals: Residuals, threshold: Threshold) -> None:
+        """Add those of a piece."""
         rows = [getattr(residuals, name) for name in _OF_RESIDUALS] + [getattr(threshold, name) for name in _OF_LEVELS]
-        return np.array(rows, dtype=float)
+        self.append(np.array(rows, dtype=float))
+
+    def forget(self, from_s: float, until_s: float) -> None:
+        """Drop samples after one time until another [s]."""
+        first, last = np.searchsorted(self.time_s, (from_s, until_s), side="right").tolist()
+        left = self.rows[:, last:].copy()
+        self.size = first
+        self.append(left)
 
     def first_from(self, time_s: float) -> float:
         """Time of the first sample from then on [s], or of the latest."""
-        return float(self._rows[0, min(int(np.searchsorted(self._rows[0, : self.size], time_s)), self.size - 1)])
+        return float(self.time_s[min(int(np.searchsorted(self.time_s, time_s)), self.size - 1)])
 
     def snapshot(self, kind: ThresholdKind, from_s: float, until_s: float) -> tuple[Residuals, Threshold]:
         """Residuals and threshold from a time until another [s], copied; models begin anew with them."""
-        time_s = self._rows[0, : self.size]
-        last = int(np.searchsorted(time_s, until_s, side="right"))
-        rows = self._rows[:, min(int(np.searchsorted(time_s, from_s)), last - 1) : last].copy()
+        last = int(np.searchsorted(self.time_s, until_s, side="right"))
+        rows = self.rows[:, min(int(np.searchsorted(self.time_s, from_s)), last - 1) : last].copy()
         known, levels = dict(zip(_OF_RESIDUALS, rows, strict=False)), rows[len(_OF_RESIDUALS) :]
         known |= {"settled": known["settled"] != 0.0, "restart": known["restart"].astype(np.int8)}
         known["restart"][0] = 1
@@ -105,39 +120,24 @@ class History:
         return Residuals(**known), threshold
 
 
-class CommandBuffer:
-    """Commands of one surface, the latest of them; `capacity` at most."""
+class CommandBuffer(Latest):
+    """Commands of one surface."""
 
     def __init__(self, capacity: int) -> None:
-        self._rows = np.zeros((3, capacity))
-        self.size = 0
+        super().__init__(3, capacity)
 
-    def append(self, time_s: FloatArray, command_deg: FloatArray) -> int:
-        """Add some, of shape (n,), and tell how many of the oldest had to be dropped."""
-        dropped = at = 0
-        while at < time_s.size:
-            if self.size == self._rows.shape[1]:
-                fewer = self.size // _DROPPED
-                self._rows[:, : self.size - fewer] = self._rows[:, fewer : self.size].copy()
-                self.size, dropped = self.size - fewer, dropped + fewer
-            count = min(time_s.size - at, self._rows.shape[1] - self.size)
-            self._rows[:2, self.size : self.size + count] = time_s[at : at + count], command_deg[at : at + count]
-            self.size, at = self.size + count, at + count
-        return dropped
-
-    @property
-    def time_s(self) -> FloatArray:
-        """Times of the samples, shape (n,) [s]."""
-        return self._rows[0, : self.size]
+    def add(self, time_s: FloatArray, command_deg: FloatArray) -> int:
+        """Add some that hold, of shape (n,), and tell how many of the oldest had to be dropped."""
+        return self.append(np.stack([time_s, command_deg, np.zeros(time_s.size)]))
 
     def commands(self) -> Commands:
         """The same without copies."""
-        return Commands(*self._rows[:, : self.size])
+        return Commands(*self.rows)
 
     def copied(self, from_s: float) -> Commands:
         """Those that matter from then on [s], to be kept."""
         first = max(int(np.searchsorted(self.time_s, from_s - LONGEST_PAUSE_S)) - 1, 0)
-        return Commands(*self._rows[:, first : self.size].copy())
+        return Commands(*self.rows[:, first:].copy())
 
 
 MEMORY_S = 600.0
@@ -178,8 +178,6 @@ class Following:
     """Whether another witness is followed beside the position."""
     beside: Piece | None = None
     """What was decided just now of its current, where a position is followed as well."""
-    doubts_wiring = False
-    """Whether sign and scale may be wrong, which the good flights of a calibrated surface have shown to be right."""
     logged: CommandBuffer
     """Commands as they came."""
 
@@ -268,7 +266,6 @@ class Stream(Following):
         self.surface, self._moving, self._judge, self._period_s = surface, moving, judge, period_s
         self.longest_gap_s = gap_s(command_s) if sent_period_s is None else LONGEST_S
         self.sent_period_s = sent_period_s
-        self.doubts_wiring = moving.own is not None
         self._context = NO_CONTEXT
         self._begin_tests()
         self._before = np.zeros(len(STATISTICS))
@@ -338,12 +335,12 @@ class Stream(Following):
         known = ends[0].size - time_s.size
         if self._filled is not self.logged:
             filled_s, filled_deg = put_back(*ends, self._beat, self.longest_gap_s)
-            self._moving.forget(self._filled.append(filled_s[known:], filled_deg[known:]))
+            self._moving.forget(self._filled.add(filled_s[known:], filled_deg[known:]))
         elif self.surface.command_period_s is not None:
             steps_s = np.diff(ends[0])
             pieces = np.where(steps_s <= self.longest_gap_s, np.maximum(np.round(steps_s / FINE_S), 1.0), 1.0)
             time_s, command_deg = (each[known:] for each in subdivided(*ends, pieces.astype(np.int64)))
-        dropped = self.logged.append(time_s, command_deg)
+        dropped = self.logged.add(time_s, command_deg)
         if self._filled is self.logged:
             self._moving.forget(dropped)
         else:
@@ -375,7 +372,7 @@ class Stream(Following):
         count = 0 if moving.alone else len(tested.statistics)
         statistics = tested.statistics[:count, : len(STATISTICS)]
         raised = self._alarms(time_s, passed, tested.grid_s[:count], statistics)
-        self.history.append(History.packed(residuals, threshold))
+        self.history.keep(residuals, threshold)
         return Piece(residuals, threshold, raised, tested.sharp)
 
     def _starts(self, ready: FloatArray) -> tuple[FloatArray, BoolArray]:

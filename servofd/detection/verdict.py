@@ -346,10 +346,6 @@ def check(fault: Fault) -> str:
     return KINDS[(fault.confirmed_by or fault).kind].check
 
 
-_LIKELIER_THAN_NOT = 0.5
-"""A name of a smaller probability is less likely than all others together."""
-
-
 def gravest(faults: Sequence[Fault]) -> Fault:
     """The fault that may do most to the aircraft, in the order of `servofd.detection.kinds.KINDS`.
 
@@ -372,7 +368,7 @@ def by_gravity(faults: Sequence[Fault]) -> list[Fault]:
     return sorted(
         faults,
         key=lambda one: (
-            one.probability < _LIKELIER_THAN_NOT,
+            one.probability < EVEN,
             order.index(one.kind),
             one.end_s is not None,
             -one.probability,

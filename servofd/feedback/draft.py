@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,17 +19,14 @@ from servofd.aircraft.outputs import (
     pulse_channel,
 )
 from servofd.aircraft.schema import Aircraft, Surface
-from servofd.aircraft.series import bus_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
-from servofd.detection.known import Line
-from servofd.feedback.fitted import Found, found_at_once, found_in, with_own_servo
+from servofd.feedback.fitted import fitted_aircraft
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
 
     from logparsers.records import FlightLog
-    from servofd.servo.library import Servo
 
 BY_DAYS = "`servofd calibrate DAY1 DAY2 DAY3 DAY4 -o plane.toml`, then `servofd FLIGHT -c plane.toml`"
 """How an aircraft without feedback is judged, in words of the command line."""
@@ -83,74 +79,27 @@ _MOST_OUTPUTS = 32
 """Of an ArduPilot; a damaged log may name any other."""
 
 
-@dataclass(frozen=True, slots=True)
-class DraftedSurface:
-    """One surface of a drafted aircraft, and the pair of command and position that it comes from."""
-
-    pair: Pair
-    surface: Surface
-    servos: dict[str, Servo]
-
-
-@dataclass(frozen=True, slots=True)
-class Draft:
-    """A drafted aircraft."""
-
-    log: FlightLog
-    surfaces: tuple[DraftedSurface, ...]
-    by_current: dict[str, Surface]
-    """Surfaces whose servos tell what they draw, and not where they are."""
-
-    def aircraft(self) -> Aircraft:
-        """The aircraft, ready for an audit."""
-        return Aircraft(
-            name=self.log.vehicle or self.log.format,
-            surfaces={one.pair.surface: one.surface for one in self.surfaces} | self.by_current,
-            servos={name: servo for one in self.surfaces for name, servo in one.servos.items()},
-        )
-
-
-def draft_aircraft(log: FlightLog, only: Collection[str] = ()) -> Draft:
+def draft_aircraft(log: FlightLog, only: Collection[str] = ()) -> Aircraft:
     """Find the servos with feedback in an autopilot's log and fit each one to it.
 
     Outputs are paired with positions through the autopilot's parameters; pulses become degrees by the firmware's
     formula, or by a straight line fitted to the position where the servo itself does not repeat its command. `only`
     those surfaces are fitted; all if empty.
     """
-    pairs, plain, by_current = _described(log)
-    bus = bus_of(log, plain)
-
-    def found(pair: Pair) -> Found:
-        return found_in(log, pair.surface, plain, bus, free_scale=_has_free_scale(pair))
-
-    wanted = [pair for pair in pairs if not only or pair.surface in only]
-    drafts = {pair.surface: DraftedSurface(pair, plain.surfaces[pair.surface], {}) for pair in pairs}
-    for pair, one in zip(wanted, found_at_once(found, wanted), strict=True):
-        drafts[pair.surface] = _draft(pair, plain.surfaces[pair.surface], one)
-    return Draft(log, tuple(drafts.values()), by_current)
+    plain = described_aircraft(log)
+    measured = [name for name, surface in plain.surfaces.items() if surface.measured is not None]
+    return fitted_aircraft(log, plain, [name for name in measured if not only or name in only], is_draft=True)
 
 
-def described_aircraft(log: FlightLog) -> tuple[Aircraft, frozenset[str]]:
-    """Surfaces of an autopilot's log, of whose servos nothing is said; and those whose commands have no known scale."""
-    pairs, plain, _ = _described(log)
-    free = frozenset(pair.surface for pair in pairs if _has_free_scale(pair))
-    return plain.model_copy(update={"name": log.vehicle or log.format}), free
-
-
-def _has_free_scale(pair: Pair) -> bool:
-    """Whether the servo does not repeat its command in degrees."""
-    return pair.command != pair.position.command
-
-
-def _described(log: FlightLog) -> tuple[Sequence[Pair], Aircraft, dict[str, Surface]]:
-    """Pairs of command and position, all surfaces, and those whose servos tell what they draw alone."""
+def described_aircraft(log: FlightLog) -> Aircraft:
+    """Surfaces of an autopilot's log, of whose servos nothing is said; some tell what they draw alone."""
     pairs = find_pairs(log)
     by_current = _by_current(log, pairs)
     if not pairs and not by_current:
         advice = "; ".join(filter(None, (rails_of(log), what_to_log(log))))
         raise NoMeasurement(f"{log.label}: no measured deflection in this log: {advice}")
     plain = {pair.surface: Surface.model_validate(surface_entry(log, pair)) for pair in pairs}
-    return pairs, Aircraft(surfaces=plain | by_current), by_current
+    return Aircraft(name=log.vehicle or log.format, surfaces=plain | by_current)
 
 
 def _by_current(log: FlightLog, pairs: Sequence[Pair]) -> dict[str, Surface]:
@@ -172,23 +121,6 @@ def _by_current(log: FlightLog, pairs: Sequence[Pair]) -> dict[str, Surface]:
         command = _command_entry(pair, log[pair.command].unit, is_angle=False)
         found[pair.surface] = Surface.model_validate({"command": command, "output": number})
     return found
-
-
-def _draft(pair: Pair, plain: Surface, found: Found) -> DraftedSurface:
-    surface = with_line(plain, found.line)
-    return DraftedSurface(pair, *with_own_servo(surface, pair.surface, Found(Line(), found.servo)))
-
-
-def with_line(surface: Surface, line: Line) -> Surface:
-    """The same surface with a command that a straight line turns into degrees of its position."""
-    if line == Line():
-        return surface
-    entry = surface.command.model_dump(exclude_none=True)
-    if entry["unit"] not in ("us", "norm"):
-        corrected = surface.command.corrected(line.gain, line.offset_deg)
-        return surface.model_copy(update={"command": corrected})
-    command = _rescaled(entry, line)
-    return Surface.model_validate({**surface.model_dump(exclude_defaults=True), "command": command})
 
 
 def surface_entry(log: FlightLog, pair: Pair) -> dict[str, Any]:
@@ -257,46 +189,25 @@ def _as_pulse(log: FlightLog, pair: Pair) -> dict[str, Any]:
     return {"pulse": [round(float(-offset_deg / slope), 2), round(float(slope), 6)]}
 
 
-def _rescaled(command: dict[str, Any], line: Line) -> dict[str, Any]:
-    """Command entry with the fitted straight line: gain (value - trim) + offset."""
-    slope_key, trim_key = ("slope_deg_per_us", "trim_us") if command["unit"] == "us" else ("slope_deg", "trim")
-    slope = command[slope_key]
-    sign = int(np.sign(line.gain)) * command.get("sign", 1)
-    trim = command[trim_key] - line.offset_deg / (line.gain * command.get("sign", 1) * slope)
-    return {**command, "sign": sign, trim_key: round(float(trim), 4), slope_key: round(abs(line.gain) * slope, 6)}
-
-
+_ON_BOARD = (
+    "# Once calibrated, `servofd onboard THIS_FILE.toml -o servofd.lua` makes the autopilot watch these servos",
+    "# itself: copy the script to APM/scripts on its SD card and set SCR_ENABLE = 1.",
+    "#",
+)
 _ENTRIES = ("servo", "output", "threshold", "threshold_deg", "tolerance", "model")
 
 
-def draft_to_toml(draft: Draft) -> str:
-    """Text of an aircraft file that `servofd audit -c` accepts as it is."""
-    log = draft.log
-    heads = {one.pair.surface: _paired(one) for one in draft.surfaces}
-    return _to_toml(log, draft.aircraft(), _on_board(log.format), heads)
-
-
-def fitted_to_toml(log: FlightLog, aircraft: Aircraft) -> str:
-    """Text of an aircraft file with the servos that were fitted to a table.
-
-    Examples
-    --------
-    >>> from servofd.feedback.flown import flown_aircraft, one_log
-    >>> log = one_log("sample_logs/table_three_faults.csv")
-    >>> fitted_to_toml(log, flown_aircraft(log)).splitlines()[6]
-    '[surfaces.aileron]'
-    """
-    return _to_toml(log, aircraft.model_copy(update={"name": aircraft.name or log.source.stem}), [], {})
-
-
-def _to_toml(log: FlightLog, aircraft: Aircraft, remarks: list[str], heads: Mapping[str, str]) -> str:
+def draft_to_toml(log: FlightLog, aircraft: Aircraft | None = None) -> str:
+    """Text of an aircraft file with servos that were fitted to a log, which `servofd audit -c` accepts as it is."""
+    aircraft = aircraft or draft_aircraft(log)
+    heads = {pair.surface: _paired(pair) for pair in find_pairs(log)} if log.is_of_autopilot else {}
     lines = [
         f"# Drafted from {log.source.name}: each servo is fitted to a part of this one log, a starting point and no",
         "# calibration. Check names and signs, and calibrate on flights that you know to be good: if a servo was",
         "# faulty throughout this log, its numbers are wrong.",
-        *remarks,
+        *(_ON_BOARD if log.format in ("dataflash", "tlog") else ()),
         "",
-        f"name = {toml_value(aircraft.name or log.format)}",
+        f"name = {toml_value(aircraft.name or log.source.stem)}",
     ]
     for name, surface in aircraft.surfaces.items():
         entry = _rounded(surface.model_dump(exclude_defaults=True, exclude_none=True, mode="json"))
@@ -311,9 +222,9 @@ def _to_toml(log: FlightLog, aircraft: Aircraft, remarks: list[str], heads: Mapp
     return "\n".join(lines) + "\n"
 
 
-def _paired(one: DraftedSurface) -> str:
+def _paired(pair: Pair) -> str:
     """Which output turns a surface, behind its heading."""
-    pair, output = one.pair, one.pair.output
+    output = pair.output
     function = "function unknown" if output.function is None else f"SERVO{output.number}_FUNCTION = {output.function}"
     scale = f", pulses of {output.min_us:g} to {output.max_us:g} us; scale fitted"
     return f"  # output {output.number}, {function}{'' if pair.command == pair.position.command else scale}"
@@ -326,14 +237,3 @@ def _rounded(value: Any) -> Any:  # noqa: ANN401 - whatever a TOML file holds
     if isinstance(value, list):
         return [_rounded(each) for each in value]
     return float(f"{value:.6g}") if isinstance(value, float) else value
-
-
-def _on_board(format_name: str) -> list[str]:
-    """How an ArduPilot watches these servos itself."""
-    if format_name not in ("dataflash", "tlog"):
-        return []
-    return [
-        "# Once calibrated, `servofd onboard THIS_FILE.toml -o servofd.lua` makes the autopilot watch these servos",
-        "# itself: copy the script to APM/scripts on its SD card and set SCR_ENABLE = 1.",
-        "#",
-    ]

@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
+import numpy as np
+
+from servofd.aircraft.schema import Surface
 from servofd.aircraft.series import bus_of, cut
 from servofd.core.errors import NoMeasurement
 from servofd.core.evidence import ModelOrigin
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from logparsers.records import FlightLog
-    from servofd.aircraft.schema import Aircraft, Surface
+    from servofd.aircraft.schema import Aircraft
     from servofd.aircraft.series import Series
     from servofd.core.types import Marks
     from servofd.detection.flights import Span
@@ -50,22 +53,47 @@ class Found(NamedTuple):
     """Its servo; where none is found, how well the best one explains the log."""
 
 
-def fitted_aircraft(log: FlightLog, aircraft: Aircraft, only: Iterable[str] | None = None) -> Aircraft:
-    """Return the same aircraft with servos fitted to a log."""
+def fitted_aircraft(
+    log: FlightLog, aircraft: Aircraft, only: Iterable[str] | None = None, *, is_draft: bool = False
+) -> Aircraft:
+    """Return the same aircraft with servos fitted to a log; of one that is drafted, pulses have no known scale."""
     surfaces, servos, bus = dict(aircraft.surfaces), dict(aircraft.servos), bus_of(log, aircraft)
     names = list(aircraft.surfaces if only is None else only)
-    found_of = found_at_once(lambda name: found_in(log, name, aircraft, bus), names)
-    for name, found in zip(names, found_of, strict=True):
-        surfaces[name], fitted = with_own_servo(aircraft.surfaces[name], name, found)
+    free = {name for name in names if is_draft and has_free_scale(surfaces[name])}
+    alone = at_once(lambda name: found_in(log, name, aircraft, bus, free_scale=name in free), names)
+    # That they lost speed in one instant, they tell together.
+    for name, found, servo in zip(names, alone, slow_at_once([one.servo for one in alone]), strict=True):
+        line, surface = found.line, surfaces[name]
+        if is_draft:
+            line, surface = Line(), with_line(surface, line)
+        surfaces[name], fitted = with_own_servo(surface, name, Found(line, servo))
         servos |= fitted
     return aircraft.model_copy(update={"surfaces": surfaces, "servos": servos})
 
 
-def found_at_once(found: Callable[[Asked], Found], each: Sequence[Asked]) -> list[Found]:
-    """Return what a log tells of several surfaces; that they lost speed in one instant, they tell together."""
-    alone = at_once(found, each)
-    together = slow_at_once([one.servo for one in alone])
-    return [one._replace(servo=servo) for one, servo in zip(alone, together, strict=True)]
+def has_free_scale(surface: Surface) -> bool:
+    """Whether a surface of an autopilot's log is asked in pulses, or shares of its travel."""
+    return surface.command.unit in ("us", "norm")
+
+
+def with_line(surface: Surface, line: Line) -> Surface:
+    """The same surface with a command that a straight line turns into degrees of its position."""
+    if line == Line():
+        return surface
+    if not has_free_scale(surface):
+        corrected = surface.command.corrected(line.gain, line.offset_deg)
+        return surface.model_copy(update={"command": corrected})
+    command = _rescaled(surface.command.model_dump(exclude_none=True), line)
+    return Surface.model_validate({**surface.model_dump(exclude_defaults=True), "command": command})
+
+
+def _rescaled(command: dict[str, Any], line: Line) -> dict[str, Any]:
+    """Command entry with the fitted straight line: gain (value - trim) + offset."""
+    slope_key, trim_key = ("slope_deg_per_us", "trim_us") if command["unit"] == "us" else ("slope_deg", "trim")
+    slope = command[slope_key]
+    sign = int(np.sign(line.gain)) * command.get("sign", 1)
+    trim = command[trim_key] - line.offset_deg / (line.gain * command.get("sign", 1) * slope)
+    return {**command, "sign": sign, trim_key: round(float(trim), 4), slope_key: round(abs(line.gain) * slope, 6)}
 
 
 def at_once(fitted: Callable[[Asked], Given], each: Sequence[Asked]) -> list[Given]:
@@ -109,8 +137,6 @@ def good_line(
     aircraft: Aircraft,
     bus: Mapping[str, Marks],
     spans: tuple[Span, ...],
-    *,
-    is_free: bool,
 ) -> Line:
     """How the position goes with the command in parts of a log that are known to be good [s]; in all of it without.
 
@@ -122,6 +148,7 @@ def good_line(
         return Line()
     if segment.command_s.size < 2 or segment.measured_s.size < 2:
         return Line()
+    is_free = log.is_of_autopilot and has_free_scale(aircraft.surfaces[name])
     line = _line_of(segment, is_free=is_free)
     if line is None or (not is_free and _is_usual(line)):
         return Line()

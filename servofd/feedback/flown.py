@@ -28,13 +28,7 @@ _BENCH = ("cmd", "meas")
 
 
 def known_aircraft(aircraft: Aircraft | str | Path | None) -> Aircraft | None:
-    """What is known of an aircraft: itself, its file, or the name of one that comes with servofd.
-
-    Examples
-    --------
-    >>> known_aircraft("faser").name, known_aircraft(None)
-    ('FASER (Ultra Stick 120)', None)
-    """
+    """What is known of an aircraft: itself, its file, or the name of one that comes with servofd."""
     if isinstance(aircraft, str | Path):
         return load_aircraft(aircraft) if aircraft else None
     return aircraft
@@ -63,11 +57,6 @@ def logs_of(logs: Log | Sequence[Log], aircraft: Aircraft | None = None) -> Iter
         A table has a clock (`servofd.feedback.tables.with_clock`) and the columns of a plain table.
     aircraft : Aircraft, optional
         Tells how its tables are to be read.
-
-    Examples
-    --------
-    >>> [round(log.duration_s) for log in logs_of("sample_logs/faser_healthy_flight.mat")]
-    [40]
     """
     for file in log_files(logs):
         for log in logparsers.read_all(file, layout_of(aircraft)):
@@ -98,13 +87,7 @@ def each_once(logs: Iterable[FlightLog]) -> Iterator[FlightLog]:
 
 
 def one_log(path: str | Path, aircraft: Aircraft | None = None) -> FlightLog:
-    """The only run of a log.
-
-    Examples
-    --------
-    >>> one_log("sample_logs/telemetry_stuck.tlog").format
-    'tlog'
-    """
+    """The only run of a log."""
     return logparsers.read(path, layout_of(aircraft))
 
 
@@ -154,7 +137,7 @@ def scaled_aircraft(log: FlightLog, known: Aircraft | None = None, only: Collect
         return surfaces_of(log, known)
     from servofd.feedback.draft import draft_aircraft
 
-    return draft_aircraft(log, only).aircraft()
+    return draft_aircraft(log, only)
 
 
 def good_aircraft(log: FlightLog, spans: tuple[Span, ...] = ()) -> Aircraft:
@@ -163,12 +146,11 @@ def good_aircraft(log: FlightLog, spans: tuple[Span, ...] = ()) -> Aircraft:
     It is good in some spans [s]; everywhere if there are none.
     """
     from servofd.aircraft.series import bus_of
-    from servofd.feedback.draft import described_aircraft, with_line
-    from servofd.feedback.fitted import at_once, good_line
+    from servofd.feedback.fitted import at_once, good_line, with_line
 
-    flown, free = described_aircraft(log) if log.is_of_autopilot else (surfaces_of(log), frozenset())
+    flown = surfaces_of(log)
     names, bus = [name for name, surface in flown.surfaces.items() if not surface.names_servo], bus_of(log, flown)
-    lines = at_once(lambda name: good_line(log, name, flown, bus, spans, is_free=name in free), names)
+    lines = at_once(lambda name: good_line(log, name, flown, bus, spans), names)
     scaled = {name: with_line(flown.surfaces[name], line) for name, line in zip(names, lines, strict=True)}
     return flown.model_copy(update={"surfaces": flown.surfaces | scaled})
 
@@ -199,7 +181,7 @@ def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
     if log.is_of_autopilot:
         from servofd.feedback.draft import described_aircraft
 
-        return described_aircraft(log)[0]
+        return described_aircraft(log)
     if set(_BENCH) <= set(log.channels):
         return load_aircraft("bench")
     names = dict.fromkeys(

@@ -59,7 +59,7 @@ def _load_bank() -> None:
         monitor.feed((time_s[piece], asked_deg[piece]), (time_s[piece], moved_deg[piece]))
         look = monitor.due()
         if look is not None:
-            monitor.events_of(look, look.judge())
+            monitor.events_of(look, look.find())
 
 
 @dataclass(slots=True)
@@ -297,11 +297,11 @@ class Session:
     def _look(self, vehicle: Vehicle) -> list[Event]:
         events = self._finished_looks(vehicle)
         if self._pool is not None:
-            vehicle.looks += [(monitor, look, self._pool.submit(look.judge)) for monitor, look in vehicle.due()]
+            vehicle.looks += [(monitor, look, self._pool.submit(look.find)) for monitor, look in vehicle.due()]
             return events
         while looks := vehicle.due():
             for monitor, look in looks:
-                events += monitor.events_of(look, look.judge())
+                events += monitor.events_of(look, look.find())
         return events
 
     @staticmethod

@@ -24,7 +24,7 @@ from servofd.current.stream import OfCurrent, motion_model
 from servofd.detection.causes import cause_of_alarms
 from servofd.detection.event import Event, Look
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.seen import HealthyStream, healthy_of
+from servofd.detection.seen import Healthy, HealthyStream
 from servofd.detection.verdict import CommonCause
 from servofd.live.alarms import Alarms, travel_deg
 from servofd.live.alerts import Alerts
@@ -231,7 +231,7 @@ class Vehicle:
             beside = OfCurrent(name, model, surface.current, known)
             if not surface.is_told_by_current:
                 is_two = name not in self.aircraft.sharing_current and is_witness(known)
-                beside = OfBoth(healthy_of(surface, model), beside) if is_two else None
+                beside = OfBoth(Healthy(surface, model), beside) if is_two else None
         monitor = SurfaceMonitor(name, surface, model, beside)
         monitor.is_periodic = self.is_stream
         if not self.is_stream:

@@ -21,7 +21,7 @@ from servofd.core.statistics import Estimate, correlation_factor
 from servofd.core.types import FloatArray
 from servofd.detection.moving import Watched
 from servofd.detection.residual import noise_deg
-from servofd.detection.seen import Seen, healthy_of
+from servofd.detection.seen import Healthy, Seen
 from servofd.estimate.fit import WIDTHS, bandwidth, reading, residual
 from servofd.estimate.record import usual_supply_v
 
@@ -115,7 +115,7 @@ def estimate_flight(segment: Series, aircraft: Aircraft, *, unfit: str = "") -> 
     """
     surface = aircraft.surfaces[segment.surface]
     model = aircraft.model(segment.surface)
-    seen = healthy_of(surface, model).beside(segment)
+    seen = Healthy(surface, model).beside(segment)
     count = np.count_nonzero(seen.flight.judged)
     if count < _LEAST_SAMPLES:
         raise NoMeasurement(f"only {count} samples that can be judged; too short a flight")

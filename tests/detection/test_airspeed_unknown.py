@@ -15,7 +15,7 @@ from servofd.aircraft.series import Series
 from servofd.calibrating.calibrate import calibrate_aircraft
 from servofd.detection.audit import audit_segment
 from servofd.detection.flights import Flight
-from servofd.detection.seen import Pace, healthy_of
+from servofd.detection.seen import Healthy, Pace
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def levels_deg(aircraft: Aircraft, segment: Series, parts: list[tuple[float, Con
     assert surface.calibrated is not None
     assert surface.measured is not None
     pace = Pace(segment.period_s, segment.command_s[:101], None)
-    stream = healthy_of(surface, aircraft.model("x")).stream(pace)
+    stream = Healthy(surface, aircraft.model("x")).stream(pace)
     ends_s = [begin_s for begin_s, _ in parts[1:]] + [np.inf]
     found = []
     for (begin_s, context), end_s in zip(parts, ends_s, strict=True):

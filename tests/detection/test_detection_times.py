@@ -8,7 +8,7 @@ import pytest
 from servofd.aircraft.schema import plain_aircraft
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
-from servofd.detection.seen import healthy_of
+from servofd.detection.seen import Healthy
 from servofd.detection.verdict import Fault as Found
 from servofd.servo.faults import DeadBand, Failure, Stuck
 from servofd.servo.library import servo_named
@@ -23,7 +23,7 @@ MANOEUVRE_S = 8.0
 def faults(command_deg: FloatArray, measured_deg: FloatArray) -> tuple[Found, ...]:
     segment = Series("x", TIME_S, command_deg, TIME_S[: measured_deg.size], measured_deg)
     surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update={"threshold": "constant"})
-    return healthy_of(surface, MODEL).beside(segment).found.faults
+    return Healthy(surface, MODEL).beside(segment).found.faults
 
 
 def delay_to_alarm(command_deg: FloatArray, fault: Failure) -> float:

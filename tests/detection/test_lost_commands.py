@@ -18,7 +18,7 @@ from servofd.detection import changes
 from servofd.detection.faults import judged
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.moving import watched
-from servofd.detection.seen import Pace, healthy_of
+from servofd.detection.seen import Healthy, Pace
 from servofd.estimate.family import PATTERNS, new_state, simulated, variants
 from servofd.estimate.record import LONGEST_S, Record, new_memory, put_back, unknown_deg
 from servofd.simulation.flight import simulate_flight
@@ -197,7 +197,7 @@ def test_a_stream_has_the_residuals_and_thresholds_of_the_whole_log() -> None:
     aircraft = plain_aircraft(["x"], "s9254")
     surface = aircraft.surfaces["x"].model_copy(update={"calibrated": KNOWN, "threshold": "interval"})
     pace = Pace(segment.period_s, segment.command_s[:101], segment.sent_period_s)
-    stream = healthy_of(surface, aircraft.model("x")).stream(pace)
+    stream = Healthy(surface, aircraft.model("x")).stream(pace)
     pieces = []
     events = [(t, 0, v) for t, v in zip(segment.command_s, segment.command_deg, strict=True)]
     events += [(t, 1, v) for t, v in zip(segment.measured_s, segment.measured_deg, strict=True)]

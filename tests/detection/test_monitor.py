@@ -15,9 +15,10 @@ from servofd.aircraft.schema import Surface, plain_aircraft
 from servofd.aircraft.series import Series, is_unsettled
 from servofd.aircraft.watch import Bus, New
 from servofd.detection.event import Event, Look
+from servofd.detection.faults import Found
 from servofd.detection.monitor import SurfaceMonitor
 from servofd.detection.named import with_hold
-from servofd.detection.seen import Pace, healthy_of
+from servofd.detection.seen import Healthy, Pace
 from servofd.detection.stream import CommandBuffer, History, Piece
 from servofd.detection.verdict import Fault
 from servofd.servo.servo_model import ServoModel
@@ -63,7 +64,7 @@ def in_order(segment: Series) -> list[tuple[float, int, float]]:
 def assert_same_as_offline(model: ServoModel, raw: Series, entry: Surface) -> None:
     """Residual and threshold of a stream that is cut at random are those of the whole."""
     assert with_hold(model, raw)[1] == ()
-    healthy = healthy_of(entry, model)
+    healthy = Healthy(entry, model)
     whole = healthy.beside(raw)
     residuals, threshold = whole.residuals, whole.threshold
     stream = healthy.stream(Pace(raw.period_s, raw.command_s[: WARM_UP_STEPS + 1], None))
@@ -133,7 +134,7 @@ class TestTheSameStepAsOffline:
     def test_alarms_come_at_the_same_times_with_the_same_names(self, kind: str, lost: float) -> None:
         entry, model = surface(kind)
         raw = flight(4, lost=lost, stuck_s=22.0)
-        found = healthy_of(entry, model).beside(raw).found
+        found = Healthy(entry, model).beside(raw).found
         monitor, events = watched(entry, model, raw, 5)
         assert [(f.kind, f.alarm_s, f.end_s) for f in monitor.faults] == [
             (f.kind, f.alarm_s, f.end_s) for f in found.faults
@@ -163,7 +164,7 @@ def watched(entry: Surface, model: ServoModel, segment: Series, piece: int = 1) 
         commands, positions = zip(asked, seen, strict=True)
         events += monitor.feed(commands, positions)
         while look := monitor.due():
-            events += monitor.events_of(look, look.judge())
+            events += monitor.events_of(look, look.find())
     return monitor, events + monitor.finish()
 
 
@@ -246,7 +247,8 @@ class TestWhatTheBankTells:
         look = cast("Look", SimpleNamespace(at_s=at_s, residuals=levels, threshold=levels))
         wrong = tuple(fault for fault in faults if fault.kind != "healthy")
         right = tuple(fault for fault in faults if fault.kind == "healthy")
-        return [(event.time_s, event.event, event.kind) for event in monitor.events_of(look, (wrong, right, problem))]
+        events = monitor.events_of(look, Found(wrong, right, 0.0 * time_s, problem))
+        return [(event.time_s, event.event, event.kind) for event in events]
 
     def test_a_name_a_better_name_and_an_end(self) -> None:
         monitor = SurfaceMonitor("x", *surface())
@@ -380,7 +382,7 @@ def test_memory_is_bounded() -> None:
     for lap in range(40):
         here = slice(lap * TIME_S.size, (lap + 1) * TIME_S.size)
         monitor.feed((time_s[here], command_deg[here]), (time_s[here], position_deg[here] + 1e-6 * lap))
-        stream = monitor._stream
+        stream = monitor.stream
         assert stream is not None
         sizes.append((stream.history.size <= 30_000, stream.logged.size <= 120_000))
     assert all(all(size) for size in sizes)
@@ -390,21 +392,21 @@ def test_memory_is_bounded() -> None:
 class TestMemory:
     def test_a_full_history_drops_a_quarter_and_says_so(self) -> None:
         history = History(8)
-        rows = np.tile(np.arange(8.0), (History.ROWS, 1))
+        rows = np.tile(np.arange(8.0), (history.rows.shape[0], 1))
         history.append(rows)
         assert (history.size, history.last_s) == (8, 7.0)
         history.append(rows[:, :1] + 8.0)
-        assert (history.size, history.last_s) == (6, 8.0)
-        history.append(np.tile(np.arange(9.0, 29.0), (History.ROWS, 1)))
-        assert (history.size, history.last_s) == (8, 28.0)
+        assert (history.size, history.last_s) == (7, 8.0)
+        history.append(np.tile(np.arange(9.0, 29.0), (history.rows.shape[0], 1)))
+        assert (history.size, history.last_s) == (7, 28.0)
         assert np.isnan(History(4).last_s)
 
     def test_a_full_buffer_of_commands_drops_a_quarter(self) -> None:
         buffer = CommandBuffer(8)
         time_s = np.arange(10.0)
-        assert [buffer.append(time_s[[k]], 2.0 * time_s[[k]]) for k in range(10)] == [0] * 8 + [2, 0]
+        assert [buffer.add(time_s[[k]], 2.0 * time_s[[k]]) for k in range(10)] == [0] * 8 + [2, 0]
         at_once = CommandBuffer(8)
-        assert at_once.append(time_s, 2.0 * time_s) == 2
+        assert at_once.add(time_s, 2.0 * time_s) == 2
         assert buffer.time_s.tolist() == at_once.time_s.tolist() == time_s[2:].tolist()
 
 
@@ -428,7 +430,7 @@ def bus_that_stops(for_s: float, at_once: int) -> tuple[SurfaceMonitor, list[Eve
         stands = bus.take(new)
         events += monitor.feed(new["elevator"][:2], new["elevator"][2:], stands["elevator"], bus.stood_s)
         if look := monitor.due():
-            events += monitor.events_of(look, look.judge())
+            events += monitor.events_of(look, look.find())
     return monitor, events + monitor.finish()
 
 

@@ -15,7 +15,7 @@ from servofd.detection.event import Event, Quiet
 from servofd.detection.faults import Named, judged, watched_segment
 from servofd.detection.flights import Flight
 from servofd.detection.monitor import SurfaceMonitor
-from servofd.detection.seen import healthy_of
+from servofd.detection.seen import Healthy
 
 BEGINS_S, ENDS_S, LAST_S = 20.0, 32.0, 44.0
 WITHIN_S = 2.0
@@ -71,7 +71,7 @@ def told(kind: str, seed: int, calibrated: Aircraft | None = None) -> list[Event
         events += monitor.feed((time_s[here], command_deg[here]), (time_s[here], measured_deg[here]))
         look = monitor.due()
         if look is not None:
-            events += monitor.events_of(look, look.judge())
+            events += monitor.events_of(look, look.find())
     return events
 
 
@@ -124,7 +124,7 @@ def test_a_calibrated_servo_is_no_longer_at_fault_two_seconds_after_it(by_good_f
     assert events[-1].event == "clear"
     assert ENDS_S - 1.5 <= events[-1].time_s <= ENDS_S + WITHIN_S
     time_s, command_deg, measured_deg = faulty(kind, 6)
-    healthy = healthy_of(by_good_flights.surfaces["x"], by_good_flights.model("x"))
+    healthy = Healthy(by_good_flights.surfaces["x"], by_good_flights.model("x"))
     audited = healthy.beside(Series("x", time_s, command_deg, time_s, measured_deg))
     assert audited.found.faults[0].alarm_s == pytest.approx(events[0].time_s, abs=0.05)
 

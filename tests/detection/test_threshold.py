@@ -12,7 +12,7 @@ from servofd.aircraft.series import Series
 from servofd.core.tolerance import Tolerance
 from servofd.core.types import FloatArray
 from servofd.detection.residual import Residuals, Threshold, ThresholdKind
-from servofd.detection.seen import Seen, healthy_of
+from servofd.detection.seen import Healthy, Seen
 from servofd.simulation.commands import COMMANDS
 from tests.detection.tolerated import MODEL, deviating
 
@@ -36,7 +36,7 @@ def seen(
 ) -> Seen:
     changes = {"tolerance": tolerance or Tolerance(), "threshold": kind}
     surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update=changes)
-    return healthy_of(surface, MODEL).beside(Series("x", time_s, command_deg, time_s, measured_deg))
+    return Healthy(surface, MODEL).beside(Series("x", time_s, command_deg, time_s, measured_deg))
 
 
 def nearest(residuals: Residuals, threshold: Threshold) -> float:

@@ -10,7 +10,7 @@ from servofd.aircraft.series import Series, is_unsettled
 from servofd.core.types import FloatArray
 from servofd.detection.faults import Found
 from servofd.detection.residual import ResidualGenerator, Residuals, ThresholdKind
-from servofd.detection.seen import healthy_of
+from servofd.detection.seen import Healthy
 from servofd.servo.faults import Failure
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -78,4 +78,4 @@ def judged(
     segment = Series("x", time_s, command_deg, time_s, measured_deg)
     changes = {"threshold": threshold, "persistence": persistence}
     surface = plain_aircraft(["x"], "hs225bb-eq31").surfaces["x"].model_copy(update=changes)
-    return healthy_of(surface, MODEL).beside(segment).found
+    return Healthy(surface, MODEL).beside(segment).found

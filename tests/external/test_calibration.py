@@ -22,10 +22,10 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if not LOG.exists():
         pytest.skip("no flight logs: set SERVOFD_EXTERNAL_DATA to the directory that holds bench/ and logs/")
     import logparsers
-    from servofd.feedback.draft import draft_aircraft, draft_to_toml
+    from servofd.feedback.draft import draft_to_toml
 
     path = tmp_path_factory.mktemp("sitl") / "plane.toml"
-    path.write_text(draft_to_toml(draft_aircraft(logparsers.read(LOG))))
+    path.write_text(draft_to_toml(logparsers.read(LOG)))
     return path
 
 

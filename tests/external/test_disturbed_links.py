@@ -14,7 +14,7 @@ from logparsers.codec import Codec
 from logparsers.replay import replayed
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
-from servofd.feedback.draft import draft_aircraft, draft_to_toml
+from servofd.feedback.draft import draft_to_toml
 from servofd.live.session import Session, stamped
 from tests.external.test_bench_tables import DATA
 
@@ -68,7 +68,7 @@ def calibrated(folder: Path, log: Path, spans: tuple[tuple[float, float], ...] |
     if not log.exists():
         pytest.skip("no flight logs: set SERVOFD_EXTERNAL_DATA to the directory that holds bench/ and logs/")
     draft, known = folder / "draft.toml", folder / "plane.toml"
-    draft.write_text(draft_to_toml(draft_aircraft(logparsers.read(log))))
+    draft.write_text(draft_to_toml(logparsers.read(log)))
     known.write_text(calibration_to_toml(servofd.calibrate([log], draft, spans=spans or ())))
     return load_aircraft(known)
 

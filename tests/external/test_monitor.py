@@ -12,7 +12,7 @@ from logparsers.codec import Codec
 from logparsers.replay import replayed
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
-from servofd.feedback.draft import draft_aircraft, draft_to_toml
+from servofd.feedback.draft import draft_to_toml
 from servofd.live.session import Session
 from tests.external.test_bench_tables import DATA
 
@@ -32,7 +32,7 @@ def aircraft(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
         pytest.skip("no flight logs: set SERVOFD_EXTERNAL_DATA to the directory that holds bench/ and logs/")
     folder: Path = tmp_path_factory.mktemp("sitl")
     draft, calibrated = folder / "plane.toml", folder / "calibrated.toml"
-    draft.write_text(draft_to_toml(draft_aircraft(logparsers.read(LOG))))
+    draft.write_text(draft_to_toml(logparsers.read(LOG)))
     calibrated.write_text(calibration_to_toml(servofd.calibrate([LOG], draft, spans=HEALTHY_S)))
     return load_aircraft(calibrated)
 

@@ -12,7 +12,7 @@ import servofd
 from logparsers.codec import Codec
 from servofd.aircraft.schema import load_aircraft
 from servofd.calibrating.result import calibration_to_toml
-from servofd.feedback.draft import draft_aircraft, draft_to_toml
+from servofd.feedback.draft import draft_to_toml
 from servofd.live.session import stamped
 from tests.external.test_bench_tables import DATA
 from tests.external.test_disturbed_links import LINKS, alarms, most_outages, same, silent, thinned, told
@@ -74,7 +74,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     for path in good:
         path.write_bytes(b"".join(stamped(*entry) for entry in frames(path.stem)))
     draft, known = folder / "draft.toml", folder / "plane.toml"
-    draft.write_text(draft_to_toml(draft_aircraft(logparsers.read(good[0]))))
+    draft.write_text(draft_to_toml(logparsers.read(good[0])))
     known.write_text(calibration_to_toml(servofd.calibrate(good, draft)))
     return load_aircraft(known)
 

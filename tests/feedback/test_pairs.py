@@ -93,12 +93,12 @@ def test_what_the_servo_says_it_was_told_comes_first() -> None:
 @pytest.mark.parametrize("unit", [pytest.param("deg", marks=pytest.mark.nightly), "rad"])
 def test_the_scale_of_pulses_is_found(unit: str) -> None:
     draft = draft_aircraft(log_of([0, 1, 3], base=0, unit=unit))
-    for surface in draft.surfaces:
-        assert surface.surface.command.model_dump()["slope_deg_per_us"] == pytest.approx(0.1, rel=0.02)
-        assert surface.surface.command.model_dump()["trim_us"] == pytest.approx(1500.0, abs=0.5)
-        assert surface.surface.model_dump()["measured"]["unit"] == unit
-        assert surface.surface.calibrated is not None
-        assert surface.surface.threshold_deg < 1.5
+    for surface in draft.surfaces.values():
+        assert surface.command.model_dump()["slope_deg_per_us"] == pytest.approx(0.1, rel=0.02)
+        assert surface.command.model_dump()["trim_us"] == pytest.approx(1500.0, abs=0.5)
+        assert surface.model_dump()["measured"]["unit"] == unit
+        assert surface.calibrated is not None
+        assert surface.threshold_deg < 1.5
 
 
 @pytest.mark.slow
@@ -112,18 +112,19 @@ def test_the_pulse_of_a_command_is_found_behind_the_lag_of_its_repetition() -> N
     sent = np.searchsorted(TIME_S, TIME_S - late_s, side="right") - 1
     angles = dataclasses.replace(angles, values=0.2 * steps[np.maximum(sent, 0)])
     log = dataclasses.replace(log, channels={**log.channels, "RCOU.C1": pulses, "CSRV[0].PosCmd": angles})
-    (surface,) = draft_aircraft(log).surfaces
-    assert list(surface.surface.command.model_dump()["pulse"]) == pytest.approx([1500.0, 0.2], rel=1e-3)
+    (surface,) = draft_aircraft(log).surfaces.values()
+    assert list(surface.command.model_dump()["pulse"]) == pytest.approx([1500.0, 0.2], rel=1e-3)
 
 
 @pytest.mark.slow
 def test_the_drafted_file_is_accepted_as_it_is(tmp_path: Path) -> None:
-    draft = draft_aircraft(log_of([0, 1, 3], base=0, command_field=True))
+    log = log_of([0, 1, 3], base=0, command_field=True)
+    draft = draft_aircraft(log)
     config = tmp_path / "plane.toml"
-    config.write_text(draft_to_toml(draft))
+    config.write_text(draft_to_toml(log, draft))
     loaded = load_aircraft(config)
-    assert loaded.surfaces == draft.aircraft().of_no_log().surfaces
-    assert loaded.servos == draft.aircraft().servos
+    assert loaded.surfaces == draft.of_no_log().surfaces
+    assert loaded.servos == draft.servos
 
 
 def in_one_message(named: list[Message], message: str) -> Message:

@@ -21,7 +21,7 @@ from servofd import audit
 from servofd.aircraft.schema import plain_aircraft
 from servofd.batch.find import find_logs
 from servofd.batch.key import Job
-from servofd.feedback.draft import draft_aircraft, draft_to_toml
+from servofd.feedback.draft import draft_to_toml
 from servofd.fleets.run import audit_fleet
 from servofd.fleets.store import FleetStore
 from servofd.outputs.recording.content import Recording, verdicts_of
@@ -217,7 +217,7 @@ _MAKERS: Mapping[str, Callable[[], list[bytes]]] = {
 @cache
 def drafted(log: bytes) -> bytes:
     """Aircraft file fitted to a log."""
-    return draft_to_toml(draft_aircraft(logparsers.read(io.BytesIO(log)))).encode()
+    return draft_to_toml(logparsers.read(io.BytesIO(log))).encode()
 
 
 def planes() -> list[bytes]:

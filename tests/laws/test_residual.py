@@ -41,7 +41,7 @@ class TestHealthyServoIsSilent:
         return linear_deflection(model.transfer, model.delay_s, time_s, command_deg, time_s)
 
     def generator(self, name: str, segment: Series) -> ResidualGenerator:
-        return ResidualGenerator.fitting(ServoModel.of(servo_named(name)).linear(), segment)
+        return ResidualGenerator.fitting(ServoModel.of(servo_named(name)).linear(), segment.period_s)
 
     def test_on_uniform_samples(self, name: str) -> None:
         time_s = UNIFORM_S[:2000]
@@ -70,7 +70,7 @@ class TestHealthyServoIsSilent:
         measured_deg = model.simulate(UNIFORM_S, command_deg, UNIFORM_S)
         kept = np.random.default_rng(seed).random(UNIFORM_S.size) > 0.05
         segment = Series(name, UNIFORM_S[kept], command_deg[kept], UNIFORM_S[kept], measured_deg[kept])
-        assert peak(ResidualGenerator.fitting(model, segment), segment) < 0.1
+        assert peak(ResidualGenerator.fitting(model, segment.period_s), segment) < 0.1
 
 
 @pytest.mark.parametrize("name", ["hs225bb-eq31", "s9254", "s3151", "9360th"])

@@ -21,7 +21,7 @@ from logparsers.replay import replayed
 from servofd.aircraft.schema import load_aircraft
 from servofd.cli import main
 from servofd.detection.audit import audit_log
-from servofd.feedback.draft import draft_aircraft, draft_to_toml
+from servofd.feedback.draft import draft_to_toml
 from servofd.live.run import Pace, replay_telemetry
 from servofd.live.session import Session, stamped
 from servofd.live.threads import ALLOWED
@@ -46,7 +46,7 @@ FAULTS = {"elevator": Stuck(10.0), "rudder": Bias(18.0, bias_deg=3.0)}
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("plane") / "plane.toml"
     healthy = logparsers.read(io.BytesIO(telemetry_log(flown(rate_hz=40.0, duration_s=SECONDS), PLANE)))
-    drafted = draft_to_toml(draft_aircraft(healthy))
+    drafted = draft_to_toml(healthy)
     # Less is said of a servo that was fitted to the log than of one that was chosen.
     path.write_text(re.sub(r"^model = .*\n", "", drafted, flags=re.MULTILINE))
     return path

@@ -13,7 +13,7 @@ import logparsers
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.cli import main
 from servofd.core.errors import ConfigError
-from servofd.feedback.draft import draft_aircraft, draft_to_toml
+from servofd.feedback.draft import draft_to_toml
 from servofd.onboard.plan import LONGEST_NAME, plan_onboard
 from servofd.onboard.script import stream_script, watch_script
 from tests.onboard.autopilot import Flight, fly
@@ -251,7 +251,7 @@ def test_what_cannot_be_written_is_one_line(
 @pytest.mark.slow
 def test_a_px4_is_told_that_it_runs_no_scripts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sample = Path(__file__).parents[2] / "sample_logs" / "px4_stuck.ulg"
-    (tmp_path / "px4.toml").write_text(draft_to_toml(draft_aircraft(logparsers.read(sample))))
+    (tmp_path / "px4.toml").write_text(draft_to_toml(logparsers.read(sample)))
     assert main(["onboard", str(tmp_path / "px4.toml"), "-o", str(tmp_path / "x.lua")]) == 2
     assert "PX4 runs no scripts" in capsys.readouterr().err
 

@@ -70,7 +70,7 @@ def made(plane: Aircraft, count: int, seed: int = 1) -> tuple[IntArray, dict[str
 def furthest_deg(flown: Flown, plane: Aircraft, name: str, segment: Series) -> float:
     """Largest difference of the residuals from an audit's, for every sample that both judge."""
     model = plane.model(name)
-    residuals = ResidualGenerator.fitting(model, segment, plane.surfaces[name].filter_pole_rad_s).run(segment)
+    residuals = ResidualGenerator.fitting(model, segment.period_s, plane.surfaces[name].filter_pole_rad_s).run(segment)
     rows = flown.of(1 + list(plane.surfaces).index(name))
     both = residuals.settled[-rows.size :] & np.isfinite(rows["residual"])
     assert both.mean() > 0.95

@@ -82,7 +82,7 @@ def followed(aircraft: Aircraft, segment: Series) -> tuple[tuple[Fault, ...], Fl
         asked, seen = (some[some[:, 1] == role] for role in (0, 1))
         monitor.feed((asked[:, 0], asked[:, 2]), (seen[:, 0], seen[:, 2]))
         if look := monitor.due():
-            monitor.events_of(look, look.judge())
+            monitor.events_of(look, look.find())
     monitor.finish()
     return monitor.faults, np.concatenate([piece.residuals.residual_deg for piece in pieces])
 

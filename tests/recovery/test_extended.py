@@ -15,7 +15,7 @@ from servofd.aircraft.series import Series
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.detection.audit import audit_log
-from servofd.detection.seen import Pace, healthy_of
+from servofd.detection.seen import Healthy, Pace
 from servofd.detection.verdict import SurfaceAudit
 from servofd.discrepancy.record import record_of, simulate
 from servofd.servo.catalogue import effects_installed, installed, table_of
@@ -292,7 +292,7 @@ def test_simulated_faults_of_a_servo_with_effects_are_named(fault: Failure, kind
     aircraft = Aircraft.model_validate({"surfaces": {"elevator": entry}})
     flown = simulate_flight(aircraft, command="gusty", duration_s=24.0, seed=4, faults={"elevator": fault})
     segment = Series("elevator", flown.time_s, flown.command_deg[:, 0], flown.time_s, flown.measured_deg[:, 0])
-    found = healthy_of(aircraft.surfaces["elevator"], aircraft.model("elevator")).beside(segment).found
+    found = Healthy(aircraft.surfaces["elevator"], aircraft.model("elevator")).beside(segment).found
     assert [each.kind for each in found.faults][:1] == [kind]
     assert found.faults[0].start_s == pytest.approx(8.0, abs=1.5)
 
@@ -371,7 +371,7 @@ def test_a_monitor_in_flight_sees_what_the_audit_sees(effects: dict[str, dict[st
     known = {"servo": "hs225bb-eq31", "command": {"channel": "c", "unit": "deg"}, "threshold": "interval"}
     surface = Aircraft.model_validate({"surfaces": {"x": {**known, "effects": effects}}})
     segment = Series("x", log.time_s, log.command_deg, log.time_s, log.position_deg)
-    healthy = healthy_of(surface.surfaces["x"], surface.model("x"))
+    healthy = Healthy(surface.surfaces["x"], surface.model("x"))
     stream = healthy.stream(Pace(segment.period_s, log.time_s[:101], None))
     pieces = []
     for k, (time_s, position_deg) in enumerate(zip(log.time_s.tolist(), log.position_deg.tolist(), strict=True)):
