@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from servofd.aircraft.schema import Surface
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import FloatArray, Marks
     from servofd.detection.event import Look
     from servofd.detection.seen import HealthyStream
     from servofd.detection.stream import Following, Piece
@@ -155,7 +155,7 @@ class SurfaceMonitor:
         self,
         commands: tuple[FloatArray, FloatArray],
         positions: tuple[FloatArray, FloatArray],
-        stands: BoolArray | None = None,
+        stands: Marks | None = None,
         stood_s: Sequence[tuple[float, float]] = (),
         drawn: tuple[FloatArray, FloatArray] | None = None,
     ) -> list[Event]:
@@ -176,7 +176,7 @@ class SurfaceMonitor:
         seen_deg = (
             positions[1][known] if self.surface.measured is None else self.surface.measured.to_deg(positions[1][known])
         )
-        fresh = np.ones(seen_deg.size, dtype=bool) if stands is None else ~stands
+        fresh = np.ones(seen_deg.size, dtype=bool) if stands is None else stands == 0
         seen = list(zip(positions[0][known][fresh].tolist(), seen_deg[fresh].tolist(), strict=True))
         for what, rows in (("command", asked), ("position", seen)):
             if rows:
