@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logparsers.records import Channel, FlightLog
-from servofd.aircraft.axis_names import SURFACE_AXES
+from servofd.aircraft.axes import SURFACE_AXES
 from servofd.axes.calibrate import calibrate_motion
 from servofd.axes.judge import judge_motion
 from servofd.axes.motion import motion_of_autopilot

@@ -2,33 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from servofd.aircraft.axis_names import AXES, FORM_NAMES
-from servofd.aircraft.calibration import Entry
+from servofd.aircraft.calibrated import Learned, NotNegative, Positive
 from servofd.core.statistics import Z_95
 from servofd.core.toml_text import toml_lines, toml_value
 from servofd.core.types import FloatArray
 
+AXES = ("roll", "pitch", "side", "thrust")
+"""In which order they are shown; ``thrust`` is the engine, whose loss must not be blamed on a surface."""
 
-class _Entry(Entry):
-    model_config = ConfigDict(allow_inf_nan=False)
+SURFACE_AXES = AXES[:3]
+"""Those that surfaces turn."""
+
+MOST_OF_THE_FLIGHT = 0.5
+"""Share of the flight in which an axis must be judged, and its lost share known, for ``healthy``."""
+
+FORM_NAMES: Mapping[str, int] = {
+    "roll_rate": 4,
+    "roll_acceleration": 4,
+    "pitch_inverse": 6,
+    "pitch_acceleration": 5,
+    "side_force": 4,
+    "yaw_rate": 5,
+    "yaw_acceleration": 5,
+    "specific_thrust": 3,
+}
+"""Each form and how much else than the command moves the aircraft in it."""
 
 
-class Spread(_Entry):
+class Spread(Learned):
     """How far windows of one length stray in healthy flights, and flights from each other as far again."""
 
-    window_s: Annotated[float, Field(gt=0.0)]
-    loss_var: Annotated[float, Field(ge=0.0)]
+    window_s: Positive
+    loss_var: NotNegative
     cross_us: float
-    offset_var_us2: Annotated[float, Field(ge=0.0)]
-    scale: Annotated[float, Field(gt=0.0)] = 1.0
+    offset_var_us2: NotNegative
+    scale: Positive = 1.0
     """Largest J of the calibration flights, each judged by a model that has not seen its day."""
-    lag_var_s2: Annotated[float, Field(ge=0.0)] = 0.0
-    lag_scale: Annotated[float, Field(gt=0.0)] | None = None
+    lag_var_s2: NotNegative = 0.0
+    lag_scale: Positive | None = None
     """As `scale`, of the lag; None if these windows do not tell it."""
 
     @classmethod
@@ -47,7 +64,7 @@ class Spread(_Entry):
         return max(4, round(self.window_s * rate_hz))
 
 
-class Regime(_Entry):
+class Regime(Learned):
     """Where the calibration flights were; nothing is judged outside."""
 
     airspeed_low_m_s: float
@@ -57,11 +74,11 @@ class Regime(_Entry):
     """Largest -az / (V / V0)^2: beyond it the wing is nearer to its stall than it ever was."""
 
 
-class AxisModel(_Entry):
+class AxisModel(Learned):
     """Model of one axis, and how far healthy flights stray from it."""
 
     form: str
-    corner_hz: Annotated[float, Field(gt=0.0)]
+    corner_hz: Positive
     delay_s: Annotated[float, Field(ge=0.0, le=2.0)]
     gain: float
     """K: motion for each microsecond of command at the reference airspeed; 1 for an inverse form."""
@@ -69,9 +86,9 @@ class AxisModel(_Entry):
     others: tuple[float, ...]
     whitening: tuple[float, ...] = ()
     """Autoregression of the residual that is taken out of everything."""
-    noise_var: Annotated[float, Field(gt=0.0)]
+    noise_var: Positive
     """Of the residual, times what its colour makes of sums."""
-    residual_var: Annotated[float, Field(ge=0.0)] = 0.0
+    residual_var: NotNegative = 0.0
     """Of the residual alone; 0 if windows are not to be judged by what they leave unexplained themselves."""
     spreads: tuple[Spread, ...] = Field(min_length=1)
     of_flight: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
@@ -82,15 +99,15 @@ class AxisModel(_Entry):
     """False if its command always was a copy of another axis' command."""
     explained: float
     """Share of the command's effect that the model explains on days it has not seen."""
-    suspect: Annotated[float, Field(gt=0.0)] = 1.0
-    fault: Annotated[float, Field(gt=0.0)] | None = None
+    suspect: Positive = 1.0
+    fault: Positive | None = None
     """Multiples of the calibration's largest statistic; None: the calibrated hours support none."""
     false_alarms_per_hour: float = 0.0
     members: tuple[str, ...] = ()
 
-    def of_flights(self, spread: Spread) -> FloatArray:
-        """Covariance between flights beside that between the windows of one, shape (2, 2)."""
-        return spread.covariance * self.of_flight / (1.0 - self.of_flight)
+    def of_flights(self, window: FloatArray) -> FloatArray:
+        """Covariance between flights beside that between the windows of one."""
+        return window * self.of_flight / (1.0 - self.of_flight)
 
     @property
     def widening(self) -> float:
@@ -108,11 +125,11 @@ class AxisModel(_Entry):
         return self
 
 
-class MotionModel(_Entry):
+class MotionModel(Learned):
     """Models of all axes of an aircraft without position feedback."""
 
-    rate_hz: Annotated[float, Field(gt=0.0)]
-    reference_m_s: Annotated[float, Field(gt=0.0)]
+    rate_hz: Positive
+    reference_m_s: Positive
     regime: Regime
     days: int
     flights: int

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -23,9 +22,16 @@ class Entry(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class _Channel(Entry, ABC):
-    """One channel of a log, and the sign that makes positive mean trailing edge down (rudder: left)."""
+class _Channel(Entry):
+    """One channel of a log, and the sign that makes positive mean trailing edge down (rudder: left).
 
+    A straight line through the trim; or a cubic (`cubic_deg`, if it has that field) where the linkage needs one.
+    """
+
+    trim_key: ClassVar[str]
+    slope_key: ClassVar[str] = ""
+    """Empty where the unit tells the slope, `unit_deg`."""
+    unit_deg: ClassVar[float] = 1.0
     channel: str = ""
     """Empty only for a surface that names its output instead."""
     sign: Literal[1, -1] = 1
@@ -36,13 +42,20 @@ class _Channel(Entry, ABC):
     def _invertible(self) -> Self:
         if self.correction[0] == 0.0:
             raise ValueError("correction = [scale, offset_deg] needs a scale that is not zero")
+        if hasattr(self, "cubic_deg") and ((self._slope is None) == (self._cubic is None) or self._slope == 0.0):
+            raise ValueError(f"give either {self.slope_key} (not zero) or cubic_deg = [c0, c1, c2, c3]")
         return self
 
     def to_deg(self, values: FloatArray) -> FloatArray:
         """Deflection [deg], same shape as `values` [as logged]."""
         scale, offset_deg = self.correction
         with np.errstate(over="ignore"):  # what is too large for a number is none
-            return scale * self._convert(values) + offset_deg
+            return scale * self.plain_deg(values) + offset_deg
+
+    def plain_deg(self, values: FloatArray) -> FloatArray:
+        """Deflection before the correction [deg]."""
+        with np.errstate(over="ignore"):
+            return self._convert(values)
 
     def from_deg(self, deflection_deg: FloatArray) -> FloatArray:
         """Logged value of a deflection [deg]."""
@@ -54,13 +67,27 @@ class _Channel(Entry, ABC):
         first, shift_deg = self.correction
         return self.model_copy(update={"correction": (scale * first, scale * shift_deg + offset_deg)})
 
-    @abstractmethod
-    def _convert(self, values: FloatArray) -> FloatArray:
-        """Deflection before the correction [deg]."""
+    @property
+    def _cubic(self) -> Cubic | None:
+        return getattr(self, "cubic_deg", None)
 
-    @abstractmethod
+    @property
+    def _slope(self) -> float | None:
+        slope: float | None = getattr(self, self.slope_key) if self.slope_key else self.unit_deg
+        return slope
+
+    def _convert(self, values: FloatArray) -> FloatArray:
+        if self._cubic is not None:
+            bent: FloatArray = self.sign * np.polyval(np.array(self._cubic[::-1]), values)
+            return bent
+        line: FloatArray = self.sign * (self._slope or 0.0) * (values - getattr(self, self.trim_key))
+        return line
+
     def _restore(self, deflection_deg: FloatArray) -> FloatArray:
-        """Undo `_convert`."""
+        if self._slope is None:
+            raise ConfigError(f"channel {self.channel!r}: a cubic calibration cannot be written back to a log")
+        logged: FloatArray = self.sign * deflection_deg / self._slope + getattr(self, self.trim_key)
+        return logged
 
 
 class DegreeCalibration(_Channel):
@@ -72,66 +99,26 @@ class DegreeCalibration(_Channel):
     array([1.])
     """
 
+    trim_key = "trim_deg"
     unit: Literal["deg"]
     trim_deg: Finite = 0.0
     pulse: tuple[Finite, Finite] | None = None
     """Where a log has pulses only: the pulse of 0 deg [us], and degrees of this channel for each microsecond."""
 
-    def _convert(self, values: FloatArray) -> FloatArray:
-        return self.sign * (values - self.trim_deg)
-
-    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
-        return self.sign * deflection_deg + self.trim_deg
-
 
 class RadianCalibration(_Channel):
     """A channel in radians: ``deflection = sign * degrees(value - trim_rad)``."""
 
+    trim_key, unit_deg = "trim_rad", float(np.degrees(1.0))
     unit: Literal["rad"]
     trim_rad: Finite = 0.0
-
-    def _convert(self, values: FloatArray) -> FloatArray:
-        deflection: FloatArray = self.sign * np.degrees(values - self.trim_rad)
-        return deflection
 
     def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         logged: FloatArray = self.sign * np.radians(deflection_deg) + self.trim_rad
         return logged
 
 
-class _Scaled(_Channel):
-    """A straight line through the trim; or a cubic (`cubic_deg`, if it has that field) where the linkage needs one."""
-
-    trim_key: ClassVar[str]
-    slope_key: ClassVar[str]
-
-    @property
-    def _cubic(self) -> Cubic | None:
-        return getattr(self, "cubic_deg", None)
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        slope = getattr(self, self.slope_key)
-        if hasattr(self, "cubic_deg") and ((slope is None) == (self._cubic is None) or slope == 0.0):
-            raise ValueError(f"give either {self.slope_key} (not zero) or cubic_deg = [c0, c1, c2, c3]")
-        return self
-
-    def _convert(self, values: FloatArray) -> FloatArray:
-        if self._cubic is not None:
-            bent: FloatArray = self.sign * np.polyval(np.array(self._cubic[::-1]), values)
-            return bent
-        line: FloatArray = self.sign * getattr(self, self.slope_key) * (values - getattr(self, self.trim_key))
-        return line
-
-    def _restore(self, deflection_deg: FloatArray) -> FloatArray:
-        slope = getattr(self, self.slope_key)
-        if slope is None:
-            raise ConfigError(f"channel {self.channel!r}: a cubic calibration cannot be written back to a log")
-        logged: FloatArray = self.sign * deflection_deg / slope + getattr(self, self.trim_key)
-        return logged
-
-
-class PulseCalibration(_Scaled):
+class PulseCalibration(_Channel):
     """A pulse width: ``deflection = sign * slope_deg_per_us * (value - trim_us)``, or a cubic in it.
 
     Examples
@@ -152,7 +139,7 @@ class PulseCalibration(_Scaled):
         return super()._convert(np.where(values > 0.0, values, np.nan))
 
 
-class CountCalibration(_Scaled):
+class CountCalibration(_Channel):
     """Converter or timer counts: ``deflection = sign * slope_deg_per_count * (value - trim_count)``, or a cubic."""
 
     trim_key, slope_key = "trim_count", "slope_deg_per_count"
@@ -162,7 +149,7 @@ class CountCalibration(_Scaled):
     cubic_deg: Cubic | None = None
 
 
-class NormCalibration(_Scaled):
+class NormCalibration(_Channel):
     """A command from -1 to 1: ``deflection = sign * slope_deg * (value - trim)``.
 
     Examples
@@ -177,7 +164,7 @@ class NormCalibration(_Scaled):
     slope_deg: Finite
 
 
-class RadianOrCountCalibration(_Scaled):
+class RadianOrCountCalibration(_Channel):
     """The FASER position columns: documented in radians, written as raw converter counts.
 
     Values that mostly lie beyond any angle in radians are counts; everything else is taken as radians.

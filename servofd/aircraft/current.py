@@ -5,15 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Final, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from servofd.aircraft.calibrated import symmetric
+from servofd.aircraft.calibrated import Learned, NotNegative, Positive, Terms, symmetric
 from servofd.aircraft.calibration import Entry
-from servofd.core.toml_text import toml_key, toml_lines, toml_value
 from servofd.core.types import FloatArray
-
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 REGRESSORS: Final = {
     "idle": "A, whatever it does",
@@ -53,23 +49,23 @@ class CurrentSource(Entry):
         return AMPERES[self.unit]
 
 
-class CurrentNoise(Entry):
+class CurrentNoise(Learned):
     """What a healthy current does beside its model: ``sigma^2 = still_a^2 + (share * current of motion)^2``."""
 
-    still_a: _Positive
-    share: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    still_a: Positive
+    share: NotNegative
     colour: Annotated[float, Field(ge=0.0, lt=1.0)]
     """Correlation of neighbouring samples."""
-    period_s: _Positive
+    period_s: Positive
 
 
-class Wear(Entry):
+class Wear(Learned):
     """`FEATURES` of good flights or cycles, and what they differ by."""
 
-    mean: tuple[_Finite, ...]
-    between: tuple[tuple[_Finite, ...], ...]
+    mean: tuple[float, ...]
+    between: tuple[tuple[float, ...], ...]
     """Covariance of one more flight: lower triangle."""
-    limit: _Positive
+    limit: Positive
     """Squared distance, over the number of features, that a good flight stays below."""
     flights: Annotated[int, Field(ge=1)]
     """Or cycles, from which this is known."""
@@ -86,8 +82,10 @@ class Wear(Entry):
         return symmetric(self.between)
 
 
-class CalibratedCurrent(BaseModel):
+class CalibratedCurrent(Terms):
     """The current of a healthy servo, how far it may differ between flights, and what wear changes.
+
+    Its parameters are `REGRESSORS`.
 
     Examples
     --------
@@ -100,32 +98,28 @@ class CalibratedCurrent(BaseModel):
     ((13,), (13, 13))
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    parameters: dict[str, _Finite]
-    """Of `REGRESSORS`, all of them."""
-    between: tuple[tuple[_Finite, ...], ...]
-    """Covariance between good flights, in their order: lower triangle, row by row."""
+    NAMES = NAMES
+    STRANGE = f"parameters: {', '.join(NAMES)} are needed, all of them and no other; see {{}}"
     noise: CurrentNoise
     lag_s: Annotated[float, Field(ge=0.0, le=2.0)]
     """By which a reading comes after the motion that it belongs to."""
     width_s: Annotated[float, Field(ge=0.0, le=60.0)]
     """Over which a reading averages."""
-    reach_deg: tuple[_Finite, _Finite]
-    explained_share: _Finite
-    most_a: _Positive
+    reach_deg: tuple[float, float]
+    explained_share: float
+    most_a: Positive
     """What it draws in motion, but for a reading in a thousand."""
-    moving_a: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    moving_a: NotNegative = 0.0
     """What it draws by its model, but for a reading in a hundred of its good flights; 0 where that was not kept."""
-    supply_v: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    supply_v: NotNegative = 0.0
     """Usual supply; 0 where it was not logged."""
-    airspeed_m_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    airspeed_m_s: NotNegative = 0.0
     """Usual airspeed; 0 where it was not logged."""
-    airspeeds_m_s: tuple[_Finite, _Finite] | None = None
+    airspeeds_m_s: tuple[float, float] | None = None
     """The slowest and the fastest that was flown while it was fitted; None where it was not logged."""
-    limits_nats: dict[Literal["blocked", "unpowered", "binding"], _Positive] = {}
+    limits_nats: dict[Literal["blocked", "unpowered", "binding"], Positive] = {}
     """Nats by which each fault must be likelier than a good servo: more than any stretch of good flights reached."""
-    fitted_between_s: tuple[_Finite, _Finite] | None = None
+    fitted_between_s: tuple[float, float] | None = None
     """The part of a log that it was fitted to, where it was not calibrated."""
     wear: Wear | None = None
 
@@ -136,51 +130,12 @@ class CalibratedCurrent(BaseModel):
         return {key: value for key, value in given.items() if key != "limits"} if isinstance(given, dict) else given
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
-        wrong = sorted(set(NAMES) ^ set(self.parameters))
-        if wrong:
-            raise ValueError(f"parameters: {', '.join(NAMES)} are needed, all of them and no other; see {wrong[0]}")
-        if [len(row) for row in self.between] != list(range(1, len(NAMES) + 1)):
-            raise ValueError(f"between: the lower triangle of a matrix of {len(NAMES)} rows is needed")
+    def _definite(self) -> Self:
         if np.linalg.eigvalsh(self.covariance)[0] <= 0.0:
             raise ValueError("between: not a covariance, as it is not positive definite")
         return self
 
     @property
-    def theta(self) -> FloatArray:
-        """Parameters in order, shape (13,)."""
-        return np.array([self.parameters[name] for name in NAMES])
-
-    @property
     def late_s(self) -> tuple[float, float]:
         """By how much its readings come late, and over how long they average."""
         return self.lag_s, self.width_s
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Between good flights, shape (terms, terms)."""
-        return symmetric(self.between)
-
-
-def current_to_toml(name: str, known: CalibratedCurrent) -> list[str]:
-    """Lines of an aircraft file that hold a healthy current.
-
-    Examples
-    --------
-    >>> current = CalibratedCurrent.model_construct(
-    ...     parameters={"idle": 0.1}, between=((1.0,),), lag_s=0.02, wear=None, limits_nats={},
-    ...     noise=CurrentNoise(still_a=0.02, share=0.3, colour=0.2, period_s=0.1),
-    ... )
-    >>> current_to_toml("rudder", current)[:3]
-    ['', '[surfaces.rudder.healthy_current]', 'lag_s = 0.02']
-    """
-    heading = f"surfaces.{toml_key(name)}.healthy_current"
-    tables = known.model_dump(exclude_none=True, exclude_defaults=True)
-    matrix, parameters = tables.pop("between"), tables.pop("parameters")
-    parts = {key: tables.pop(key) for key in ("noise", "limits_nats", "wear") if key in tables}
-    lines = ["", f"[{heading}]", *toml_lines(tables), "between = [  # covariance between good flights, lower triangle"]
-    lines += [*(f"    {toml_value(row)}," for row in matrix), "]", "", f"[{heading}.parameters]"]
-    lines += toml_lines(parameters, REGRESSORS)
-    for key, part in parts.items():
-        lines += ["", f"[{heading}.{key}]", *toml_lines(part)]
-    return lines

@@ -61,11 +61,12 @@ def hub_outputs(log: FlightLog) -> dict[int, str]:
 
     Ids start at 0 on one bus and at 1 on another: the bit mask of the driver tells which.
     """
-    numbered = [(match, name) for name in log.channels if (match := _HUB.fullmatch(name)) and _has_numbers(log, name)]
-    found = {int(match[1]): name for match, name in numbered}
+    found, sent = (
+        {int(of[1]): name for name in log.channels if (of := pattern.fullmatch(name)) and _has_numbers(log, name)}
+        for pattern in (_HUB, _SENT)
+    )
     base = 0 if counts_from_1(log.parameters, found) else 1
-    sent = ((match, name) for name in log.channels if (match := _SENT.fullmatch(name)) and _has_numbers(log, name))
-    return {int(match[1]): name for match, name in sent} | {number + base: name for number, name in found.items()}
+    return sent | {number + base: name for number, name in found.items()}
 
 
 def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, CurrentSource], dict[str, str]]:
@@ -101,19 +102,13 @@ def current_sources(log: FlightLog, aircraft: Aircraft) -> tuple[dict[str, Curre
             found[name] = surface.current
         elif column:
             volts = f"{column.rpartition('_current_')[0]}_voltage_v"
-            found[name] = CurrentSource(
-                channel=column, unit=own[column], voltage=volts if volts in log.channels else ""
-            )
+            found[name] = CurrentSource(channel=column, unit=own[column], voltage=_if_there(log, volts))
         elif dot and fields[0] and _has_numbers(log, f"{stem}.{fields[0]}"):
-            volts = f"{stem}.{fields[1]}"
-            found[name] = CurrentSource(
-                channel=f"{stem}.{fields[0]}", unit="A", voltage=volts if volts in log.channels else ""
-            )
+            current, volts = (f"{stem}.{each}" for each in fields)
+            found[name] = CurrentSource(channel=current, unit="A", voltage=_if_there(log, volts))
         elif number is not None and number in hubs:
             volts = f"{hubs[number].rpartition('.')[0]}.V"
-            found[name] = CurrentSource(
-                channel=hubs[number], unit="A", voltage=volts if _has_numbers(log, volts) else ""
-            )
+            found[name] = CurrentSource(channel=hubs[number], unit="A", voltage=_if_there(log, volts))
         elif why := _why_none(log, surface, bare, shared):
             unfit[name] = why
     return _together(log, found), unfit
@@ -153,14 +148,7 @@ def _readings(log: FlightLog, source: CurrentSource) -> tuple[str, bytes | str]:
 
 
 def rails_of(log: FlightLog, named: Collection[str] = ()) -> str:
-    """What to do with currents that may feed servos and that no aircraft file has `named`; empty if there are none.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> rails_of(logparsers.read("sample_logs/ardupilot_volz_stuck.bin"))
-    ''
-    """
+    """What to do with currents that may feed servos and that no aircraft file has `named`; empty if there are none."""
     rails = [name for name in log.channels if _RAIL.fullmatch(name) and name not in named and _has_numbers(log, name)]
     if not rails:
         return ""
@@ -265,3 +253,7 @@ def _fresh(time_s: FloatArray, current_a: FloatArray) -> BoolArray:
 
 def _has_numbers(log: FlightLog, name: str) -> bool:
     return name in log.channels and bool(np.count_nonzero(np.isfinite(log[name].values)) > 1)
+
+
+def _if_there(log: FlightLog, name: str) -> str:
+    return name if _has_numbers(log, name) else ""

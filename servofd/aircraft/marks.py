@@ -9,14 +9,12 @@ that shows only later that it stands: what came before is judged in flight, and 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray, IntArray, Marks
 from servofd.servo.loops import compiled, inner
 
@@ -101,13 +99,7 @@ _RESTS, _RUNS, _SQUARES, _SAME, _SAME_ROWS, _SAME_LONGEST, _STOOD, _OWING, _LAST
 
 
 def new_bus(servos: int) -> FloatArray:
-    """Memory of `standing` for so many servos, before any row.
-
-    Examples
-    --------
-    >>> new_bus(4).shape
-    (4, 18)
-    """
+    """Memory of `standing` for so many servos, before any row."""
     memory = np.zeros((servos, _MEMORY))
     memory[:, [_NEWEST, _CHANGED, _STIRRED, _LAST_STOOD]] = -np.inf
     memory[:, [_THEN, _BEFORE, _LAG, _ASKED]] = np.nan
@@ -116,13 +108,7 @@ def new_bus(servos: int) -> FloatArray:
 
 
 def last_change_s(memory: FloatArray) -> float:
-    """When any reading of a bus changed last [s].
-
-    Examples
-    --------
-    >>> last_change_s(new_bus(2))
-    -inf
-    """
+    """When any reading of a bus changed last [s]."""
     return float(memory[:, _CHANGED].max())
 
 
@@ -257,13 +243,7 @@ class Rows(NamedTuple):
 
 
 def moved(position_deg: FloatArray) -> FloatArray:
-    """By how much each reading differs from the one before [deg], the first by infinity.
-
-    Examples
-    --------
-    >>> moved(np.array([1.0, 1.0, 3.0]))
-    array([inf,  0.,  2.])
-    """
+    """By how much each reading differs from the one before [deg], the first by infinity."""
     moved_deg = np.full(position_deg.size, np.inf)
     moved_deg[1:] = np.abs(position_deg[1:] - position_deg[:-1])
     return moved_deg
@@ -279,13 +259,7 @@ def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
 
 
 def is_young(age_s: ArrayLike, repeats: ArrayLike) -> BoolArray:
-    """Whether values that repeat for so long [s], in so many rows, may be a late bus's or a logger's.
-
-    Examples
-    --------
-    >>> is_young([0.2, 0.3, 0.4], [10, 10, 4])
-    array([ True, False,  True])
-    """
+    """Whether values that repeat for so long [s], in so many rows, may be a late bus's or a logger's."""
     age_s, repeats = np.asarray(age_s), np.asarray(repeats)
     young: BoolArray = (age_s < WAIT_S - TINY_DEG) | ((repeats <= _ROWS_WAITED) & (age_s < _SLOW_WAIT_S - TINY_DEG))
     return young
@@ -442,7 +416,8 @@ def _spikes(rows: Rows, why: Marks) -> int:
         is_open = back > last
         if (is_open and until <= last) or not (is_open or _is_thrown(times, deg, k, back)):
             continue
-        back, bend_deg = min(back, last), _bend_before_deg(rows, k)
+        back = min(back, last)
+        bend_deg = float(np.median(np.abs(np.diff(position_deg[max(k - _BEFORE_ROWS, 0) : k], 2))))
         if size_deg <= _OF_NOISE * bend_deg or _was_asked(rows, k, back, size_deg):
             continue
         if size_deg <= _OUT_OF_NOISE * bend_deg:
@@ -483,11 +458,6 @@ def _is_thrown(times: list[float], deg: list[float], first: int, back: int) -> b
     size_deg = deg[first] - deg[first - 1]
     thrown_deg = min(apart_deg) if size_deg > 0.0 else -max(apart_deg)
     return thrown_deg >= _ASKED_FOR * abs(size_deg)
-
-
-def _bend_before_deg(rows: Rows, first: int) -> float:
-    """Median second difference of the readings before an excursion."""
-    return float(np.median(np.abs(np.diff(rows.position_deg[max(first - _BEFORE_ROWS, 0) : first], 2))))
 
 
 def _was_asked(rows: Rows, first: int, back: int, size_deg: float) -> bool:
@@ -630,55 +600,3 @@ def refresh_of(time_s: FloatArray, position_deg: FloatArray) -> float:
     if np.mean(np.abs(ratio - np.maximum(np.round(ratio), 1.0)) < _ON_TIME) < _REGULAR:
         return 0.0
     return float(np.median(apart) * np.median(np.diff(time_s)))
-
-
-class Reported(NamedTuple):
-    """What a log says of one servo, as `bus_stands` takes it."""
-
-    time_s: FloatArray
-    position_deg: FloatArray
-    command_s: FloatArray
-    command_deg: FloatArray
-    other: Marks
-
-
-def bus_stands(servos: Sequence[Reported]) -> list[Marks]:
-    """What `standing` says of each row of each servo, shape (n,); every row has a value.
-
-    Examples
-    --------
-    >>> time_s = np.arange(0.0, 5.0, 0.02)
-    >>> frozen = (time_s > 3.0) & (time_s < 3.5)
-    >>> def servo(phase):
-    ...     position_deg = 9.0 * np.sin(2.0 * time_s + phase)
-    ...     position_deg[frozen] = position_deg[150]
-    ...     none = np.full(time_s.size, -1, dtype=np.int8)
-    ...     return Reported(time_s, position_deg, time_s, 9.0 * np.sin(2.0 * time_s + phase + 0.1), none)
-    >>> rows, _ = bus_stands([servo(0.0), servo(1.0)])
-    >>> float(time_s[rows == 1].min()) < 3.2, float(time_s[rows == 1].max())
-    (True, 3.62)
-    """
-    sizes = [servo.time_s.size for servo in servos]
-    result = [np.zeros(size, dtype=np.int8) for size in sizes]
-    if not sum(sizes):
-        return result
-    time_s = np.concatenate([servo.time_s for servo in servos])
-    order = np.argsort(time_s, kind="stable")
-    who = np.repeat(np.arange(len(servos)), sizes)[order]
-    moved_deg = np.concatenate([moved(servo.position_deg) for servo in servos])[order]
-    asked = [
-        latest(servo.command_s, servo.command_deg, servo.time_s)
-        if servo.command_s.size
-        else np.zeros(servo.time_s.size)
-        for servo in servos
-    ]
-    other = np.concatenate([servo.other for servo in servos])[order]
-    stands = np.zeros(time_s.size, dtype=np.int8)
-    standing(new_bus(len(servos)), who, time_s[order], moved_deg, np.concatenate(asked)[order], other, stands)
-    # A bus that is known to stand has stood since a reading changed last, however late that shows.
-    changed = np.maximum.accumulate(np.where(moved_deg > 0.0, np.arange(time_s.size), -1))
-    for k in np.flatnonzero((stands[1:] == 1) & (stands[:-1] != 1)).tolist():
-        stands[changed[k] + 1 : k + 1] = 1
-    for k, each in enumerate(result):
-        each[:] = stands[who == k]
-    return result

@@ -102,13 +102,7 @@ class LoggedOutput:
 
     @property
     def slope_deg_per_us(self) -> float:
-        """Angle per pulse width by the firmware's own formula, mean of both sides [deg/us].
-
-        Examples
-        --------
-        >>> LoggedOutput(1, 4, trim_us=1500.0, min_us=1100.0, max_us=1900.0).slope_deg_per_us
-        0.1125
-        """
+        """Angle per pulse width by the firmware's own formula, mean of both sides [deg/us]."""
         span_us = max(self.max_us - self.min_us, 1.0)
         return 2.0 * FULL_TRAVEL_DEG / span_us
 
@@ -124,13 +118,7 @@ class LoggedOutput:
 
 
 def outputs_of(parameters: Mapping[str, float]) -> dict[int, LoggedOutput]:
-    """Servo outputs that a log's parameters describe, by number.
-
-    Examples
-    --------
-    >>> outputs_of({"SERVO2_FUNCTION": 19.0, "SERVO2_TRIM": 1480.0})[2].trim_us
-    1480.0
-    """
+    """Servo outputs that a log's parameters describe, by number."""
     outputs = {}
     for number in range(1, 33):
         function = parameters.get(f"SERVO{number}_FUNCTION")
@@ -167,28 +155,20 @@ def named_outputs(outputs: Mapping[int, LoggedOutput], numbers: list[int]) -> di
 
 
 def is_numbered(name: str) -> bool:
-    """Whether a surface is called by its output alone, because nothing says what that turns.
-
-    Examples
-    --------
-    >>> is_numbered("servo_2"), is_numbered("aileron_2")
-    (True, False)
-    """
+    """Whether a surface is called by its output alone, because nothing says what that turns."""
     return name.startswith(f"{_NUMBERED}_")
 
 
+_NAMED_VALUES = r"(?:NVF|NVAL|(?:.*:)?NAMED_VALUE_FLOAT|debug_key_value\[\d+\])"
 _POSITION_PATTERNS = (
     # pattern of the channel's name, field with the command beside it, fields that a living telemetry changes
     (re.compile(r"CSRV\[(\d+)\]\.Pos"), "PosCmd", ("V", "A", "MotT", "PCBT", "Force", "Speed")),
     (re.compile(r"VOLZ\[(\d+)\]\.ang"), "Dang", ("pc", "sc", "pv", "sv", "mt", "pt")),
     (re.compile(r"CVOL\[(\d+)\]\.Pos"), "", ("Cur", "V", "T")),
     (re.compile(r"UMSV\[(\d+)\]\.Pos"), "", ("Curr", "Temp")),
-    (re.compile(r"(?:NVF|NVAL)\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.Value"), "", ()),
-    (re.compile(r"(?:.*:)?NAMED_VALUE_FLOAT\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.value"), "", ()),
+    (re.compile(rf"{_NAMED_VALUES}\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.[vV]alue"), "", ()),
     (re.compile(r"SFD\[(\d+)\]\.Pos"), "Cmd", ()),
-    (re.compile(r"debug_key_value\[\d+\]\[(?:SRVP|UMPOS_|SERVO|POS)_?(\d+)\]\.value"), "", ()),
-    (re.compile(r"debug_array\[\d+\](?:\[SRVP\])?\.data\[(\d+)\]"), "", ()),
-    (re.compile(r"(?:.*:)?DEBUG_FLOAT_ARRAY(?:\[\d+\])?\.data\[(\d+)\]"), "", ()),
+    (re.compile(r"(?:debug_array|(?:.*:)?DEBUG_FLOAT_ARRAY)(?:\[\d+\])?(?:\[SRVP\])?\.data\[(\d+)\]"), "", ()),
     (re.compile(r"(?:(?:.*:)?DEBUG_VECT|debug_vect\[\d+\])\[SRVP_?(\d*)\]\.([xyz])"), "", ()),
 )
 _ARRAY_ORIGIN = re.compile(r"DEBUG_FLOAT_ARRAY\[SRVP\]\.data\[\d+\]")
@@ -294,13 +274,7 @@ def _first_output(log: FlightLog, members: list[Position]) -> int:
 
 
 def counts_from_1(parameters: Mapping[str, float], ids: Collection[int]) -> bool:
-    """Whether a DroneCAN bus numbers these servos from 1, by the bit masks of its drivers.
-
-    Examples
-    --------
-    >>> counts_from_1({"CAN_D1_UC_SRV_BM": 6.0}, [2, 3]), counts_from_1({"CAN_D1_UC_SRV_BM": 6.0}, [1, 2])
-    (True, False)
-    """
+    """Whether a DroneCAN bus numbers these servos from 1, by the bit masks of its drivers."""
     mask = 0
     for name, value in parameters.items():
         if re.fullmatch(r"CAN_D\d_UC_SRV_BM", name) and math.isfinite(value):
@@ -310,11 +284,11 @@ def counts_from_1(parameters: Mapping[str, float], ids: Collection[int]) -> bool
 
 def _agreement(log: FlightLog, members: list[Position], base: int) -> float:
     """Mean correlation of positions with the pulses of the outputs that this base gives them."""
-    values = []
-    for position in members:
-        pulses = pulse_channel(log.channels, position.id + base)
-        if pulses:
-            values.append(_correlation(log[pulses], log[position.channel]))
+    values = [
+        _correlation(log[pulses], log[position.channel])
+        for position in members
+        if (pulses := pulse_channel(log.channels, position.id + base))
+    ]
     return float(np.mean(values)) if values else -1.0
 
 
@@ -356,7 +330,7 @@ def pulse_channel(channels: Mapping[str, object], number: int) -> str:
     return next((name for name in names if name in channels), "")
 
 
-_HALF_TRAVEL_US = 500.0
+HALF_TRAVEL_US = 500.0
 """Pulses of 1000 to 2000 us are what an autopilot that speaks of -1 to 1 sends by default."""
 _OUTPUTS_OF_A_MESSAGE = 16
 """SERVO_OUTPUT_RAW of MAVLink 2 holds so many; a second message holds the next ones."""
@@ -394,13 +368,7 @@ def streamed(aircraft: Aircraft, *, has_card: bool = False) -> Aircraft:
 
 
 def of_other_messages(names: Sequence[str]) -> str:
-    """Say what a calibration on other messages is worth for these surfaces; nothing if there are none.
-
-    Examples
-    --------
-    >>> of_other_messages(["rudder"])[:73]
-    'rudder: calibrated on other messages than these, which have delays of the'
-    """
+    """Say what a calibration on other messages is worth for these surfaces; nothing if there are none."""
     if not names:
         return ""
     return (
@@ -457,32 +425,25 @@ def _of_table(log: FlightLog, name: str, surface: Surface) -> Surface:
 
 
 def _command(log: FlightLog, known: Calibration, number: int, pair: Pair | None) -> Calibration | None:
-    """The same command in the words of a log: as pulses if it has them, else as the autopilot gives it."""
-    channel = pulse_channel(log.channels, pair.output.number if pair is not None else number)
-    if isinstance(known, PulseCalibration):
-        if not channel:
-            return None
-        if log[channel].unit in ("us", "") and "actuator_servos" not in channel:
-            return known.model_copy(update={"channel": channel})
-        if known.slope_deg_per_us is None:
-            return None
-        return NormCalibration(
-            channel=channel,
-            unit="norm",
-            sign=known.sign,
-            correction=known.correction,
-            trim=(known.trim_us - LoggedOutput(number).trim_us) / _HALF_TRAVEL_US,
-            slope_deg=known.slope_deg_per_us * _HALF_TRAVEL_US,
-        )
-    return _angle(log, known, number, pair) if isinstance(known, DegreeCalibration) else None
-
-
-def _angle(log: FlightLog, known: DegreeCalibration, number: int, pair: Pair | None) -> Calibration | None:
-    """A command in degrees: as the servo repeats it, or as the pulse that asks for it."""
-    if pair is not None and pair.command == pair.position.command:
+    """The same command in the words of a log: in degrees as the servo repeats it, as pulses, or as -1 to 1."""
+    if isinstance(known, DegreeCalibration) and pair is not None and pair.command == pair.position.command:
         return known.model_copy(update={"channel": pair.command})
-    pulse = _pulse(known)
-    return _command(log, pulse, number, pair) if pulse is not None else None
+    pulse = _pulse(known) if isinstance(known, DegreeCalibration) else known
+    channel = pulse_channel(log.channels, pair.output.number if pair is not None else number)
+    if not isinstance(pulse, PulseCalibration) or not channel:
+        return None
+    if log[channel].unit in ("us", "") and "actuator_servos" not in channel:
+        return pulse.model_copy(update={"channel": channel})
+    if pulse.slope_deg_per_us is None:
+        return None
+    return NormCalibration(
+        channel=channel,
+        unit="norm",
+        sign=pulse.sign,
+        correction=pulse.correction,
+        trim=(pulse.trim_us - LoggedOutput(number).trim_us) / HALF_TRAVEL_US,
+        slope_deg=pulse.slope_deg_per_us * HALF_TRAVEL_US,
+    )
 
 
 def _pulse(known: DegreeCalibration) -> PulseCalibration | None:

@@ -86,7 +86,10 @@ def link_period_s(time_s: FloatArray) -> float | None:
     single = steps_s <= _WHOLE * float(np.percentile(steps_s, _SHORTEST))  # nothing was lost in between
     period_s = float(np.median(steps_s[single]))
     lasts = all(np.mean(half) >= _SINGLE for half in np.array_split(single, 2))
-    if not (lasts and period_s <= _BRIDGED_S and _is_steady(steps_s, period_s)):
+    if not (lasts and 0.0 < period_s <= _BRIDGED_S):
+        return None
+    periods = steps_s / period_s
+    if np.mean(np.abs(periods - np.maximum(np.round(periods), 1.0)) <= _WHOLE_PERIODS) < _STEADY:
         return None
     return period_s / max(int(np.ceil(period_s / _FRAME_S - _NEARLY)), 1)
 
@@ -96,15 +99,6 @@ def _unbroken(time_s: FloatArray) -> FloatArray:
     steps_s = np.diff(time_s)
     steps_s = steps_s[steps_s <= OUTAGE_S]
     return steps_s if steps_s.size >= _FEWEST_STEPS else steps_s[:0]
-
-
-def _is_steady(steps_s: FloatArray, period_s: float) -> bool:
-    """Whether most intervals between commands are whole numbers of periods."""
-    if not period_s > 0.0 or not steps_s.size:
-        return False
-    periods = steps_s / period_s
-    whole = np.abs(periods - np.maximum(np.round(periods), 1.0)) <= _WHOLE_PERIODS
-    return bool(np.mean(whole) >= _STEADY)
 
 
 _FRAME_S: Final = 0.02

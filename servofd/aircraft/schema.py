@@ -11,11 +11,11 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from servofd.aircraft.axes import MotionModel
 from servofd.aircraft.calibrated import CalibratedServo
-from servofd.aircraft.calibration import Calibration, DegreeCalibration
+from servofd.aircraft.calibration import Calibration, DegreeCalibration, Entry
 from servofd.aircraft.current import CalibratedCurrent, CurrentSource
 from servofd.core.errors import ConfigError, DesignError, ServofdError, UnknownName, suggest
 from servofd.core.evidence import ModelOrigin
@@ -37,11 +37,7 @@ _Share = Annotated[float, Field(ge=0.0, lt=1.0, strict=True)]
 """Type of a share of an aircraft file."""
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Limits(_Entry):
+class Limits(Entry):
     """Limits of what `servofd trend` follows; what is left out follows from the surface's tolerances."""
 
     dead_band_deg: _Positive = 2.0
@@ -83,7 +79,7 @@ Sigmas = Annotated[float, Field(ge=1.0, le=100.0, strict=True)]
 """How many standard deviations of noise a threshold leaves free."""
 
 
-class Table(_Entry):
+class Table(Entry):
     """How to read a CSV file that does not use servofd's own column names."""
 
     columns: tuple[str, ...] = ()
@@ -98,7 +94,7 @@ class Table(_Entry):
     """Keep only rows in which these columns hold these texts."""
 
 
-class Swap(_Entry):
+class Swap(Entry):
     """A servo was replaced."""
 
     date: datetime.date
@@ -107,7 +103,7 @@ class Swap(_Entry):
     """Serial number of the servo that was taken out."""
 
 
-class Surface(_Entry):
+class Surface(Entry):
     """One control surface and the servo that turns it."""
 
     servo: str = UNKNOWN_SERVO
@@ -162,13 +158,7 @@ class Surface(_Entry):
 
     @property
     def tolerances(self) -> Tolerance:
-        """Those of the file; else those for which the constant threshold is right.
-
-        Examples
-        --------
-        >>> plain_aircraft(["rudder"]).surfaces["rudder"].tolerances.gain
-        0.03
-        """
+        """Those of the file; else those for which the constant threshold is right."""
         return self.tolerance or Tolerance().scaled(max(1.0, self.threshold_deg / DEFAULT_THRESHOLD_DEG))
 
     @property
@@ -185,15 +175,16 @@ class Surface(_Entry):
     @property
     def watched_channel(self) -> str:
         """Channel by which a monitor watches it: of its position, else of its current; empty if there is neither."""
-        if self.measured is not None:
-            return self.measured.channel
-        return self.current.channel if self.healthy_current is not None and self.current is not None else ""
+        return self._current_channel if self.measured is None else self.measured.channel
 
     @property
     def beside_channel(self) -> str:
         """Channel of the current by which a monitor watches it beside its position; empty if there is none."""
-        is_known = self.measured is not None and self.healthy_current is not None and self.current is not None
-        return self.current.channel if is_known and self.current is not None else ""
+        return self._current_channel if self.measured is not None else ""
+
+    @property
+    def _current_channel(self) -> str:
+        return self.current.channel if self.healthy_current is not None and self.current is not None else ""
 
     @property
     def names_servo(self) -> bool:
@@ -225,7 +216,7 @@ class Surface(_Entry):
         return self
 
 
-class Aircraft(_Entry):
+class Aircraft(Entry):
     """An aircraft: its surfaces, and the servos that are not in the library."""
 
     name: str = ""
@@ -266,10 +257,7 @@ class Aircraft(_Entry):
     def servo(self, surface: str) -> Servo:
         """Servo of a surface; the aircraft's own definitions come before the library's.
 
-        Raises
-        ------
-        ConfigError
-            If it is not named.
+        Raises `ConfigError` if it is not named.
         """
         name = self.surfaces[surface].servo
         if name == UNKNOWN_SERVO:
@@ -277,13 +265,7 @@ class Aircraft(_Entry):
         return self.servos[name] if name in self.servos else library()[name]
 
     def check_names(self, surfaces: Iterable[str], where: str = "") -> None:
-        """Refuse names of surfaces that the aircraft does not have.
-
-        Raises
-        ------
-        UnknownName
-            For the first of them; the message begins with `where`.
-        """
+        """Refuse names of surfaces that the aircraft does not have: `UnknownName`, which begins with `where`."""
         for name in surfaces:
             if name not in self.surfaces:
                 raise UnknownName(f"{where}: " * bool(where) + suggest("surface", name, self.surfaces))
@@ -292,14 +274,8 @@ class Aircraft(_Entry):
         """Return the same aircraft with one servo on every surface: one of the library, or of a servo file.
 
         A file that ``servofd explain --save`` wrote gives each surface its servo, effects and thresholds: that of one
-        surface to all, those of several to their namesakes.
-
-        Raises
-        ------
-        UnknownName
-            If the library has no such servo.
-        ConfigError
-            If the file does not describe one, or none of these surfaces.
+        surface to all, those of several to their namesakes. Raises `UnknownName` if the library has no such servo, and
+        `ConfigError` if the file does not describe one, or none of these surfaces.
 
         Examples
         --------
@@ -344,15 +320,7 @@ class Aircraft(_Entry):
     def model(self, surface: str) -> ServoModel:
         """Healthy model of a surface: its servo, the stops of its linkage, and its effects.
 
-        Raises
-        ------
-        DesignError
-            If it has effects, and a servo with zeros or more than three poles, which no kernel can give them.
-
-        Examples
-        --------
-        >>> plain_aircraft(["elevator"], "hs225bb-eq31").model("elevator").delay_s
-        0.004
+        Raises `DesignError` if it has effects, and a servo with zeros or more than three poles, which none can have.
         """
         model = ServoModel.of(self.servo(surface))
         entry = self.surfaces[surface]
@@ -371,13 +339,7 @@ _LEVELS = ("threshold", "threshold_deg", "tolerance", "suspicions")
 
 
 def explained_in(name: str) -> Aircraft | None:
-    """Aircraft of a file that says which servo turns which surface; None for a servo file or one of the library.
-
-    Examples
-    --------
-    >>> explained_in("s9254") is None
-    True
-    """
+    """Aircraft of a file that says which servo turns which surface; None for a servo file or one of the library."""
     if not name.endswith(".toml") or "surfaces" not in read_toml(Path(name), name, "servo file"):
         return None
     return load_aircraft(name)
@@ -387,23 +349,13 @@ def check_servo(name: str) -> None:
     """Refuse what ``--servo`` cannot take.
 
     Raises `ConfigError` if it is neither in the library nor a file that describes a servo.
-
-    Examples
-    --------
-    >>> check_servo("s9254")
     """
     if explained_in(name) is None:
         find_servo(name)
 
 
 def plain_channels(surface: str) -> tuple[str, str]:
-    """Columns of a plain table that hold command and position of a surface.
-
-    Examples
-    --------
-    >>> plain_channels("rudder")
-    ('rudder_cmd_deg', 'rudder_pos_deg')
-    """
+    """Columns of a plain table that hold command and position of a surface."""
     return f"{surface}_cmd_deg", f"{surface}_pos_deg"
 
 
@@ -434,11 +386,8 @@ def plain_aircraft(surfaces: Iterable[str], servo: str = UNKNOWN_SERVO) -> Aircr
 def load_aircraft(path: str | Path) -> Aircraft:
     """Read an aircraft file, or one of those that come with servofd by its bare name.
 
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read, is not TOML, or does not describe an aircraft; the message names the file,
-        the key, and what would have worked.
+    Raises `ConfigError` if the file cannot be read, is not TOML, or does not describe an aircraft; the message names
+    the file, the key, and what would have worked.
 
     Examples
     --------

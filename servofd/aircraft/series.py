@@ -19,23 +19,21 @@ from logparsers.records import Channel, FlightLog, own
 from servofd.aircraft.marks import (
     LAST_WITH_VALUE,
     NO_OTHERS,
-    Reported,
     Rows,
     Why,
-    bus_stands,
     is_mostly_echo,
     marked,
     refresh_of,
     unanswered,
 )
 from servofd.aircraft.pace import OUTAGE_S, WARM_UP_STEPS, link_period_s, pace_steps
+from servofd.aircraft.watch import Bus, New
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import latest, stretches
 from servofd.core.types import BoolArray, FloatArray, Marks
 from servofd.servo.context import NO_CONTEXT, Context
 
 if TYPE_CHECKING:
-    from servofd.aircraft.calibration import Calibration
     from servofd.aircraft.schema import Aircraft, Surface
 
 FINEST_S: Final = 0.01
@@ -96,22 +94,9 @@ class LeftOut(NamedTuple):
 class Series:
     """Command and measured deflection of one surface over one log.
 
-    Parameters
-    ----------
-    surface : str
-        Name of the surface.
-    command_s, command_deg : ndarray, shape (n,)
-        When each command was logged [s], rising, and what it asked for [deg], as the servo receives it.
-    measured_s, measured_deg : ndarray, shape (m,)
-        When the deflection was measured [s], rising, and what it was [deg]; NaN where it was not.
-    command_period_s : float or None
-        If given, the log holds fewer commands than the servo received (one every `command_period_s`), and the
-        command is taken to run straight between them. None: every command is in the log and holds until the next.
-
-    Examples
-    --------
-    >>> Series("rudder", np.arange(3.0), np.zeros(3), np.arange(3.0), np.zeros(3)).duration_s
-    2.0
+    `command_s`, `command_deg` (shape (n,)): when each command was logged [s], rising, and what it asked for [deg], as
+    the servo receives it. `measured_s`, `measured_deg` (shape (m,)): when the deflection was measured [s], rising, and
+    what it was [deg]; NaN where it was not.
     """
 
     surface: str
@@ -120,6 +105,8 @@ class Series:
     measured_s: FloatArray
     measured_deg: FloatArray
     command_period_s: float | None = None
+    """If given, the log holds fewer commands than the servo received, one in so long [s], and the command is taken to
+    run straight between them. None: every command is in the log and holds until the next."""
     why: Marks = field(default_factory=lambda: np.zeros(0, dtype=np.int8))
     """Why each measurement does not count, a `Why`, shape (m,). Left out: none is marked."""
     context: Context = NO_CONTEXT
@@ -211,14 +198,7 @@ class Series:
         )
 
     def at(self, rows: BoolArray | slice, commands: BoolArray | slice = slice(None)) -> Series:
-        """The same surface in some of its measurements and commands.
-
-        Examples
-        --------
-        >>> t = np.arange(5.0)
-        >>> Series("x", t, t, t, t).at(t > 2.0).measured_s
-        array([3., 4.])
-        """
+        """The same surface in some of its measurements and commands."""
         return replace(
             self,
             command_s=self.command_s[commands],
@@ -229,28 +209,14 @@ class Series:
         )
 
     def coarser(self, finest_s: float = FINEST_S) -> Series:
-        """The same surface with one measurement in so long at most [s]; those that do not count stay, with the reason.
-
-        Examples
-        --------
-        >>> t = np.arange(100) / 1000.0
-        >>> Series("x", t, t, t, t).coarser().measured_s.size
-        10
-        """
+        """The same surface with one measurement in so long at most [s]; those that do not count stay."""
         if not self.period_s < finest_s:
             return self
         counts = np.isfinite(self.measured_deg)
         return self.at(~counts | (np.cumsum(counts) % max(round(finest_s / self.period_s), 1) == 0))
 
     def with_commands(self, gain: float, offset_deg: float) -> Series:
-        """The same surface with a command that was read in another scale.
-
-        Examples
-        --------
-        >>> t = np.arange(3.0)
-        >>> Series("x", t, t, t, t).with_commands(-2.0, 1.0).command_deg
-        array([ 1., -1., -3.])
-        """
+        """The same surface with a command that was read in another scale."""
         return replace(self, command_deg=gain * self.command_deg + offset_deg)
 
     @property
@@ -329,14 +295,7 @@ def settled_from_s(
 def is_unsettled(
     commands: tuple[FloatArray, FloatArray], measured_s: FloatArray, measured_deg: FloatArray, at_s: FloatArray
 ) -> BoolArray:
-    """Whether instants are so early that what moved the servo before is not known, of shape (n,).
-
-    Examples
-    --------
-    >>> t = np.arange(5.0)
-    >>> is_unsettled((t + 0.5, t), t, 20.0 * t, t)
-    array([ True,  True, False, False, False])
-    """
+    """Whether instants are so early that what moved the servo before is not known, of shape (n,)."""
     begun_s = max(float(commands[0][0]), float(measured_s[0]))
     early: BoolArray = at_s < settled_from_s(begun_s, commands, measured_s, measured_deg)
     return early
@@ -349,33 +308,18 @@ def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, Marks]:
         if surface.measured is None or surface.measured.channel not in log.channels:
             continue
         measured = log[surface.measured.channel]
-        reading = replace(measured, values=_uncorrected(surface.measured).to_deg(measured.values))
-        known = np.isfinite(reading.values)
-        commands = _commands(log, surface.command)
+        known = np.isfinite(surface.measured.plain_deg(measured.values))
         if known.any() and not measured.is_constant:
-            others = _others(log, surface.alive, reading)
-            reported[name] = Reported(reading.time_s[known], reading.values[known], *commands, others)
-    return dict(zip(reported, bus_stands(list(reported.values())), strict=True))
+            reported[name] = _reported(log, surface, measured, known)
+    return Bus(list(reported)).take(reported, is_all=True)
 
 
 def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] | None = None) -> Series:
     """Take one surface out of a log, in degrees, and mark what does not count.
 
-    Parameters
-    ----------
-    log : FlightLog
-        What was recorded.
-    name : str
-        Name of the surface.
-    aircraft : Aircraft
-        Channels and calibrations of this surface, and of the others, which tell whether the bus stood still.
-    bus : mapping, optional
-        What `bus_of` says, for whoever takes several surfaces.
-
-    Raises
-    ------
-    NoMeasurement
-        If the log does not tell where the surface was, or what was asked of it; the message is the reason.
+    `aircraft`: of this surface, and of the others, which tell whether the bus stood still. `bus`: what `bus_of` says,
+    for whoever takes several surfaces. Raises `NoMeasurement` if the log does not tell where the surface was, or what
+    was asked of it; the message is the reason.
 
     Examples
     --------
@@ -392,11 +336,8 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
     measured = channel_of(log, surface.measured.channel, "position")
     if measured.is_constant:
         values = measured.values[np.isfinite(measured.values)]
-        if values.size == 1:
-            raise NoMeasurement(f"position channel {measured.name!r} holds a single value: not a measurement")
-        raise NoMeasurement(
-            f"position channel {measured.name!r} never changes (always {values[0]:g}): not a measurement"
-        )
+        has = "holds a single value" if values.size == 1 else f"never changes (always {values[0]:g})"
+        raise NoMeasurement(f"position channel {measured.name!r} {has}: not a measurement")
     command_s, command_deg = asked(surface, command)
     measured_deg = surface.measured.to_deg(measured.values)
     for channel, values_deg in ((command, command_deg), (measured, measured_deg)):
@@ -405,12 +346,12 @@ def cut(log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks] 
             raise NoMeasurement(
                 f"channel {channel.name!r} reaches {largest_deg:.3g} deg: check its unit and calibration"
             )
-    reading_deg = _uncorrected(surface.measured).to_deg(measured.values)
     stands = (bus if bus is not None else bus_of(log, aircraft)).get(name)
-    rows, why, never_sent = _marks(log, name, surface, replace(measured, values=reading_deg), stands)
-    if is_mostly_echo(rows, why[np.isfinite(reading_deg)]):
+    known = np.isfinite(measured_deg)
+    rows, why, never_sent = _marks(log, name, surface, measured, known, stands)
+    if is_mostly_echo(rows, why[known]):
         raise NoMeasurement("position equals command in every sample: an echo of the command, not a measurement")
-    if np.count_nonzero((why <= LAST_WITH_VALUE) & np.isfinite(measured_deg)) < 2:
+    if np.count_nonzero((why <= LAST_WITH_VALUE) & known) < 2:
         frozen = bool(np.any(why == Why.FROZEN))
         raise NoMeasurement(_STANDS_STILL if frozen else "no position counts: " + _reasons(why))
     sent_s = link_period_s(command_s[: WARM_UP_STEPS + 1]) if is_streamed(log.format, command.name) else None
@@ -454,19 +395,16 @@ def _reasons(why: Marks) -> str:
 
 
 def _marks(
-    log: FlightLog, name: str, surface: Surface, measured: Channel, stands: Marks | None
+    log: FlightLog, name: str, surface: Surface, measured: Channel, known: BoolArray, stands: Marks | None
 ) -> tuple[Rows, Marks, BoolArray]:
     """Rows with a value, why each row of the log does not count, and commands that were never sent."""
-    known = np.isfinite(measured.values)
     time_s = measured.time_s
-    command_s, command_deg = _commands(log, surface.command)
-    others = _others(log, surface.alive, measured)
-    stands = np.zeros(others.size, dtype=np.int8) if stands is None else stands
-    position_deg = measured.values[known]
-    rows = Rows(time_s[known], position_deg, latest(command_s, command_deg, time_s[known]), others, stands)
+    command_s, command_deg, read_s, read_deg, others = _reported(log, surface, measured, known)
+    stands = np.zeros(read_s.size, dtype=np.int8) if stands is None else stands
+    rows = Rows(read_s, read_deg, latest(command_s, command_deg, read_s), others, stands)
     never_sent = unanswered(command_s, command_deg, rows)
-    asked_deg = latest(command_s[~never_sent], command_deg[~never_sent], rows.time_s)
-    rows = rows._replace(asked_deg=asked_deg, refresh_s=refresh_of(rows.time_s, position_deg))
+    asked_deg = latest(command_s[~never_sent], command_deg[~never_sent], read_s)
+    rows = rows._replace(asked_deg=asked_deg, refresh_s=refresh_of(read_s, read_deg))
     why = np.full(time_s.size, Why.MISSING, dtype=np.int8)
     why[known], _ = marked(rows)
     last = np.searchsorted(command_s, time_s, side="right") - 1
@@ -481,29 +419,18 @@ def _marks(
     return rows, why, never_sent
 
 
-def _commands(log: FlightLog, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
-    """Times [s] and values [deg] of commands, without what was fitted to make them those of the position."""
-    if calibration.channel not in log.channels:
-        return np.zeros(0), np.zeros(0)
-    channel = log[calibration.channel]
-    command_deg = _uncorrected(calibration).to_deg(channel.values)
-    given = np.isfinite(command_deg)
-    return channel.time_s[given], command_deg[given]
-
-
-def _uncorrected(calibration: Calibration) -> Calibration:
-    return calibration.model_copy(update={"correction": (1.0, 0.0)})
-
-
-def _others(log: FlightLog, alive: Sequence[str], measured: Channel) -> Marks:
-    """Whether other values of the same telemetry changed with each row that has a position: 1, 0, or -1 without any."""
-    known = np.isfinite(measured.values)
-    beside = [log[each] for each in alive if each in log.channels]
+def _reported(log: FlightLog, surface: Surface, measured: Channel, known: BoolArray) -> New:
+    """What a log holds of a surface, and whether other values of its telemetry changed with each position."""
+    nothing = np.zeros(0)
+    channel = log[surface.command.channel] if surface.command.channel in log.channels else None
+    commands = (nothing, nothing) if channel is None else (channel.time_s, channel.values)
+    new = New.of(surface, commands, (measured.time_s, measured.values))
+    beside = [log[each] for each in surface.alive if each in log.channels]
     values = [each.values[known] for each in beside if np.array_equal(each.time_s, measured.time_s)]
     if not values:
-        return np.full(int(np.count_nonzero(known)), NO_OTHERS, dtype=np.int8)
+        return new._replace(other=np.full(new.time_s.size, NO_OTHERS, dtype=np.int8))
     same = [(each[1:] == each[:-1]) | (np.isnan(each[1:]) & np.isnan(each[:-1])) for each in values]
-    return np.append(np.int8(1), ~np.all(same, axis=0)).astype(np.int8)
+    return new._replace(other=np.append(np.int8(1), ~np.all(same, axis=0)).astype(np.int8))
 
 
 def _without_torque(log: FlightLog, name: str, time_s: FloatArray) -> BoolArray:
@@ -529,13 +456,7 @@ def _of_another_boot(log: FlightLog, time_s: FloatArray) -> BoolArray:
 
 
 def is_streamed(log_format: str, channel: str) -> bool:
-    """Whether a channel came in messages of its own over a link.
-
-    Examples
-    --------
-    >>> is_streamed("tlog", "1/1:SERVO_OUTPUT_RAW.servo2_raw"), is_streamed("tlog", "RCOU.C2")
-    (True, False)
-    """
+    """Whether a channel came in messages of its own over a link."""
     name = channel.rpartition(":")[2].partition(".")[0].partition("[")[0]
     return log_format in ("tlog", "live") and name in dialect().layouts
 
@@ -564,14 +485,7 @@ stays so for so long [s]: slower than it can fly, faster than gusts on the groun
 
 
 def take_off_s(log: FlightLog) -> float | None:
-    """When an aircraft took off, by its airspeed [s]; None if the log does not tell, or begins in the air.
-
-    Examples
-    --------
-    >>> import logparsers
-    >>> take_off_s(logparsers.read("sample_logs/table_three_faults.csv")) is None
-    True
-    """
+    """When an aircraft took off, by its airspeed [s]; None if the log does not tell, or begins in the air."""
     time_s, airspeed_m_s = signal_of(log, SURROUNDINGS["airspeed_m_s"])
     moving = airspeed_m_s > _FLIES_M_S
     if not moving.any():

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servofd.aircraft.marks import (
     ASKED_DEG,
@@ -24,7 +25,7 @@ from servofd.aircraft.marks import (
     standing,
 )
 from servofd.core.series import latest
-from servofd.core.types import BoolArray, FloatArray
+from servofd.core.types import FloatArray, Marks
 
 if TYPE_CHECKING:
     from servofd.aircraft.schema import Surface
@@ -44,15 +45,15 @@ class New(NamedTuple):
     command_deg: FloatArray
     time_s: FloatArray
     position_deg: FloatArray
+    other: Marks = np.zeros(0, dtype=np.int8)
+    """Whether other values of its telemetry changed, as `standing` takes it; left out where there are none."""
 
     @staticmethod
     def of(surface: Surface, commands: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]) -> New:
         """The same of commands and positions as they were logged, each times [s] and values."""
-        command, measured = surface.command, surface.measured
-        asked_deg = (command.to_deg(commands[1]) - command.correction[1]) / command.correction[0]
-        read_deg = positions[1]
-        if measured is not None:
-            read_deg = (measured.to_deg(positions[1]) - measured.correction[1]) / measured.correction[0]
+        asked_deg, read_deg = surface.command.plain_deg(commands[1]), positions[1]
+        if surface.measured is not None:
+            read_deg = surface.measured.plain_deg(read_deg)
         given, known = np.isfinite(asked_deg), np.isfinite(read_deg)
         return New(commands[0][given], asked_deg[given], positions[0][known], read_deg[known])
 
@@ -68,30 +69,45 @@ class Bus:
         self.stood_s: list[tuple[float, float]] = []
         """From which last change of a reading until when it stood, each time in the rows that came last [s]."""
 
-    def take(self, new: dict[str, New]) -> dict[str, BoolArray]:
-        """Take what came of some surfaces; of each of their rows, whether the bus stood still then."""
+    def take(self, new: Mapping[str, New], *, is_all: bool = False) -> dict[str, Marks]:
+        """Take what came of some surfaces; of each of their rows, what `standing` says.
+
+        Of a whole log (`is_all`) a bus that is known to stand has stood since a reading changed last, however late that
+        shows.
+
+        Examples
+        --------
+        >>> time_s = np.arange(0.0, 5.0, 0.02)
+        >>> def servo(phase):
+        ...     asked_deg = 9.0 * np.sin(2.0 * time_s + phase)
+        ...     read_deg = np.where((time_s > 3.0) & (time_s < 3.5), asked_deg[150], asked_deg)
+        ...     return New(time_s, asked_deg, time_s, read_deg)
+        >>> rows = Bus(["a", "b"]).take({"a": servo(0.0), "b": servo(1.0)}, is_all=True)["a"]
+        >>> float(time_s[rows == 1].min()), float(time_s[rows == 1].max())
+        (3.02, 3.62)
+        """
         columns = [self._columns(name, each) for name, each in new.items()]
         if not columns:
             return {}
-        who, time_s, moved_deg, asked_deg = (np.concatenate(each) for each in zip(*columns, strict=True))
-        order = np.argsort(time_s, kind="stable")
-        stands = np.zeros(time_s.size, dtype=np.int8)
-        other = np.full(time_s.size, NO_OTHERS, dtype=np.int8)
-        changed_s = last_change_s(self._memory)
-        standing(self._memory, who[order], time_s[order], moved_deg[order], asked_deg[order], other, stands)
-        at_s, changes = time_s[order], moved_deg[order] != 0.0
+        unsorted = [np.concatenate(each) for each in zip(*columns, strict=True)]
+        order = np.argsort(unsorted[1], kind="stable")
+        who, time_s, moved_deg, asked_deg, other = (each[order] for each in unsorted)
+        changed_s, stands = last_change_s(self._memory), np.zeros(time_s.size, dtype=np.int8)
+        standing(self._memory, who, time_s, moved_deg, asked_deg, other, stands)
         stood = np.flatnonzero(stands)
         runs = np.split(stood, np.flatnonzero(np.diff(stood) > 1) + 1) if stood.size else []
         self.stood_s = [
-            (float(at_s[: run[0]][changes[: run[0]]].max(initial=changed_s)), float(at_s[run[-1]])) for run in runs
+            (float(time_s[: run[0]][moved_deg[: run[0]] != 0.0].max(initial=changed_s)), float(time_s[run[-1]]))
+            for run in runs
         ]
-        back = np.empty(stands.size, dtype=bool)
-        back[order] = stands > 0
-        sizes = [each.time_s.size for each in new.values()]
-        return dict(zip(new, np.split(back, np.cumsum(sizes)[:-1]), strict=True))
+        if is_all:
+            changed = np.maximum.accumulate(np.where(moved_deg > 0.0, np.arange(time_s.size), -1))
+            for k in np.flatnonzero((stands[1:] == 1) & (stands[:-1] != 1)).tolist():
+                stands[changed[k] + 1 : k + 1] = 1
+        return {name: stands[who == self._index[name]] for name in new}
 
-    def _columns(self, name: str, new: New) -> tuple[FloatArray, ...]:
-        """Number of the servo, time, motion and command of each new row."""
+    def _columns(self, name: str, new: New) -> tuple[NDArray[Any], ...]:
+        """Number of the servo, time, motion and command of each new row, and whether other values changed with it."""
         before = self._asked.get(name)
         command_s, command_deg = new.command_s, new.command_deg
         if before is not None:
@@ -103,14 +119,15 @@ class Bus:
         if new.time_s.size:
             moved_deg[0] = abs(new.position_deg[0] - self._read.get(name, np.inf))
             self._read[name] = float(new.position_deg[-1])
-        return np.full(new.time_s.size, self._index[name]), new.time_s, moved_deg, asked_deg
+        other = new.other if new.other.size else np.full(new.time_s.size, NO_OTHERS, dtype=np.int8)
+        return np.full(new.time_s.size, self._index[name]), new.time_s, moved_deg, asked_deg, other
 
 
 @dataclass(slots=True)
 class Watch:
     """What the marks leave of the positions of one surface, as they come."""
 
-    _rows: list[tuple[float, float, float, bool]] = field(default_factory=list)
+    _rows: list[tuple[float, float, float, int]] = field(default_factory=list)
     """Times [s], positions, commands [deg] and whether the bus stood still, of the last rows."""
     _values: list[float] = field(default_factory=list)
     """What is passed on of each."""
@@ -129,7 +146,7 @@ class Watch:
         position_deg: FloatArray,
         asked_deg: FloatArray,
         values: FloatArray | None = None,
-        stands: BoolArray | None = None,
+        stands: Marks | None = None,
     ) -> list[tuple[float, float]]:
         """Take rows, of shape (n,), and pass on those that are decided and count: their times [s] and `values`.
 
@@ -137,7 +154,7 @@ class Watch:
         `values`: what is passed on; positions if left out. `stands`: whether the bus stood still; never if left out.
         """
         passed: list[tuple[float, float]] = []
-        flags = stands.tolist() if stands is not None else [False] * time_s.size
+        flags = stands.tolist() if stands is not None else [0] * time_s.size
         columns = time_s.tolist(), position_deg.tolist(), asked_deg.tolist(), flags
         values_deg = (position_deg if values is None else values).tolist()
         for row, value in zip(zip(*columns, strict=True), values_deg, strict=True):
@@ -152,7 +169,7 @@ class Watch:
         """What still waited, at the end of the stream."""
         return self._decided(final=True) if self._waiting else []
 
-    def _next(self, row: tuple[float, float, float, bool], value: float) -> list[tuple[float, float]]:
+    def _next(self, row: tuple[float, float, float, int], value: float) -> list[tuple[float, float]]:
         """Take one row; pass it on at once if nothing about it is odd."""
         before = self._rows[-1] if self._rows else None
         self._rows.append(row)
@@ -170,7 +187,7 @@ class Watch:
             return []
         return [(row[0], value)]
 
-    def _follow(self, row: tuple[float, float, float, bool]) -> None:
+    def _follow(self, row: tuple[float, float, float, int]) -> None:
         """Look now and then how often readings are refreshed."""
         self._seen.append(row[:2])
         self._count += 1

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from logparsers.units import S_PER_HOUR
-from servofd.aircraft.axes import AxisModel, MotionModel, Regime, Spread
-from servofd.aircraft.axis_names import AXES, SURFACE_AXES
+from servofd.aircraft.axes import AXES, SURFACE_AXES, AxisModel, MotionModel, Regime, Spread
 from servofd.axes.model import (
+    DELAYS_S,
     FORMS,
     Filtered,
     Form,
@@ -45,8 +45,6 @@ _FAST_PER_RATE = 0.25
 """Of the corner that is tried where the autopilot answers gusts, so that slow motion tells less of its command."""
 _MOSTLY_EXPLAINED = 0.75
 """Share of the motion that the best form explains, below which the fast corner is tried."""
-_DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
-"""Delays between command and motion that are tried [s]."""
 _WINDOW_PER_CORNER = 1.0
 """Windows shorter than so many periods of the filter's corner hold no more than one ripple."""
 _WHITENINGS = (0, 2)
@@ -70,6 +68,11 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
 
     `flights`: healthy, of one aircraft and one rate of samples; the more days, the better.
     """
+
+    def again(others: Sequence[Motion], *left_out: str) -> MotionModel:
+        model = calibrate_motion(others, false_alarms_per_hour=false_alarms_per_hour)
+        return model.model_copy(update={"left_out": (*left_out, *model.left_out)})
+
     flights = [flight for flight in flights if flight.present.any()]
     if not flights:
         raise CalibrationError(
@@ -95,8 +98,7 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
             for f, long_s in zip(flights, steady_s, strict=True)
             if long_s < _LEAST_OF_A_FLIGHT_S
         )
-        model = calibrate_motion(kept, false_alarms_per_hour=false_alarms_per_hour)
-        return model.model_copy(update={"left_out": (*short, *model.left_out)})
+        return again(kept, *short)
     seconds = sum(steady_s)
     if seconds < _LEAST_SECONDS:
         raise CalibrationError(
@@ -105,7 +107,7 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
             "it differs from day to day"
         )
     if len(flights) == 1:  # each half is judged by the other
-        model = calibrate_motion(_halves(flights[0], usable[0]), false_alarms_per_hour=false_alarms_per_hour)
+        model = again(_halves(flights[0], usable[0]))
         of_one = {name: axis.model_copy(update={"flights": 1}) for name, axis in model.axes.items()}
         return model.model_copy(update={"flights": 1, "axes": of_one})
     groups = _groups(flights)
@@ -117,8 +119,7 @@ def calibrate_motion(flights: Sequence[Motion], *, false_alarms_per_hour: float 
     group, why = _another_aircraft(axes, groups, flights)
     if group:
         others = [f for f, of in zip(flights, groups, strict=True) if of != group]
-        model = calibrate_motion(others, false_alarms_per_hour=false_alarms_per_hour)
-        return model.model_copy(update={"left_out": (why, *model.left_out)})
+        return again(others, why)
     return MotionModel(
         rate_hz=round(flights[0].rate_hz, 6),
         reference_m_s=reference_m_s,
@@ -174,7 +175,7 @@ def _with_levels(trial: _Trial, tail: Tail, per_hour: float) -> AxisModel:
         update={
             "flights": len(trial.inputs),
             "suspect": level,
-            "fault": tail.fault_level(),
+            "fault": None if tail.days < _LEAST_DAYS else tail.level(_FAULT_PER_HOUR),
             "false_alarms_per_hour": tail.per_hour(level),
         }
     )
@@ -182,11 +183,9 @@ def _with_levels(trial: _Trial, tail: Tail, per_hour: float) -> AxisModel:
 
 def _drives(flights: Sequence[Motion], form: Form) -> bool:
     """Whether the command of a form exists and ever moved."""
-    for flight in flights:
-        asked = flight.throttle if form.command == "throttle" else flight.commands_us.get(form.command)
-        if asked is not None and np.std(asked) > 0.0:
-            return True
-    return False
+    is_throttle = form.command == "throttle"
+    asked = (flight.throttle if is_throttle else flight.commands_us.get(form.command) for flight in flights)
+    return any(one is not None and np.std(one) > 0.0 for one in asked)
 
 
 def _regime(flights: Sequence[Motion], reference_m_s: float) -> Regime:
@@ -260,14 +259,6 @@ _NEVER_S = 60.0
 
 
 @dataclass(frozen=True)
-class _Fit:
-    gain: float
-    offset: float
-    others: FloatArray
-    explained: float
-
-
-@dataclass(frozen=True)
 class _Setting:
     flights: Sequence[Motion]
     usable: Sequence[BoolArray]
@@ -294,17 +285,17 @@ class _Setting:
                 form.regression(Filtered(flight, corner_hz=corner_hz, reference_m_s=self.reference_m_s))
                 for flight in self.flights
             ]
-            delays = (0.0,) if form.command == "throttle" else _DELAYS_S
+            delays = (0.0,) if form.command == "throttle" else DELAYS_S
             late = {d: [column.delayed(d, rate_hz) for column in columns] for d in delays}
-            delay_s = max(delays, key=lambda d: self._fit(form, late[d]).explained)
+            delay_s = max(delays, key=lambda d: self._fit(form, late[d])["explained"])
             for order in _WHITENINGS:
                 trial = self._trial(form, late[delay_s], corner_hz, delay_s, order)
                 if trial is not None:
                     found.append(trial)
         return found
 
-    def _fit(self, form: Form, columns: Sequence[Regression], without: str = "") -> _Fit:
-        """Pooled least squares; each flight has its own offset, whose mean over days is the model's."""
+    def _fit(self, form: Form, columns: Sequence[Regression], without: str = "") -> dict[str, Any]:
+        """Fields of an `AxisModel` by pooled least squares; each flight has an offset, whose mean over days it has."""
         members = [i for i, group in enumerate(self.groups) if group != without]
         drive = 0 if form.inverse else 1
         shared = drive + columns[0].others.shape[0]
@@ -327,13 +318,13 @@ class _Setting:
         groups = np.array([self.groups[i] for i in members])
         offset = float(np.mean([offsets[groups == group].mean() for group in dict.fromkeys(groups)]))
         explained = 1.0 - (power - float(solved @ right)) / max(power, LEAST_DIVISOR)
-        return _Fit(1.0 if form.inverse else float(solved[0]), offset, solved[drive:shared], explained)
+        gain, others = 1.0 if form.inverse else float(solved[0]), tuple(solved[drive:shared].tolist())
+        return {"gain": gain, "offset": offset, "others": others, "explained": explained}
 
     def learning(self, trial: _Trial, per_hour: float) -> _Trial:
         """The same with more of what windows differ by learned from the flight itself, if it finds losses sooner."""
         learned = trial.model.own_command  # where lambda is free, what was learned early would hide an offset
-        rate_hz = self.flights[0].rate_hz
-        found = _with_spreads(trial.model, trial.inputs, rate_hz, _MOST_OF_FLIGHT) if learned else None
+        found = _with_spreads(trial.model, trial.inputs, _MOST_OF_FLIGHT) if learned else None
         if found is None:
             return trial
         more = self._scored(*found)
@@ -346,35 +337,32 @@ class _Setting:
         nothing = Spread.of(1.0, np.zeros((2, 2)))
 
         def model(without: str) -> AxisModel:
-            fit = self._fit(form, columns, without)
             return AxisModel(
                 form=form.name,
                 corner_hz=corner_hz,
                 delay_s=delay_s,
-                gain=fit.gain,
-                offset=fit.offset,
-                others=tuple(float(c) for c in fit.others),
                 noise_var=1.0,
                 spreads=(nothing,),
-                explained=fit.explained,
                 own_command=own,
+                **self._fit(form, columns, without),
             )
 
         held = {group: model(group) for group in dict.fromkeys(self.groups)}
         plain = [self._inputs(held[group], columns[i], i) for i, group in enumerate(self.groups)]
         whitening = _autoregression([_centred(inputs) for inputs in plain], order)
         inputs = [whitened(one, whitening) for one in plain]
-        residual_var = _residual_var(inputs) if own else 0.0  # what jumps in a window is no turbulence
+        residual_var, noise_var = _variances(inputs)
+        residual_var *= own  # what jumps in a window is no turbulence
         inputs = [replace(one, variance=residual_var) for one in inputs]
         fitted = model("").model_copy(
             update={
                 "whitening": whitening,
-                "noise_var": _noise_var(inputs),
+                "noise_var": noise_var,
                 "residual_var": residual_var,
                 "explained": _explained(plain, columns, own=own),
             }
         )
-        whole = _with_spreads(fitted, inputs, self.flights[0].rate_hz, _OF_FLIGHT)
+        whole = _with_spreads(fitted, inputs, _OF_FLIGHT)
         return None if whole is None else self._scored(*whole)
 
     def unseen_tail(self, trial: _Trial) -> Tail:
@@ -386,21 +374,21 @@ class _Setting:
         """
         if trial.tail.days < _DAYS_TO_LEAVE_OUT or len(self.flights) < _FLIGHTS_TO_LEAVE_OUT:
             return trial.tail
-        rate_hz, tops = self.flights[0].rate_hz, np.zeros(len(self.flights))
+        tops = np.zeros(len(self.flights))
         for group in dict.fromkeys(self.groups):
             seen = [one for one, of in zip(trial.inputs, self.groups, strict=True) if of != group]
-            found = _with_spreads(trial.model, seen, rate_hz, trial.model.of_flight)
+            found = _with_spreads(trial.model, seen, trial.model.of_flight)
             if found is None:
                 return trial.tail
             for i, one in enumerate(trial.inputs):
                 if self.groups[i] == group:
-                    tops[i] = Windows.of(found[0], one, rate_hz).statistic().max()
-        hours = np.array([float(one.usable.sum()) / rate_hz / S_PER_HOUR for one in trial.inputs])
+                    tops[i] = Windows.of(found[0], one).statistic().max()
+        hours = np.array([one.usable_s / S_PER_HOUR for one in trial.inputs])
         return tail_of(tops, hours, days=trial.tail.days)
 
     def _scored(self, whole: AxisModel, flights: Sequence[Windows]) -> _Trial:
         tops = np.array([float(one.statistic().max()) for one in flights])
-        hours = np.array([float(one.inputs.usable.sum()) / one.rate_hz / S_PER_HOUR for one in flights])
+        hours = np.array([one.inputs.usable_s / S_PER_HOUR for one in flights])
         tail = tail_of(tops, hours, days=len({flight.day for flight in self.flights}))
         return _Trial(whole, tail, tuple(_lost_half(one) for one in flights), tuple(one.inputs for one in flights))
 
@@ -410,21 +398,14 @@ class _Setting:
 
     def _own(self, form: Form) -> bool:
         """Whether a command ever moved on its own."""
-        if form.command == "throttle":
-            return True
-        asked = np.concatenate(
-            [f.commands_us[form.command][good] for f, good in zip(self.flights, self.usable, strict=True)]
-        )
         rivals = [name for name in self.flights[0].commands_us if name != form.command]
         if form.command != "yaw" or not rivals:
             return True
-        others = np.array(
-            [
-                np.concatenate([f.commands_us[n][good] for f, good in zip(self.flights, self.usable, strict=True)])
-                for n in rivals
-            ]
+        asked, *beside = (
+            np.concatenate([f.commands_us[name][good] for f, good in zip(self.flights, self.usable, strict=True)])
+            for name in (form.command, *rivals)
         )
-        others = np.vstack([others, np.ones(asked.size)])
+        others = np.vstack([*beside, np.ones(asked.size)])
         left = asked - np.linalg.lstsq(others.T, asked, rcond=None)[0] @ others
         return bool(np.var(left) > _OWN_SHARE * np.var(asked))
 
@@ -471,9 +452,7 @@ def spread_between(flights: Sequence[Sizes], start: FloatArray) -> FloatArray:
     noise = np.concatenate([found.covariance for found in seen], axis=2)
     weights = np.concatenate([np.full(found.known.size, 1.0 / (found.known.size * len(seen))) for found in seen])
     for _ in range(_ROUNDS):
-        (first, both), (_, second) = noise + between[..., None]
-        adjugate = np.array([[second, -both], [-both, first]])
-        gain = np.einsum("ij,jkn->ikn", between, adjugate) / (first * second - both**2)
+        gain = np.moveaxis(between @ np.linalg.inv(np.moveaxis(noise + between[..., None], 2, 0)), 0, 2)
         mean = np.einsum("ijn,jn->in", gain, theta)
         renewed = between + (mean * weights) @ mean.T - (gain @ weights) @ between
         settled = np.allclose(renewed, between, rtol=1e-3)
@@ -483,14 +462,12 @@ def spread_between(flights: Sequence[Sizes], start: FloatArray) -> FloatArray:
     return between
 
 
-def _with_spreads(
-    model: AxisModel, flights: Sequence[Inputs], rate_hz: float, share: float
-) -> tuple[AxisModel, list[Windows]] | None:
+def _with_spreads(model: AxisModel, flights: Sequence[Inputs], share: float) -> tuple[AxisModel, list[Windows]] | None:
     """What flights and windows differ by, the largest J that each window length reached, and these windows."""
     start = np.diag([0.05**2, 10.0**2])
     spreads = []
     for window_s in (w for w in _WINDOWS_S if w >= _WINDOW_PER_CORNER / model.corner_hz):
-        length = max(4, round(window_s * rate_hz))
+        length = max(4, round(window_s * flights[0].rate_hz))
         apart, late = (
             [one.at(np.flatnonzero(one.known)[:: max(1, length // 10)]) for one in found]
             for found in ([sliding(one, length, model.noise_var, asked) for one in flights] for asked in (SIZES, LAG))
@@ -502,7 +479,7 @@ def _with_spreads(
     if not spreads:
         return None
     model = model.model_copy(update={"spreads": tuple(spreads), "of_flight": share})
-    windows = [Windows.of(model, one, rate_hz) for one in flights]
+    windows = [Windows.of(model, one) for one in flights]
     scales = np.max([[float(j.max()) for j in one.distances()] for one in windows], axis=0)
     lag_scales = np.max([[float(j.max()) for j in one.late] for one in windows], axis=0)
     kept = [k for k, scale in enumerate(scales) if scale > 0.0]
@@ -511,7 +488,7 @@ def _with_spreads(
     found = []
     for k in kept:
         scale, lag_scale = float(scales[k]), float(lag_scales[k])
-        least = _by_chance(flights, spreads[k], rate_hz)
+        least = _by_chance(flights, spreads[k])
         update = {"scale": scale, "lag_scale": max(lag_scale, least) if lag_scale > 0.0 else None}
         found.append(spreads[k].model_copy(update=update))
     model = model.model_copy(update={"spreads": tuple(found)})
@@ -527,7 +504,7 @@ def _stray_s2(flights: Sequence[Sizes]) -> float:
     return max(excess, _LEAST_LAG_S**2)
 
 
-def _by_chance(flights: Sequence[Inputs], spread: Spread, rate_hz: float) -> float:
+def _by_chance(flights: Sequence[Inputs], spread: Spread) -> float:
     """Largest statistic of a lag that chance alone lets expect in windows of one length of these flights.
 
     It is a chi-square. A largest one below this tells that windows were few, or that the variance has seen them, and
@@ -535,7 +512,7 @@ def _by_chance(flights: Sequence[Inputs], spread: Spread, rate_hz: float) -> flo
     """
     from scipy import special  # takes longer to load than a flight to judge
 
-    windows = sum(float(one.usable.sum()) for one in flights) / spread.samples(rate_hz)
+    windows = sum(float(one.usable.sum()) for one in flights) / spread.samples(flights[0].rate_hz)
     return float(special.chdtri(1.0, min(1.0 / windows, 0.5)))
 
 
@@ -556,21 +533,12 @@ def _autoregression(residuals: Sequence[FloatArray], order: int) -> tuple[float,
     return tuple(float(c) for c in np.linalg.lstsq(past, now, rcond=None)[0])
 
 
-def _residual_var(flights: Sequence[Inputs]) -> float:
-    return float(np.var(np.concatenate([_centred(one) for one in flights])))
-
-
-def _noise_var(flights: Sequence[Inputs]) -> float:
-    """Variance of the residual times what its colour makes of sums over a few seconds."""
-    pieces = [_centred(one) for one in flights]
-    variance = _residual_var(flights)
-    total, count = 0.0, 0
-    length = _COLOUR_SAMPLES
-    for e in pieces:
-        whole = e[: e.size // length * length].reshape(-1, length)
-        total += float(np.sum(whole.sum(axis=1) ** 2))
-        count += whole.shape[0]
-    return max(variance, total / max(count, 1) / length)
+def _variances(flights: Sequence[Inputs]) -> tuple[float, float]:
+    """Variance of the residual, and that times what its colour makes of sums over a few seconds."""
+    pieces, length = [_centred(one) for one in flights], _COLOUR_SAMPLES
+    variance = float(np.var(np.concatenate(pieces)))
+    sums = np.concatenate([e[: e.size // length * length].reshape(-1, length).sum(axis=1) for e in pieces])
+    return variance, max(variance, float(np.sum(sums**2)) / max(sums.size, 1) / length)
 
 
 def _lost_half(windows: Windows) -> FloatArray:
@@ -599,31 +567,16 @@ class Tail:
     days: int
 
     def per_hour(self, level: float) -> float:
-        """False alarms an hour at a level.
-
-        Examples
-        --------
-        >>> Tail(0.5, 2.0, 10.0, 4).per_hour(1.0)
-        2.5
-        """
+        """False alarms an hour at a level."""
         return self.rate_per_hour * min(1.0, math.pow(level / self.base, -self.index))
 
     def level(self, per_hour: float) -> float:
-        """Level for a rate; never below what calibration flights reached.
-
-        Examples
-        --------
-        >>> Tail(0.5, 2.0, 10.0, 4).level(0.1)
-        5.0
-        """
+        """Level for a rate; never below what calibration flights reached."""
         return max(1.0, self.base * math.pow(self.rate_per_hour / per_hour, 1.0 / self.index))
-
-    def fault_level(self) -> float | None:
-        """Level that is wrong once in a hundred hours; None where the days are too few to tell."""
-        return None if self.days < _LEAST_DAYS else self.level(_FAULT_PER_HOUR)
 
 
 _LEAST_DAYS = 2
+"""Of fewer days no level of a fault is known."""
 _DAYS_TO_LEAVE_OUT = 4
 """With three days of the test aeroplane, judged by two, the level for one false alarm in three hours was 30 times the
 calibration's largest statistic, and hid a trim that changed by 60 us."""

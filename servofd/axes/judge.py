@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT, SURFACE_AXES
+from servofd.aircraft.axes import MOST_OF_THE_FLIGHT, SURFACE_AXES
 from servofd.axes.model import FORMS, Inputs, covered, flown_of, inputs_of
 from servofd.axes.verdict import (
     KNOWN_WITHIN,
@@ -147,26 +147,25 @@ def _draft(
     axis: AxisModel, motion: Motion, usable: BoolArray, flown: BoolArray, model: MotionModel, members: int
 ) -> _Draft:
     inputs = inputs_of(axis, motion, usable, model.reference_m_s)
-    rate_hz = motion.rate_hz
-    score, news, changes = _followed(axis, inputs, rate_hz)
+    score, news, changes = _followed(axis, inputs)
     return _Draft(
         inputs,
         score,
         news,
-        tuple(_event(axis, change, motion.time_s, rate_hz) for change in changes),
-        *_known(axis, inputs, rate_hz, max(members, 1)),
-        _whole(axis, inputs, flown, rate_hz),
+        tuple(_event(axis, change, motion.time_s) for change in changes),
+        *_known(axis, inputs, max(members, 1)),
+        _whole(axis, inputs, flown),
     )
 
 
-def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArray, FloatArray, list[_Change]]:
+def _followed(axis: AxisModel, inputs: Inputs) -> tuple[FloatArray, FloatArray, list[_Change]]:
     """What happened to an axis, one event after the other.
 
     An alarm lasts until the axis answers as before. While it does, the axis is as its event left it, and what comes
     is judged beyond that, unless it is as before or as another event left it.
     """
     size = inputs.usable.size
-    judged, learning = np.cumsum(inputs.usable), _LEARNING_S * rate_hz
+    judged, learning = np.cumsum(inputs.usable), _LEARNING_S * inputs.rate_hz
     score, news = np.zeros((2, size))
     changes: list[_Change] = []
     standing: list[_Change] = []
@@ -174,7 +173,7 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
     while begin < size:
         back = standing[-1].end if standing else size
         rest = replace(now, usable=inputs.usable & (np.arange(size) >= begin)) if begin else now
-        news[begin:back] = _beyond(axis, now, begin, back, rate_hz)
+        news[begin:back] = _beyond(axis, now, begin, back)
         if not standing:
             score[begin:] = news[begin:]
         above = np.flatnonzero(news[begin:back] > axis.suspect)
@@ -182,23 +181,23 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
             begin, now, standing, states = back, flight, [], [flight]
             continue
         alarm = begin + int(above[0])
-        past = _own_past(axis, rest, alarm, begin, rate_hz)
-        start = _onset(axis, rest, alarm, begin, rate_hz, past)
-        again = _known_state(axis, states, now, (start, alarm + 1), rate_hz)
+        past = _own_past(axis, rest, alarm, begin)
+        start = _onset(axis, rest, alarm, begin, past)
+        again = _known_state(axis, states, now, (start, alarm + 1))
         if again is not None:
             begin, now = start, again
             continue
-        from_start = flight is inputs and not standing and bool(judged[start] <= _AT_ONCE_S * rate_hz)
+        from_start = flight is inputs and not standing and bool(judged[start] <= _AT_ONCE_S * inputs.rate_hz)
         learned = int(np.searchsorted(judged, learning + (0.0 if from_start else judged[start])))
         learned = min(max(alarm + 1, learned), size)
         before = standing[0].before if standing else rest
         if from_start:
-            end, last, past = size, learned, Sizes.nothing(axis.of_flights(axis.spreads[-1]))
+            end, last, past = size, learned, Sizes.nothing(axis.of_flights(axis.spreads[-1].covariance))
         else:
-            recovered = _recovered(axis, before, alarm, rate_hz)
+            recovered = _recovered(axis, before, alarm)
             end = size if recovered is None else recovered
             # It was well in a run of windows that each last as long as the run.
-            last = size if recovered is None else max(alarm + 1, recovered - round(2.0 * _CLEAR_S * rate_hz))
+            last = size if recovered is None else max(alarm + 1, recovered - round(2.0 * _CLEAR_S * inputs.rate_hz))
         for change in standing:
             change.end = end
             change.last = min(change.last, max(start, change.alarm + 1))
@@ -218,31 +217,29 @@ def _followed(axis: AxisModel, inputs: Inputs, rate_hz: float) -> tuple[FloatArr
     return score, news, changes
 
 
-def _known_state(
-    axis: AxisModel, states: list[Inputs], now: Inputs, part: tuple[int, int], rate_hz: float
-) -> Inputs | None:
+def _known_state(axis: AxisModel, states: list[Inputs], now: Inputs, part: tuple[int, int]) -> Inputs | None:
     """The state that an axis was in before, if a part of the flight is as usual in it; None if in none."""
-    others = ((one, _beyond(axis, one, *part, rate_hz)) for one in states if one is not now)
+    others = ((one, _beyond(axis, one, *part)) for one in states if one is not now)
     return next((one for one, away in others if away.max() <= axis.suspect), None)
 
 
-def _beyond(axis: AxisModel, state: Inputs, first: int, last: int, rate_hz: float) -> FloatArray:
+def _beyond(axis: AxisModel, state: Inputs, first: int, last: int) -> FloatArray:
     """Statistic of a part of the flight, of which nothing else is known."""
     part = state if first == 0 and last == state.usable.size else state.part(first, last)
-    return Windows.of(axis, part, rate_hz).statistic()
+    return Windows.of(axis, part).statistic()
 
 
 def _became(axis: AxisModel, flight: Inputs, start: int, learned: int) -> Inputs:
     """What is left beyond the loss, the offset and the lag of an axis since an event."""
     loss, offset = np.nan_to_num(part(flight, start, learned, axis.noise_var).value[:, 0]).tolist()
     lag_s = float(np.nan_to_num(part(flight, start, learned, axis.noise_var, LAG).value[0, 0]))
-    return replace(flight, residual=flight.residual - loss * flight.loss - offset * flight.offset - lag_s * flight.lag)
+    return flight.less(loss, offset, lag_s)
 
 
-def _event(axis: AxisModel, change: _Change, time_s: FloatArray, rate_hz: float) -> AxisEvent:
+def _event(axis: AxisModel, change: _Change, time_s: FloatArray) -> AxisEvent:
     """An event, as it is said: its sizes hold all that the axis has lost since the flight was as usual."""
-    lost, offset = _estimate(axis, change.before, change.start, change.last, rate_hz, change.past)
-    kind = slice(change.alarm, min(change.last, change.alarm + round(_KIND_S * rate_hz)))
+    lost, offset = _estimate(axis, change.before, change.start, change.last, change.past)
+    kind = slice(change.alarm, min(change.last, change.alarm + round(_KIND_S * change.before.rate_hz)))
     return AxisEvent(
         start_s=float(time_s[change.start]),
         alarm_s=float(time_s[change.alarm]),
@@ -250,19 +247,13 @@ def _event(axis: AxisModel, change: _Change, time_s: FloatArray, rate_hz: float)
         score=float(change.score[change.alarm : change.last].max()),
         lost_share=lost,
         offset_us=offset,
-        lag_s=_late(axis, _beside(change.rest, change.past), kind, rate_hz),
+        lag_s=_late(axis, change.rest.less(*change.past.value[:, 0].tolist()), kind),
         from_start=change.from_start,
         known_s=float(time_s[change.learned]) if change.learned < time_s.size else math.inf,
     )
 
 
-def _beside(inputs: Inputs, past: Sizes) -> Inputs:
-    """What is left beside the loss and the offset that a flight had of its own, which flights differ by."""
-    loss, offset = past.value[:, 0].tolist()
-    return replace(inputs, residual=inputs.residual - loss * inputs.loss - offset * inputs.offset)
-
-
-def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estimate | None:
+def _late(axis: AxisModel, inputs: Inputs, span: slice) -> Estimate | None:
     """Lag in a part of the flight, if a first-order lag of the command explains it better than a loss or an offset.
 
     The lag is simulated, because to first order it holds only while the filter passes nothing as fast as the lag.
@@ -282,7 +273,7 @@ def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estim
 
     left, lost = beside_offset(inputs.residual), beside_offset(inputs.loss)
     by_offset = float(away @ inputs.residual[used]) ** 2
-    squares = np.array([np.sum((left - beside_offset(lagged(inputs.loss, lag_s, rate_hz))) ** 2) for lag_s in _LAGS_S])
+    squares = np.array([np.sum((left - beside_offset(lagged(inputs, lag_s))) ** 2) for lag_s in _LAGS_S])
     share = max(float(lost @ left) / max(float(lost @ lost), LEAST_DIVISOR), 0.0)
     best = int(np.argmin(squares))
     if best == 0 or squares[best] >= np.sum((left - share * lost) ** 2) or left @ left - squares[best] < by_offset:
@@ -296,23 +287,24 @@ def _late(axis: AxisModel, inputs: Inputs, span: slice, rate_hz: float) -> Estim
     return Estimate(value, low, high) if low > 0.0 else None
 
 
-def lagged(loss: FloatArray, lag_s: float, rate_hz: float) -> FloatArray:
+def lagged(inputs: Inputs, lag_s: float) -> FloatArray:
     """What a surface that follows its command through a first-order lag leaves in the residual, shape (n,)."""
+    loss = inputs.loss
     if lag_s <= 0.0:
         return np.zeros_like(loss)
     from scipy import signal  # takes longer to load than a flight to judge
 
-    keep = math.exp(-1.0 / (rate_hz * lag_s))
+    keep = math.exp(-1.0 / (inputs.rate_hz * lag_s))
     followed = signal.lfilter([1.0 - keep], [1.0, -keep], loss, zi=[keep * loss[0]])[0]
     return np.asarray(loss - followed)
 
 
-def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> int | None:
+def _recovered(axis: AxisModel, inputs: Inputs, alarm: int) -> int | None:
     """First sample by which the axis has answered well for some seconds; windows begin anew there."""
-    clear = round(_CLEAR_S * rate_hz)
+    clear = round(_CLEAR_S * inputs.rate_hz)
     spread = min(axis.spreads, key=lambda s: abs(s.window_s - _CLEAR_S))
     only = axis.model_copy(update={"spreads": (spread,)})
-    windows = Windows.of(only, inputs, rate_hz)
+    windows = Windows.of(only, inputs)
     well = windows.found[0].known & (windows.shares()[0] < _CLEAR_SHARE * axis.suspect)
     if axis.own_command:
         well &= _is_known_in(windows.found[0], spread)
@@ -322,45 +314,42 @@ def _recovered(axis: AxisModel, inputs: Inputs, alarm: int, rate_hz: float) -> i
     return int(found[0]) if found.size else None
 
 
-def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float, past: Sizes) -> int:
+def _onset(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, past: Sizes) -> int:
     """Where a fault must have begun to explain most of the residual up to its alarm.
 
     Before it, if that was long enough to tell, the flight had a loss and an offset of its own, which flights differ by:
     what they explain as well is not the fault's.
     """
-    inputs = _beside(inputs, past)
+    inputs = inputs.less(*past.value[:, 0].tolist())
     precision = np.asarray(np.linalg.inv(past.covariance[..., 0] / axis.noise_var), dtype=np.float64)
-    first = max(begin, alarm - round(_ONSET_S * rate_hz))
+    first = max(begin, alarm - round(_ONSET_S * inputs.rate_hz))
     begins = np.arange(first, alarm) + 1
     since, before = inputs.sums.between(begins, alarm + 1), inputs.sums.between(first + 1, begins)
     explained = fitted(since, SIZES.patterns, columns=SIZES.columns).explained
     of_flight = fitted(before, SIZES.patterns, precision, SIZES.columns).explained
     explained[since.samples <= _UNKNOWNS] = np.nan
-    of_flight[before.samples <= _AT_ONCE_S * rate_hz] = 0.0
+    of_flight[before.samples <= _AT_ONCE_S * inputs.rate_hz] = 0.0
     return first + split(explained, of_flight) if begins.size else alarm
 
 
-def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int, rate_hz: float) -> Sizes:
+def _own_past(axis: AxisModel, inputs: Inputs, alarm: int, begin: int) -> Sizes:
     """What the flight was like before the longest window that ends with the alarm, if it was judged for long enough."""
     spread = axis.spreads[-1]
-    before = alarm - spread.samples(rate_hz)
-    if int(inputs.usable[begin : max(before, begin)].sum()) < _OWN_PAST_S * rate_hz:
-        return Sizes.nothing(axis.of_flights(spread))
-    found = part(inputs, 0, before + 1, axis.noise_var)
-    if not found.known[0]:
-        return Sizes.nothing(axis.of_flights(spread))
+    before = alarm - spread.samples(inputs.rate_hz)
+    is_long = int(inputs.usable[begin : max(before, begin)].sum()) >= _OWN_PAST_S * inputs.rate_hz
+    found = part(inputs, 0, before + 1, axis.noise_var) if is_long else None
+    if found is None or not found.known[0]:
+        return Sizes.nothing(axis.of_flights(spread.covariance))
     return found._replace(covariance=found.covariance + spread.covariance[..., None])
 
 
-def _estimate(
-    axis: AxisModel, inputs: Inputs, start: int, last: int, rate_hz: float, past: Sizes
-) -> tuple[Estimate, Estimate]:
+def _estimate(axis: AxisModel, inputs: Inputs, start: int, last: int, past: Sizes) -> tuple[Estimate, Estimate]:
     """Loss and offset from an onset on, beyond what the flight was like before; healthy flights differ as well.
 
     The autopilot answers gusts, so that its command and what it cannot explain are correlated: a loss seems smaller
     than it is, the more so the less of the motion the command explains in healthy flights.
     """
-    last = min(last, start + round(_ONSET_S * rate_hz))
+    last = min(last, start + round(_ONSET_S * inputs.rate_hz))
     away = part(inputs, start, last, axis.noise_var).beyond(past, axis.spreads[-1].covariance)
     lost, offset = (_between(axis, away.value[k, 0], away.covariance[k, k, 0]) for k in range(2))
     explained = min(1.0, max(_LEAST_EXPLAINED, axis.explained)) if axis.own_command else 1.0
@@ -384,10 +373,6 @@ def _between(axis: AxisModel, value: float, variance: float) -> Estimate:
     return Estimate(float(value), float(value - half), float(value + half))
 
 
-def _is_known(whole: tuple[Estimate, Estimate] | None) -> bool:
-    return whole is not None and whole[0].high - whole[0].low <= 2.0 * KNOWN_WITHIN
-
-
 def _is_known_in(found: Sizes, spread: Spread) -> BoolArray:
     """Windows in which lambda is known to less than +-0.3."""
     variance = np.where(found.known, found.covariance[0, 0], np.inf) + spread.loss_var
@@ -395,25 +380,25 @@ def _is_known_in(found: Sizes, spread: Spread) -> BoolArray:
     return is_known
 
 
-def _known(axis: AxisModel, inputs: Inputs, rate_hz: float, members: int) -> tuple[BoolArray, FloatArray]:
+def _known(axis: AxisModel, inputs: Inputs, members: int) -> tuple[BoolArray, FloatArray]:
     """Where lambda is known to less than +-0.3, in windows in which a member that stood still would be found.
 
     And the smallest loss and offset that would be.
     """
     if not axis.own_command:
         return np.zeros(inputs.usable.size, dtype=bool), np.full((2, inputs.usable.size), np.inf)
-    windows = Windows.of(axis, inputs, rate_hz)
+    windows = Windows.of(axis, inputs)
     least = windows.smallest()
     known, shows = np.zeros((2, inputs.usable.size), dtype=bool)
     for found, spread, (loss, _) in zip(windows.found, axis.spreads, least, strict=True):
         known |= _is_known_in(found, spread)
-        length = spread.samples(rate_hz)
+        length = spread.samples(inputs.rate_hz)
         still = loss < 1.0 / members
         shows |= np.convolve(still, np.ones(length))[length - 1 :] > 0.5  # all of a window that tells
     return known & shows, least.min(axis=0)
 
 
-def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray, rate_hz: float) -> tuple[Estimate, Estimate] | None:
+def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray) -> tuple[Estimate, Estimate] | None:
     """Loss and offset of the whole flight, in which windows average out and the flight's own difference does not."""
     if not (inputs.usable & flown).any():
         return None
@@ -421,8 +406,8 @@ def _whole(axis: AxisModel, inputs: Inputs, flown: BoolArray, rate_hz: float) ->
     if not found.known[0]:
         return None
     spread = axis.spreads[-1]
-    windows = max(1.0, float(inputs.usable.sum()) / spread.samples(rate_hz))
-    stray = axis.of_flights(spread) + spread.covariance / windows
+    windows = max(1.0, float(inputs.usable.sum()) / spread.samples(inputs.rate_hz))
+    stray = axis.of_flights(spread.covariance) + spread.covariance / windows
     return (
         _between(axis, found.value[0, 0], found.covariance[0, 0, 0] + stray[0, 0]),
         _between(axis, found.value[1, 0], found.covariance[1, 1, 0] + stray[1, 1]),
@@ -435,10 +420,9 @@ def lost_between(audit: AxisAudit, start_s: float, end_s: float) -> Estimate | N
     start, end = np.searchsorted(audit.time_s, (start_s, end_s))
     if not axis.own_command or end <= start:
         return None
-    rate_hz = 1.0 / float(audit.time_s[1] - audit.time_s[0])
     part = replace(inputs, usable=inputs.usable & (np.arange(inputs.usable.size) < end))
-    past = _own_past(axis, part, int(start), 0, rate_hz)
-    lost, _ = _estimate(axis, part, int(start), int(end), rate_hz, past)
+    past = _own_past(axis, part, int(start), 0)
+    lost, _ = _estimate(axis, part, int(start), int(end), past)
     return None if math.isnan(lost.value) else lost
 
 
@@ -489,9 +473,11 @@ def _accused(name: str, axis: AxisModel, worst: AxisEvent, differing: list[str])
 
 def _cleared(draft: _Draft) -> AxisStatus:
     """Healthy, if the flight as a whole says what the axis has lost, and that it may be nothing."""
-    if not _is_known(draft.whole):
+    if draft.whole is None:
         return "unknown"
-    return "unknown" if draft.whole is not None and excludes_none(draft.whole[0]) else "healthy"
+    lost, _ = draft.whole
+    is_known = lost.high - lost.low <= 2.0 * KNOWN_WITHIN
+    return "healthy" if is_known and not excludes_none(lost) else "unknown"
 
 
 def _verdict(
@@ -521,19 +507,15 @@ def _verdict(
     lost, offset = (worst.lost_share, worst.offset_us) if worst is not None else draft.whole or (None, None)
     if not axis.own_command:  # which tells nothing of the effect of a microsecond
         lost, offset = None, None
-    members = _members(name, axis, motion)
     first_s = min((event.alarm_s for event in events), default=math.inf)  # what came later stood against an alarm
     shows = [_in_most(least[flown & (motion.time_s < first_s)]) for least in draft.shows]
     detectable = AxisDetectable(shows[0] if shows[0] <= 1.0 else math.inf, shows[1])
     outside = {reason: float((~good & flown).sum()) / seconds for reason, good in inside.items() if flown.any()}
-    reason = reason_of(
-        name, model, members, events, identifiable, outside, lost, status=status, worst=worst, shows=detectable
-    )
-    return AxisAudit(
+    audit = AxisAudit(
         axis=name,
         status=status,
-        reason=f"{reason}{left_out(motion.lifted_share)}",
-        members=members,
+        reason="",
+        members=_members(name, axis, motion),
         lost_share=lost,
         offset_us=offset,
         events=events,
@@ -546,3 +528,5 @@ def _verdict(
         inputs=draft.inputs,
         model=axis,
     )
+    reason = reason_of(audit, model, worst, outside)
+    return replace(audit, reason=f"{reason}{left_out(motion.lifted_share)}")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from servofd.axes.motion import Motion
 
 
+DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
+"""Delays between command and motion that are tried [s]."""
 _DAMPING = 0.8
 """Damping of the filter of an axis."""
 
@@ -95,86 +97,70 @@ class Form:
     axis: str
     command: str
     """Whose command drives it: ``"roll"``, ``"pitch"``, ``"yaw"`` or ``"throttle"``."""
-    inverse: bool
-    columns: Callable[[Filtered], tuple[FloatArray | None, FloatArray, list[FloatArray]]]
-    """Filtered answer (None if inverse), g, and filtered others."""
     unit: str
     """Of what it compares."""
+    answer: Callable[[Filtered], tuple[FloatArray | None, FloatArray]]
+    """Filtered answer, None of an inverse form, and g."""
+    others: Callable[[Filtered], list[FloatArray]]
+    """What else moves the aircraft, filtered."""
+
+    @property
+    def inverse(self) -> bool:
+        """Whether it shows the command by the motion."""
+        return self.unit == "us"
 
     def regression(self, filtered: Filtered) -> Regression:
         """Columns of one flight."""
-        answer, weight, others = self.columns(filtered)
+        answer, weight = self.answer(filtered)
         asked = filtered.throttle if self.command == "throttle" else filtered.commands_us[self.command]
         return Regression(
             np.zeros_like(asked) if answer is None else answer,
             filtered.low(weight * asked),
             filtered.low(weight),
-            np.array(others),
+            np.array(self.others(filtered)),
         )
-
-
-def _roll_rate(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    others = [s.low(s.r), s.low(s.ay / s.v), s.low(s.bank), s.slope(s.p / s.v)]
-    return s.low(s.p), s.v, others
-
-
-def _roll_acceleration(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    others = [s.low(s.v * s.p), s.low(s.v * s.r), s.low(s.ay), s.low(s.bank)]
-    return s.slope(s.p), s.v**2, others
-
-
-def _pitch_inverse(s: Filtered) -> tuple[None, FloatArray, list[FloatArray]]:
-    force = s.az / s.v**2
-    turn = s.r * s.bank / s.v**2
-    others = [
-        s.low(force),
-        s.low(s.q / s.v),
-        s.low(s.throttle / s.v**2),
-        s.slope(s.q / s.v**2),
-        s.low(turn),
-        s.slope(force),
-    ]
-    return None, np.ones_like(s.v), others
-
-
-def _pitch_acceleration(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    others = [s.low(s.az), s.low(s.v * s.q), s.low(s.throttle), s.low(s.r * s.bank), s.slope(s.az / s.v)]
-    return s.slope(s.q), s.v**2, others
-
-
-def _side_force(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    others = [s.low(s.v * s.p), s.low(s.v * s.r), s.low(s.bank), s.low(s.throttle)]
-    return s.low(s.ay), s.v**2, others
-
-
-def _yaw_rate(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    others = [s.low(s.bank / s.v), s.low(s.p), s.low(s.ay / s.v), s.low(s.throttle), s.slope(s.r / s.v)]
-    return s.low(s.r), s.v, others
-
-
-def _yaw_acceleration(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    others = [s.low(s.v * s.r), s.low(s.v * s.p), s.low(s.ay), s.low(s.bank), s.low(s.throttle)]
-    return s.slope(s.r), s.v**2, others
-
-
-def _thrust(s: Filtered) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    others = [s.low(s.v), s.low(s.v**2), s.low(s.az**2 / s.v**2)]
-    return s.low(s.ax), np.ones_like(s.v), others
 
 
 FORMS: Mapping[str, Form] = {
     form.name: form
     for form in (
-        Form("roll_rate", "roll", "roll", False, _roll_rate, "deg/s"),
-        Form("roll_acceleration", "roll", "roll", False, _roll_acceleration, "deg/s2"),
-        Form("pitch_inverse", "pitch", "pitch", True, _pitch_inverse, "us"),
-        Form("pitch_acceleration", "pitch", "pitch", False, _pitch_acceleration, "deg/s2"),
-        Form("side_force", "side", "yaw", False, _side_force, "m/s2"),
-        Form("yaw_rate", "side", "yaw", False, _yaw_rate, "deg/s"),
-        Form("yaw_acceleration", "side", "yaw", False, _yaw_acceleration, "deg/s2"),
-        Form("specific_thrust", "thrust", "throttle", False, _thrust, "m/s2"),
+        Form(
+            "roll_rate", "roll", "roll", "deg/s", lambda s: (s.low(s.p), s.v),
+            lambda s: [s.low(s.r), s.low(s.ay / s.v), s.low(s.bank), s.slope(s.p / s.v)],
+        ),
+        Form(
+            "roll_acceleration", "roll", "roll", "deg/s2", lambda s: (s.slope(s.p), s.v**2),
+            lambda s: [s.low(s.v * s.p), s.low(s.v * s.r), s.low(s.ay), s.low(s.bank)],
+        ),
+        Form(
+            "pitch_inverse", "pitch", "pitch", "us", lambda s: (None, np.ones_like(s.v)),
+            lambda s: [
+                s.low(s.az / s.v**2), s.low(s.q / s.v), s.low(s.throttle / s.v**2), s.slope(s.q / s.v**2),
+                s.low(s.r * s.bank / s.v**2), s.slope(s.az / s.v**2),
+            ],
+        ),
+        Form(
+            "pitch_acceleration", "pitch", "pitch", "deg/s2", lambda s: (s.slope(s.q), s.v**2),
+            lambda s: [s.low(s.az), s.low(s.v * s.q), s.low(s.throttle), s.low(s.r * s.bank), s.slope(s.az / s.v)],
+        ),
+        Form(
+            "side_force", "side", "yaw", "m/s2", lambda s: (s.low(s.ay), s.v**2),
+            lambda s: [s.low(s.v * s.p), s.low(s.v * s.r), s.low(s.bank), s.low(s.throttle)],
+        ),
+        Form(
+            "yaw_rate", "side", "yaw", "deg/s", lambda s: (s.low(s.r), s.v),
+            lambda s: [s.low(s.bank / s.v), s.low(s.p), s.low(s.ay / s.v), s.low(s.throttle), s.slope(s.r / s.v)],
+        ),
+        Form(
+            "yaw_acceleration", "side", "yaw", "deg/s2", lambda s: (s.slope(s.r), s.v**2),
+            lambda s: [s.low(s.v * s.r), s.low(s.v * s.p), s.low(s.ay), s.low(s.bank), s.low(s.throttle)],
+        ),
+        Form(
+            "specific_thrust", "thrust", "throttle", "m/s2", lambda s: (s.low(s.ax), np.ones_like(s.v)),
+            lambda s: [s.low(s.v), s.low(s.v**2), s.low(s.az**2 / s.v**2)],
+        ),
     )
-}
+}  # fmt: skip
 """By name; calibration takes for each axis the one under which a lost axis stands out most."""
 
 
@@ -192,13 +178,22 @@ class Inputs:
     lag: FloatArray = field(default_factory=lambda: np.zeros(0))
     variance: float = 0.0
     """Of the residual in calibration; 0 takes the calibrated noise for every window as it is."""
+    rate_hz: float = 1.0
 
     def part(self, first: int, last: int) -> Inputs:
         """From a sample to another, without what came before."""
-        cut = slice(first, last)
-        return Inputs(
-            self.residual[cut], self.loss[cut], self.offset[cut], self.usable[cut], self.lag[cut], self.variance
-        )
+        names = ("residual", "loss", "offset", "usable", "lag")
+        return replace(self, **{name: getattr(self, name)[first:last] for name in names})
+
+    def less(self, loss: float, offset: float, lag_s: float = 0.0) -> Inputs:
+        """What is left beyond a loss, an offset [us] and a lag."""
+        left = self.residual - loss * self.loss - offset * self.offset
+        return replace(self, residual=left - lag_s * self.lag if lag_s else left)
+
+    @property
+    def usable_s(self) -> float:
+        """How much of it counts [s]."""
+        return float(self.usable.sum()) / self.rate_hz
 
     @cached_property
     def sums(self) -> Sums:
@@ -262,7 +257,7 @@ def residual_of(axis: AxisModel, columns: Regression, usable: BoolArray, rate_hz
         residual = columns.answer - axis.gain * columns.command - moved
     loss = -axis.gain * columns.command
     lag = rate_hz * np.gradient(loss)
-    return Inputs(residual, loss, axis.gain * columns.offset, usable, lag, axis.residual_var)
+    return Inputs(residual, loss, axis.gain * columns.offset, usable, lag, axis.residual_var, rate_hz)
 
 
 def whitened(inputs: Inputs, coefficients: tuple[float, ...]) -> Inputs:
@@ -274,18 +269,13 @@ def whitened(inputs: Inputs, coefficients: tuple[float, ...]) -> Inputs:
     taps = np.concatenate(([1.0], -np.asarray(coefficients)))
     channels = (inputs.residual, inputs.loss, inputs.offset, inputs.lag)
     residual, loss, offset, lag = (signal.lfilter(taps, [1.0], x) for x in channels)
-    return Inputs(residual, loss, offset, inputs.usable, lag, inputs.variance)
+    return replace(inputs, residual=residual, loss=loss, offset=offset, lag=lag)
 
 
 def settled(axis: AxisModel, motion: Motion, usable: BoolArray) -> BoolArray:
     """What is usable, and not soon after a gap."""
     settling = max(1, round(_SETTLING / axis.corner_hz * motion.rate_hz))
-    broken = ~motion.present
-    broken[0] = True
-    return usable & ~_soon_after(broken, settling)
-
-
-def _soon_after(events: BoolArray, samples: int) -> BoolArray:
-    last = np.maximum.accumulate(np.where(events, np.arange(events.size), -samples - 1))
-    near: BoolArray = np.arange(events.size) - last <= samples
-    return near
+    place = np.arange(usable.size)
+    last_gap = np.maximum.accumulate(np.where(motion.present, 0, place))  # and the beginning is one
+    long_after: BoolArray = place - last_gap > settling
+    return usable & long_after

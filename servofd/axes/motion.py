@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Self
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
 import numpy as np
 
-from logparsers.records import Channel, FlightLog
+from logparsers.records import FlightLog
 from servofd.aircraft.outputs import WITHOUT_SURFACES, LoggedOutput, named_outputs, outputs_of, pulse_channel
+from servofd.aircraft.series import signal_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.types import BoolArray, FloatArray
 
+Choice = tuple[Sequence[str], float]
+"""Channels that belong together, and the factor to the unit that is wanted."""
 Asked = tuple[dict[str, FloatArray], FloatArray, BoolArray]
 """Commands of the axes [us], throttle, and where motors lift the aircraft, on a grid of time."""
 
@@ -68,18 +71,9 @@ class Motion:
     def until(self, end_s: float) -> Motion:
         """The part before a time."""
         last = int(np.searchsorted(self.time_s, end_s))
-        return replace(
-            self,
-            time_s=self.time_s[:last],
-            commands_us={axis: values[:last] for axis, values in self.commands_us.items()},
-            rates_deg_s=self.rates_deg_s[:, :last],
-            accelerations_m_s2=self.accelerations_m_s2[:, :last],
-            roll_deg=self.roll_deg[:last],
-            pitch_deg=self.pitch_deg[:last],
-            airspeed_m_s=self.airspeed_m_s[:last],
-            throttle=self.throttle[:last],
-            present=self.present[:last],
-        )
+        values = ((one.name, getattr(self, one.name)) for one in fields(self))
+        cut: dict[str, Any] = {name: value[..., :last] for name, value in values if isinstance(value, np.ndarray)}
+        return replace(self, commands_us={axis: us[:last] for axis, us in self.commands_us.items()}, **cut)
 
 
 LARGEST_GAP_S = 1.0
@@ -115,21 +109,15 @@ class Series:
     time_s: FloatArray
     values: FloatArray
 
-    @classmethod
-    def of(cls, channel: Channel) -> Self:
-        """What a channel holds."""
-        good = np.isfinite(channel.values)
-        return cls(channel.time_s[good], channel.values[good])
-
     @property
     def rate_hz(self) -> float:
         """Typical rate of samples."""
         return 1.0 / float(np.median(np.diff(self.time_s)))
 
-    def within(self, begin_s: float, end_s: float) -> Series:
+    def within(self, begin_s: float, end_s: float) -> Self:
         """What it holds of a part of the log."""
         at = (self.time_s >= begin_s) & (self.time_s <= end_s)
-        return Series(self.time_s[at], self.values[at])
+        return replace(self, time_s=self.time_s[at], values=self.values[at])
 
     def on(self, grid_s: FloatArray, *, held: bool = False) -> FloatArray:
         """Means over the cells of a grid."""
@@ -193,7 +181,8 @@ SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
 
 _THROTTLES = frozenset({70, 73, 74})
 LIFT_MOTORS = frozenset({*range(33, 41), *range(82, 86), 160})
-_AXES = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
+AXIS_OF = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
+"""Axis that each command turns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,19 +197,14 @@ class Share:
 class Airframe:
     """Outputs by what they serve.
 
-    `commands`: for ``"roll"``, ``"pitch"``, ``"yaw"``. `throttles`, `lift_motors`: engines that pull forward, and
-    motors that lift. `members`: surfaces of each axis; one that serves two axes stands in both.
+    `commands`: for ``"roll"``, ``"pitch"``, ``"yaw"``; none of a multirotor. `throttles`, `lift_motors`: engines that
+    pull forward, and motors that lift. `members`: surfaces of each axis; one that serves two axes stands in both.
     """
 
     commands: Mapping[str, tuple[Share, ...]]
     throttles: tuple[LoggedOutput, ...]
     lift_motors: tuple[LoggedOutput, ...]
     members: Mapping[str, tuple[str, ...]]
-
-    @property
-    def has_surfaces(self) -> bool:
-        """False for a multirotor or a helicopter."""
-        return bool(self.commands)
 
 
 def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
@@ -237,17 +221,14 @@ def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
         },
         throttles=tuple(output for output in outputs.values() if output.function in _THROTTLES),
         lift_motors=tuple(output for output in outputs.values() if output.function in LIFT_MOTORS),
-        members={
-            _AXES[axis]: tuple(names[output.number] for output, _ in sorted(parts, key=lambda p: p[0].number))
-            for axis, parts in served.items()
-        }
+        members={AXIS_OF[axis]: tuple(names[output.number] for output, _ in parts) for axis, parts in served.items()}
         | {"thrust": ("engine",)},
     )
 
 
 _FASTEST_HZ = 25.0
 """Fastest grid [Hz]: axes answer more slowly."""
-_OF_AN_OUTPUT = re.compile(r"SERVO\d+_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
+_OF_AN_OUTPUT = re.compile(r"SERVO(\d+)_(FUNCTION|TRIM|MIN|MAX|REVERSED)")
 _IDLE_SHARE = 0.05
 """Share of the throttle below which a motor does not lift."""
 _STANDS_M_S = 1.0
@@ -261,17 +242,18 @@ _MEASURES_M_S = 1.0
 _AS_LONG = 0.8
 """Share of the time in the air by the best witness that another must show: a dead pitot reads noise, and one that gets
 blocked ends the flight."""
-_RATES = (
-    ("IMU[0].Gyr{}", "IMU.Gyr{}", "XYZ", np.degrees(1.0)),
-    ("RAW_IMU.{}gyro", "SCALED_IMU2.{}gyro", "xyz", 1e-3 * np.degrees(1.0)),
+DEG = float(np.degrees(1.0))
+_RATES: tuple[Choice, ...] = (
+    *(([f"{imu}.Gyr{axis}" for axis in "XYZ"], DEG) for imu in ("IMU[0]", "IMU")),
+    *(([f"{imu}.{axis}gyro" for axis in "xyz"], 1e-3 * DEG) for imu in ("RAW_IMU", "SCALED_IMU2")),
 )
-"""Channels of the body rates, their axes, and the factor to deg/s."""
-_FORCES = (
-    ("IMU[0].Acc{}", "IMU.Acc{}", "XYZ", 1.0),
-    ("RAW_IMU.{}acc", "SCALED_IMU2.{}acc", "xyz", 9.80665e-3),
+"""Channels of the body rates, and the factor to deg/s."""
+_FORCES: tuple[Choice, ...] = (
+    *(([f"{imu}.Acc{axis}" for axis in "XYZ"], 1.0) for imu in ("IMU[0]", "IMU")),
+    *(([f"{imu}.{axis}acc" for axis in "xyz"], 9.80665e-3) for imu in ("RAW_IMU", "SCALED_IMU2")),
 )
-"""Channels of the specific forces, their axes, and the factor to m/s2."""
-_ATTITUDES = (("ATT.Roll", "ATT.Pitch", 1.0), ("ATTITUDE.roll", "ATTITUDE.pitch", float(np.degrees(1.0))))
+"""Channels of the specific forces, and the factor to m/s2."""
+_ATTITUDES: tuple[Choice, ...] = ((("ATT.Roll", "ATT.Pitch"), 1.0), (("ATTITUDE.roll", "ATTITUDE.pitch"), DEG))
 _WINDS = (
     ("XKF1[0].VN", "XKF1[0].VE", "XKF1[0].VD", "XKF2[0].VWN", "XKF2[0].VWE"),
     ("NKF1[0].VN", "NKF1[0].VE", "NKF1[0].VD", "NKF2[0].VWN", "NKF2[0].VWE"),
@@ -289,14 +271,21 @@ def motion_of_autopilot(
         settings = dict(parameters or {})
     outputs = outputs_of(settings)
     airframe = airframe_of(outputs)
-    if not airframe.has_surfaces:
+    if not airframe.commands:
         raise NoMeasurement(_no_surfaces(log, airframe))
     pulses = {number: series_of(log, pulse_channel(log.channels, number)) for number in outputs}
     needed = {share.output.number for parts in airframe.commands.values() for share in parts}
     silent = sorted(number for number in needed if pulses[number] is None)
     if silent:
         raise NoMeasurement(f"{log.label}: no commands of output {silent[0]} (RCOU or SERVO_OUTPUT_RAW)")
-    rates, forces = _triple(log, _RATES, "body rates (IMU)"), _triple(log, _FORCES, "specific forces (IMU)")
+    rates, forces, attitude = (
+        chosen(log, choices, f"no {what}: {ALL_NEEDED}")
+        for choices, what in (
+            (_RATES, "body rates (IMU)"),
+            (_FORCES, "specific forces (IMU)"),
+            (_ATTITUDES, "attitude (ATT)"),
+        )
+    )
     served = needed | {output.number for output in (*airframe.throttles, *airframe.lift_motors)}
 
     def asked(grid_s: FloatArray) -> Asked:
@@ -317,10 +306,14 @@ def motion_of_autopilot(
         [series for number in sorted(needed) if (series := pulses[number]) is not None],
         rates,
         forces,
-        _attitude(log),
+        attitude,
         airspeed_of(log),
         members=airframe.members,
-        parameters={name: value for name, value in settings.items() if _number(name) in served},
+        parameters={
+            name: value
+            for name, value in settings.items()
+            if (of := _OF_AN_OUTPUT.fullmatch(name)) and int(of[1]) in served
+        },
     )
 
 
@@ -331,7 +324,7 @@ def on_one_grid(
     commands: Sequence[Series],
     rates: Sequence[Series],
     forces: Sequence[Series],
-    attitude: tuple[Series, Series],
+    attitude: Sequence[Series],
     airspeed: tuple[Series, str],
     *,
     members: Mapping[str, tuple[str, ...]],
@@ -369,10 +362,6 @@ def on_one_grid(
     )
 
 
-def _number(parameter: str) -> int:
-    return int(parameter.removeprefix("SERVO").partition("_")[0])
-
-
 def _no_surfaces(log: FlightLog, airframe: Airframe) -> str:
     kind = log.vehicle or ("multirotor" if airframe.lift_motors else "")
     if airframe.lift_motors or kind in WITHOUT_SURFACES:
@@ -386,27 +375,25 @@ def _no_surfaces(log: FlightLog, airframe: Airframe) -> str:
 
 def series_of(log: FlightLog, name: str, scale: float = 1.0) -> Series | None:
     """Finite values of a channel, in other units; None if there are fewer than two."""
-    if not name or name not in log.channels:
-        return None
-    found = Series.of(log[name])
-    return Series(found.time_s, scale * found.values) if found.values.size > 1 else None
+    time_s, values = signal_of(log, {name: scale})
+    return Series(time_s, values) if time_s.size else None
 
 
-def _triple(log: FlightLog, choices: tuple[tuple[str, str, str, float], ...], what: str) -> list[Series]:
-    for *names, letters, scale in choices:
-        for name in names:
-            found = [series_of(log, str(name).format(letter), float(scale)) for letter in str(letters)]
-            if all(one is not None for one in found):
-                return [one for one in found if one is not None]
-    raise NoMeasurement(f"{log.label}: no {what}: motion cannot be judged without")
+ALL_NEEDED = "motion cannot be judged without"
 
 
-def _attitude(log: FlightLog) -> tuple[Series, Series]:
-    for roll, pitch, scale in _ATTITUDES:
-        one, other = series_of(log, roll, scale), series_of(log, pitch, scale)
-        if one is not None and other is not None:
-            return one, other
-    raise NoMeasurement(f"{log.label}: no attitude (ATT): motion cannot be judged without")
+def chosen(log: FlightLog, choices: Iterable[Choice], lacking: str = "") -> list[Series]:
+    """Channels of the first choice that a log has all of.
+
+    If it has none: nothing, or `NoMeasurement` that says what is `lacking`.
+    """
+    for names, scale in choices:
+        found = [one for name in names if (one := series_of(log, name, scale)) is not None]
+        if len(found) == len(names):
+            return found
+    if lacking:
+        raise NoMeasurement(f"{log.label}: {lacking}")
+    return []
 
 
 def airspeed_of(log: FlightLog) -> tuple[Series, str]:
@@ -414,21 +401,25 @@ def airspeed_of(log: FlightLog) -> tuple[Series, str]:
     witnesses = [(series_of(log, name), "sensor") for name in ("ARSP[0].Airspeed", "ARSP.Airspeed")]
     witnesses += [(through_the_wind(log, names), GPS) for names in _WINDS]
     witnesses += [(series_of(log, name), "the autopilot's estimate") for name in ("CTUN.As", "VFR_HUD.airspeed")]
-    found = airspeed_among(witnesses)
-    if found is None:
-        raise NoMeasurement(
-            f"{log.label}: no airspeed that measures anything: the effect of a surface grows with its square; log a "
-            "sensor (ARSP), or the estimator's velocity and wind (XKF1, XKF2)"
-        )
-    return found
+    return airspeed_among(
+        log,
+        witnesses,
+        "no airspeed that measures anything: the effect of a surface grows with its square; log a sensor (ARSP), or "
+        "the estimator's velocity and wind (XKF1, XKF2)",
+    )
 
 
-def airspeed_among(witnesses: Sequence[tuple[Series | None, str]]) -> tuple[Series, str] | None:
-    """First airspeed that shows the aircraft in the air for as long as the others do, nearly; None if none measures."""
+def airspeed_among(log: FlightLog, witnesses: Sequence[tuple[Series | None, str]], lacking: str) -> tuple[Series, str]:
+    """First airspeed that shows the aircraft in the air for as long as the others do, nearly.
+
+    Raises `NoMeasurement`, which says what is `lacking`, if none measures.
+    """
     there = [(one, source) for one, source in witnesses if one is not None]
     known = [each for each in there if each[1] == GPS or float(np.max(each[0].values)) > _MEASURES_M_S]
+    if not known:
+        raise NoMeasurement(f"{log.label}: {lacking}")
     flown_s = [float(np.sum(np.diff(one.time_s)[one.values[1:] > FLIES_M_S])) for one, _ in known]
-    return next((one for one, at in zip(known, flown_s, strict=True) if at >= _AS_LONG * max(flown_s)), None)
+    return next(one for one, at in zip(known, flown_s, strict=True) if at >= _AS_LONG * max(flown_s))
 
 
 def at_times_of_first(parts: Sequence[Series]) -> list[FloatArray]:
@@ -438,8 +429,8 @@ def at_times_of_first(parts: Sequence[Series]) -> list[FloatArray]:
 
 def through_the_wind(log: FlightLog, names: Sequence[str]) -> Series | None:
     """Airspeed [m/s] from channels of velocity north, east and down and of wind north and east; None if one lacks."""
-    parts = [one for name in names if (one := series_of(log, name)) is not None]
-    if len(parts) < len(names):
+    parts = chosen(log, [(names, 1.0)])
+    if not parts:
         return None
     north, east, down, wind_north, wind_east = at_times_of_first(parts)
     through_m_s = np.sqrt((north - wind_north) ** 2 + (east - wind_east) ** 2 + down**2)
@@ -487,12 +478,14 @@ def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
     and an airspeed (``airspeed_m_s``, ``airspeed_est_m_s`` or ``airspeed_pitot_m_s``). What a servo received
     (``*_out_us``) is never read: a fault freezes it.
     """
-    commands = {axis: one for axis, names in _COMMANDS.items() if (one := _first(log, names)) is not None}
-    throttle, pulse = series_of(log, "throttle"), _first(log, ("thr_us", "throttle_us"))
-    if pulse is not None:
+    commands = {
+        axis: one for axis, names in _COMMANDS.items() for one in chosen(log, [([name], 1.0) for name in names])
+    }
+    throttle = series_of(log, "throttle")
+    for pulse in chosen(log, [(["thr_us"], 1.0), (["throttle_us"], 1.0)]):
         throttle = Series(pulse.time_s, (pulse.values - 1000.0) / 1000.0)
-    rates = [_in_degrees(log, f"{name}_rad_s", f"{name}_deg_s") for name in ("p", "q", "r")]
-    forces = [_needed(log, (f"{name}_m_s2",)) for name in ("ax", "ay", "az")]
+    rates = [_column(log, f"{name}_deg_s", f"{name}_rad_s") for name in "pqr"]
+    forces = [_column(log, f"a{name}_m_s2") for name in "xyz"]
     native_hz = forces[0].rate_hz
 
     def asked(grid_s: FloatArray) -> Asked:
@@ -501,7 +494,7 @@ def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:
         lifted = np.zeros(grid_s.size, dtype=bool)
         return {axis: one.on(grid_s, held=held) for axis, one in commands.items()}, pulled, lifted
 
-    attitude = (_in_degrees(log, "phi_rad", "roll_deg"), _in_degrees(log, "theta_rad", "pitch_deg"))
+    attitude = (_column(log, "roll_deg", "phi_rad"), _column(log, "pitch_deg", "theta_rad"))
     airspeed = _airspeed_of_table(log)
     return on_one_grid(log, rate_hz, asked, [*commands.values()], rates, forces, attitude, airspeed, members=_MEMBERS)
 
@@ -510,23 +503,10 @@ _SAME_RATE = 0.01
 """Rates that differ by less are the same."""
 
 
-def _first(log: FlightLog, names: tuple[str, ...]) -> Series | None:
-    return next((one for name in names if (one := series_of(log, name)) is not None), None)
-
-
-def _needed(log: FlightLog, names: tuple[str, ...]) -> Series:
-    found = _first(log, names)
-    if found is None:
-        raise NoMeasurement(
-            f"{log.label}: no {names[0]}: motion needs body rates, specific forces, attitude and an airspeed beside "
-            "the commands"
-        )
-    return found
-
-
-def _in_degrees(log: FlightLog, radians: str, degrees: str) -> Series:
-    in_radians = series_of(log, radians, float(np.degrees(1.0)))
-    return in_radians if in_radians is not None and degrees not in log.channels else _needed(log, (degrees,))
+def _column(log: FlightLog, name: str, radians: str = "") -> Series:
+    """A column, in degrees if there is one in radians alone."""
+    needed = "motion needs body rates, specific forces, attitude and an airspeed beside the commands"
+    return chosen(log, [([name], 1.0), ([radians], DEG)], f"no {name}: {needed}")[0]
 
 
 def _airspeed_of_table(log: FlightLog) -> tuple[Series, str]:

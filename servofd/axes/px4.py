@@ -8,27 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from logparsers.records import FlightLog
-from servofd.aircraft.outputs import PX4_TYPES, WITHOUT_SURFACES
+from servofd.aircraft.outputs import HALF_TRAVEL_US, PX4_TYPES, WITHOUT_SURFACES
 from servofd.axes.motion import (
+    ALL_NEEDED,
+    AXIS_OF,
+    DEG,
     GPS,
     Asked,
     Motion,
     Series,
     airspeed_among,
     at_times_of_first,
+    chosen,
     on_one_grid,
     series_of,
     through_the_wind,
 )
 from servofd.core.errors import NoMeasurement
+from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray
 
 _MOST_SERVOS = 8
 """Surfaces that PX4's control allocation knows at most (CA_SV_CSk)."""
-_HALF_TRAVEL_US = 500.0
-"""What 1 of a control is on an output of 1000 to 2000 us."""
 _AXES = {"roll": "R", "pitch": "P", "yaw": "Y"}
-_MEMBERS = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
 _THROTTLE_CONTROL = 3
 """Place of the throttle among the controls of actuator_controls."""
 _MOVES = {"aileron": ("roll",), "elevator": ("pitch",), "rudder": ("yaw",), "elevon": ("roll", "pitch")}
@@ -45,18 +47,17 @@ _PWM_OUTPUTS = [f"PWM_{bank}_{{}}{k}" for bank in ("MAIN", "AUX") for k in range
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Control:
-    """What a log says of one surface, or of one axis where mixers turn it into outputs.
+class Control(Series):
+    """What was asked of one surface, or of one axis where mixers turn it into outputs.
 
-    `name`: of the surface. `series`: what was asked of it, -1 to 1. `axes`: sign of what it does to each. `trim`: in
-    the same unit. `span_us`: of its output, from end to end [us].
+    `values`: from -1 at the MIN of its output to 1 at MAX, reversed outputs turned round. `axes`: sign of what it does
+    to each. `trim`: in the same unit as the values. `span_us`: of its output, from end to end [us].
     """
 
     name: str
-    series: Series
     axes: Mapping[str, float]
     trim: float = 0.0
-    span_us: float = 2.0 * _HALF_TRAVEL_US
+    span_us: float = 2.0 * HALF_TRAVEL_US
 
 
 def controls_of(log: FlightLog) -> tuple[Control, ...]:
@@ -71,14 +72,15 @@ def controls_of(log: FlightLog) -> tuple[Control, ...]:
         name = f"{word}_{k + 1}" if word == "servo" or kinds.count(kind) > 1 else word
         given = {axis: log.parameters.get(f"CA_SV_CS{k}_TRQ_{letter}", 0.0) for axis, letter in _AXES.items()}
         axes = {axis: float(np.sign(torque)) for axis, torque in given.items() if torque} or _shares(word)
-        found.append(Control(name, series, axes, log.parameters.get(f"CA_SV_CS{k}_TRIM", 0.0), _span_us(log, k)))
+        trim = log.parameters.get(f"CA_SV_CS{k}_TRIM", 0.0)
+        found.append(Control(series.time_s, series.values, name, axes, trim, _span_us(log, k)))
     if any(control.axes for control in found):
         return tuple(found)
     for topic in ("actuator_controls_1[0]", "actuator_controls_0[0]"):  # of a VTOL's wing, and of a fixed wing
         old = [(axis, series_of(log, f"{topic}.control[{k}]")) for k, axis in enumerate(_AXES)]
         moved = [(axis, one) for axis, one in old if one is not None and np.ptp(one.values) > 0.0]
         if moved:
-            return tuple(Control(f"command of {axis}", one, {axis: 1.0}) for axis, one in moved)
+            return tuple(Control(one.time_s, one.values, f"command of {axis}", {axis: 1.0}) for axis, one in moved)
     return ()
 
 
@@ -94,7 +96,7 @@ def _span_us(log: FlightLog, k: int) -> float:
             most, least = log.parameters.get(output.format("MAX")), log.parameters.get(output.format("MIN"))
             if most is not None and least is not None:
                 return most - least
-    return 2.0 * _HALF_TRAVEL_US
+    return 2.0 * HALF_TRAVEL_US
 
 
 def motion_of_px4(log: FlightLog, rate_hz: float | None = None) -> Motion:
@@ -116,35 +118,31 @@ def motion_of_px4(log: FlightLog, rate_hz: float | None = None) -> Motion:
 
     def asked(grid_s: FloatArray) -> Asked:
         commands = {
-            axis: _HALF_TRAVEL_US
-            * np.mean([one.axes[axis] * one.series.on(grid_s, held=True) for one in parts], axis=0)
+            axis: HALF_TRAVEL_US * np.mean([one.axes[axis] * one.on(grid_s, held=True) for one in parts], axis=0)
             for axis, parts in served.items()
         }
         pulled = np.zeros(grid_s.size) if throttle is None else throttle.on(grid_s, held=True)
         return commands, pulled, _lifted(log, grid_s)
 
-    surfaces = {_MEMBERS[axis]: tuple(one.name for one in parts) for axis, parts in served.items()}
+    surfaces = {AXIS_OF[axis]: tuple(one.name for one in parts) for axis, parts in served.items()}
     if not any(log.parameters.get(f"CA_SV_CS{k}_TYPE") for k in range(_MOST_SERVOS)):
         surfaces = dict.fromkeys(surfaces, ())  # mixers made the outputs of it
     return on_one_grid(
         log,
         rate_hz,
         asked,
-        [one.series for one in controls],
-        _vector(log, ("vehicle_angular_velocity[0].xyz", "sensor_combined[0].gyro_rad"), float(np.degrees(1.0))),
-        _vector(log, ("vehicle_acceleration[0].xyz", "sensor_combined[0].accelerometer_m_s2"), 1.0),
-        _attitude(_vector(log, ("vehicle_attitude[0].q",), 1.0, 4)),
+        controls,
+        _vector(log, ("vehicle_angular_velocity[0].xyz", "sensor_combined[0].gyro_rad"), DEG),
+        _vector(log, ("vehicle_acceleration[0].xyz", "sensor_combined[0].accelerometer_m_s2")),
+        _attitude(_vector(log, ("vehicle_attitude[0].q",), size=4)),
         _airspeed(log),
         members=surfaces | {"thrust": ("engine",)},
     )
 
 
-def _vector(log: FlightLog, stems: tuple[str, ...], scale: float, size: int = 3) -> list[Series]:
-    for stem in stems:
-        found = [one for k in range(size) if (one := series_of(log, f"{stem}[{k}]", scale)) is not None]
-        if len(found) == size:
-            return found
-    raise NoMeasurement(f"{log.label}: no {stems[0].partition('[')[0]}: motion cannot be judged without")
+def _vector(log: FlightLog, stems: tuple[str, ...], scale: float = 1.0, size: int = 3) -> list[Series]:
+    choices = [([f"{stem}[{k}]" for k in range(size)], scale) for stem in stems]
+    return chosen(log, choices, f"no {stems[0].partition('[')[0]}: {ALL_NEEDED}")
 
 
 def _attitude(q: list[Series]) -> tuple[Series, Series]:
@@ -159,15 +157,9 @@ def _airspeed(log: FlightLog) -> tuple[Series, str]:
     sensors = ("airspeed_validated[0].true_airspeed_m_s", "airspeed[0].true_airspeed_m_s")
     ground = [f"vehicle_local_position[0].v{axis}" for axis in "xyz"]
     winds = [[f"{topic}.windspeed_{way}" for way in ("north", "east")] for topic in ("wind[0]", "wind_estimate[0]")]
-    found = airspeed_among(
-        [(series_of(log, name), "sensor") for name in sensors]
-        + [(through_the_wind(log, [*ground, *wind]), GPS) for wind in winds]
-    )
-    if found is None:
-        raise NoMeasurement(
-            f"{log.label}: no airspeed_validated, nor ground speed with wind: motion cannot be judged without"
-        )
-    return found
+    witnesses = [(series_of(log, name), "sensor") for name in sensors]
+    witnesses += [(through_the_wind(log, [*ground, *wind]), GPS) for wind in winds]
+    return airspeed_among(log, witnesses, f"no airspeed_validated, nor ground speed with wind: {ALL_NEEDED}")
 
 
 def _throttle(log: FlightLog) -> Series | None:
@@ -181,16 +173,10 @@ def _lifted(log: FlightLog, grid_s: FloatArray) -> BoolArray:
     """Where motors carry a VTOL."""
     state = series_of(log, "vtol_vehicle_status[0].vehicle_vtol_state")
     if state is not None:
-        return np.asarray(_held(state, grid_s) != _FORWARD)
+        return np.asarray(latest(state.time_s, state.values, grid_s) != _FORWARD)
     lifted = np.zeros(grid_s.size, dtype=bool)
     for mode in ("rw_mode", "trans_mode"):
         one = series_of(log, f"vtol_vehicle_status[0].vtol_in_{mode}")
         if one is not None:
-            lifted |= _held(one, grid_s) > 0.0
+            lifted |= latest(one.time_s, one.values, grid_s) > 0.0
     return lifted
-
-
-def _held(series: Series, grid_s: FloatArray) -> FloatArray:
-    """Latest value at each time."""
-    place = np.clip(np.searchsorted(series.time_s, grid_s, side="right") - 1, 0, series.time_s.size - 1)
-    return series.values[place]

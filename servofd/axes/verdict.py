@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
+from servofd.aircraft.axes import MOST_OF_THE_FLIGHT
 from servofd.core.series import outline
 from servofd.core.statistics import Estimate
 from servofd.core.types import FloatArray
 
 if TYPE_CHECKING:
-    from servofd.aircraft.axes import AxisModel, MotionModel
+    from servofd.aircraft.axes import AxisModel, MotionModel, Regime
     from servofd.axes.model import Inputs
 
 AxisStatus = Literal["healthy", "suspect", "fault", "unknown"]
@@ -153,9 +153,6 @@ _LEAST_SHARE, _MOST_SHARE = -0.5, 1.5
 _SMALL_SHARE, _SMALL_US = 0.3, 25.0
 """What no pilot notices: a third of an axis' effect, and the offset that one click of trim takes away."""
 
-Status = Literal["healthy", "suspect", "fault", "no_data", "unknown"]
-
-
 _SURFACES = {"roll": "ailerons", "pitch": "elevator", "side": "rudder", "thrust": "engine"}
 _OUTSIDE = {
     "airspeed": "outside the calibrated airspeed ({low:.0f} to {high:.0f} m/s)",
@@ -213,41 +210,32 @@ def left_out(lifted_share: float) -> str:
     return f"; left out: {lifted_share:.0%} of the log, while motors lifted it" if lifted_share > 0.0 else ""
 
 
-def reason_of(
-    name: str,
-    model: MotionModel,
-    members: Sequence[str],
-    events: Sequence[AxisEvent],
-    identifiable: float,
-    outside: Mapping[str, float],
-    lost: Estimate | None,
-    *,
-    status: AxisStatus,
-    worst: AxisEvent | None,
-    shows: AxisDetectable,
-) -> str:
-    """One sentence for the verdict on an axis."""
-    axis = model.axes[name]
-    caused = next((event for event in events if event.cause), None)
-    at_once = next((event for event in events if event.from_start), None)
-    odd = [event for event in events if event.is_own]
+def reason_of(audit: AxisAudit, model: MotionModel, worst: AxisEvent | None, outside: Mapping[str, float]) -> str:
+    """One sentence for the verdict on an axis, without that of its audit.
+
+    `worst`: event for which it is accused. `outside`: share of the flight for each reason not to judge it.
+    """
+    lost = audit.lost_share
+    caused = next((event for event in audit.events if event.cause), None)
+    at_once = next((event for event in audit.events if event.from_start), None)
+    odd = next((event for event in audit.events if event.is_own), None)
     if worst is not None:
-        text = _failed(name, axis, members, worst, events)
+        text = _failed(audit, worst)
     elif caused is not None:
-        text = _moved(name, caused)
+        text = _moved(audit.axis, caused)
     elif at_once is not None:
-        text = _differs(name, axis, members, at_once)
-    elif odd:
-        text = _unexplained(odd[0])
-    elif lost is not None and (status == "healthy" or excludes_none(lost)):
-        seen = shown(shows)
+        text = _differs(audit, at_once)
+    elif odd is not None:
+        text = _unexplained(odd)
+    elif lost is not None and (audit.status == "healthy" or excludes_none(lost)):
+        seen = shown(audit.detectable)
         text = f"{_share_left(lost)}{_unusual(lost)}{f'; {seen} would have been seen' if seen else ''}"
     else:
-        text = _not_judged(name, model, members, identifiable, outside, lost, shows)
+        text = _not_judged(audit, model.regime, outside)
     if model.days >= _ENOUGH_DAYS:
         return text
     days = "one day" if model.days == 1 else f"{model.days} days"
-    return f"{text}; calibrated on {days}: about {axis.false_alarms_per_hour:.2g} false alarms an hour of this axis"
+    return f"{text}; calibrated on {days}: about {audit.false_alarms_per_hour:.2g} false alarms an hour of this axis"
 
 
 def _share_left(lost: Estimate) -> str:
@@ -257,13 +245,7 @@ def _share_left(lost: Estimate) -> str:
 
 
 def excludes_none(lost: Estimate) -> bool:
-    """Whether an interval says that an axis was not as in its good flights.
-
-    Examples
-    --------
-    >>> excludes_none(Estimate(0.1, 0.02, 0.18)), excludes_none(Estimate(0.1, -0.02, 0.22))
-    (True, False)
-    """
+    """Whether an interval says that an axis was not as in its good flights."""
     return not lost.low <= 0.0 <= lost.high
 
 
@@ -291,21 +273,21 @@ def _unusual(lost: Estimate) -> str:
     )
 
 
-def _failed(name: str, axis: AxisModel, members: Sequence[str], worst: AxisEvent, events: Sequence[AxisEvent]) -> str:
+def _failed(audit: AxisAudit, worst: AxisEvent) -> str:
     last_s = math.inf if worst.end_s is None else worst.end_s
-    times_s = [event.start_s for event in events if event.is_own and worst.start_s < event.start_s < last_s]
+    times_s = [event.start_s for event in audit.events if event.is_own and worst.start_s < event.start_s < last_s]
     again = f"; it changed again at {', '.join(f'{time_s:.1f}' for time_s in times_s)} s" if times_s else ""
     ended = "" if worst.end_s is None else f" until {worst.end_s:.1f} s"
     since = "from the first judged second on" if worst.from_start else f"since {worst.start_s:.1f} s"
-    return f"{_loss(name, axis, members, worst)}, {since}{ended}{again}"
+    return f"{_loss(audit, worst)}, {since}{ended}{again}"
 
 
-def _differs(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) -> str:
+def _differs(audit: AxisAudit, event: AxisEvent) -> str:
     sizes = f" (lost share {event.lost_share.value:+.2f}, offset {event.offset_us.value:+.0f} us)"
     return (
-        f"{named(members, name)} differed from calibration from the first judged second on"
-        f"{sizes if axis.own_command else ''}: another trim, payload or aircraft, or a failure before take-off; what "
-        "came later was judged beyond that"
+        f"{named(audit.members, audit.axis)} differed from calibration from the first judged second on"
+        f"{sizes if audit.model.own_command else ''}: another trim, payload or aircraft, or a failure before take-off; "
+        "what came later was judged beyond that"
     )
 
 
@@ -315,39 +297,33 @@ def _moved(name: str, event: AxisEvent) -> str:
     return f"not judged from {event.start_s:.1f} s on: what happened to {event.cause} moves this axis too"
 
 
-def _not_judged(
-    name: str,
-    model: MotionModel,
-    members: Sequence[str],
-    identifiable: float,
-    outside: Mapping[str, float],
-    lost: Estimate | None,
-    shows: AxisDetectable,
-) -> str:
+def _not_judged(audit: AxisAudit, regime: Regime, outside: Mapping[str, float]) -> str:
+    lost, unseen = audit.lost_share, 1.0 - audit.identifiable
     if not outside:
         return "the aircraft never flew"
     most = max(outside, key=lambda reason: outside[reason])
-    if outside[most] > max(_OFTEN, 0.5 * (1.0 - identifiable)):
-        low, high = model.regime.airspeed_low_m_s, model.regime.airspeed_high_m_s
+    if outside[most] > max(_OFTEN, 0.5 * unseen):
+        low, high = regime.airspeed_low_m_s, regime.airspeed_high_m_s
         return f"{outside[most]:.0%} of the flight was {_OUTSIDE[most].format(low=low, high=high)}"
-    if not model.axes[name].own_command:
-        return f"{named(members, name)} never moved on its own: a surface that does not move would look the same"
+    if not audit.model.own_command:
+        which = named(audit.members, audit.axis)
+        return f"{which} never moved on its own: a surface that does not move would look the same"
     half = (lost.high - lost.low) / 2.0 if lost is not None else 0.0
-    is_loose = shows.loss < 1.0 / max(len(members), 1) and half > KNOWN_WITHIN  # one that got stuck would have shown
-    if lost is not None and (is_loose or identifiable >= MOST_OF_THE_FLIGHT):
+    one = 1.0 / max(len(audit.members), 1)
+    is_loose = audit.detectable.loss < one and half > KNOWN_WITHIN  # one that got stuck would have shown
+    if lost is not None and (is_loose or audit.identifiable >= MOST_OF_THE_FLIGHT):
         return f"had {1.0 - lost.value:.0%} of its effect, known to ±{half:.0%} only: healthy flights differ as much"
-    if name == "thrust":
-        return f"too little change of throttle: in {1.0 - identifiable:.0%} of the flight lost thrust would not show"
-    return f"too little motion: in {1.0 - identifiable:.0%} of the flight a stuck surface would have looked the same"
+    if audit.axis == "thrust":
+        return f"too little change of throttle: in {unseen:.0%} of the flight lost thrust would not show"
+    return f"too little motion: in {unseen:.0%} of the flight a stuck surface would have looked the same"
 
 
-def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) -> str:
-    surfaces = named(members, name)
-    lost = event.lost_share
-    if name == "thrust":
+def _loss(audit: AxisAudit, event: AxisEvent) -> str:
+    surfaces, lost = named(audit.members, audit.axis), event.lost_share
+    if audit.axis == "thrust":
         return f"thrust is missing ({lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}])"
     share = f"lost {lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of the effect"
-    if not axis.own_command:
+    if not audit.model.own_command:
         return f"{surfaces} did not stand where asked, or did not move"
     if event.lag_s is not None:
         late = event.lag_s
@@ -360,9 +336,11 @@ def _loss(name: str, axis: AxisModel, members: Sequence[str], event: AxisEvent) 
             f"did not answer as calibrated: {away.value:+.0f} us [{away.low:+.0f}, {away.high:+.0f}] away, or "
             f"{lost.value:.0%} [{lost.low:.0%}, {lost.high:.0%}] of the effect lost (this motion hardly tells which)"
         )
-    elif lost.value > _HALF or len(members) == 1:
+    elif lost.value > _HALF or len(audit.members) == 1:
         text = f"{share}, offset {event.offset_us.value:+.0f} us"
     else:
-        which = "one of them, or both at half effect" if name == "roll" else "one half, or all at part of the effect"
+        which = (
+            "one of them, or both at half effect" if audit.axis == "roll" else "one half, or all at part of the effect"
+        )
         text = f"{share}: {which}; offset {event.offset_us.value:+.0f} us"
     return f"{surfaces} {text}"

@@ -12,7 +12,7 @@ from servofd.core.types import FloatArray
 from servofd.core.windows import Sizes, Sums, distance, fitted, known_from, lasting, least
 
 if TYPE_CHECKING:
-    from servofd.aircraft.axes import AxisModel, Spread
+    from servofd.aircraft.axes import AxisModel
     from servofd.axes.model import Inputs
 
 _ENOUGH = 0.9
@@ -68,12 +68,13 @@ def expected(
     return known
 
 
-def _lateness(axis: AxisModel, inputs: Inputs, spread: Spread, rate_hz: float) -> FloatArray:
-    """J of a lag in the windows of a length; earlier than expected is not slow."""
-    length, window = spread.samples(rate_hz), np.array([[spread.lag_var_s2]])
-    flight = window * axis.of_flight / (1.0 - axis.of_flight)
-    known = expected(inputs, length, axis.noise_var, flight, window, LAG)
-    return distance(sliding(inputs, length, axis.noise_var, LAG).beyond(known, window))
+def _beyond(
+    axis: AxisModel, inputs: Inputs, length: int, window: FloatArray, asked: Asked = SIZES
+) -> tuple[Sizes, Sizes]:
+    """Sizes in the windows of a length, which differ by P_window, and how far they are beyond what is expected."""
+    found = sliding(inputs, length, axis.noise_var, asked)
+    known = expected(inputs, length, axis.noise_var, axis.of_flights(window), window, asked)
+    return found, found.beyond(known, window)
 
 
 @dataclass(frozen=True)
@@ -82,29 +83,29 @@ class Windows:
 
     axis: AxisModel
     inputs: Inputs
-    rate_hz: float
     found: tuple[Sizes, ...]
     away: tuple[Sizes, ...]
     late: tuple[FloatArray, ...]
     """J of a lag, where the command is the axis' own; shape (n,) each."""
 
     @classmethod
-    def of(cls, axis: AxisModel, inputs: Inputs, rate_hz: float) -> Windows:
+    def of(cls, axis: AxisModel, inputs: Inputs) -> Windows:
         """Of one flight."""
-        found, away, late = [], [], []
+        each = []
         for spread in axis.spreads:
-            length = spread.samples(rate_hz)
-            found.append(sliding(inputs, length, axis.noise_var))
-            known = expected(inputs, length, axis.noise_var, axis.of_flights(spread), spread.covariance)
-            away.append(found[-1].beyond(known, spread.covariance))
-            tells = axis.own_command and spread.lag_scale is not None
-            late.append(_lateness(axis, inputs, spread, rate_hz) if tells else np.zeros(inputs.usable.size))
-        return cls(axis, inputs, rate_hz, tuple(found), tuple(away), tuple(late))
+            length = spread.samples(inputs.rate_hz)
+            one, far = _beyond(axis, inputs, length, spread.covariance)
+            lateness = np.zeros(inputs.usable.size)
+            if axis.own_command and spread.lag_scale is not None:  # earlier than expected is not slow
+                lateness = distance(_beyond(axis, inputs, length, np.array([[spread.lag_var_s2]]), LAG)[1])
+            each.append((one, far, lateness))
+        found, away, late = zip(*each, strict=True)
+        return cls(axis, inputs, found, away, late)
 
     def scaled(self, axis: AxisModel, kept: Sequence[int]) -> Windows:
         """The windows of some lengths, by an axis that differs in its scales and levels alone."""
         found, away = (tuple(each[k] for k in kept) for each in (self.found, self.away))
-        return Windows(axis, self.inputs, self.rate_hz, found, away, tuple(self.late[k] for k in kept))
+        return Windows(axis, self.inputs, found, away, tuple(self.late[k] for k in kept))
 
     def shifted(self, change: FloatArray) -> Windows:
         """The same if the axis had lost a share, and stood away [us], shape (2,)."""
@@ -139,4 +140,4 @@ class Windows:
         """Largest J of all windows at each sample, as a multiple of the calibration's largest, after persistence."""
         late = [j / (spread.lag_scale or np.inf) for j, spread in zip(self.late, self.axis.spreads, strict=True)]
         shares = [*self.shares(), *late]
-        return lasting(np.max(shares, axis=0), max(1, round(_PERSISTENCE_S * self.rate_hz)))
+        return lasting(np.max(shares, axis=0), max(1, round(_PERSISTENCE_S * self.inputs.rate_hz)))

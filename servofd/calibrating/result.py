@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from servofd.aircraft.calibrated import CalibratedServo, calibrated_to_toml
+from servofd.aircraft.calibrated import CalibratedServo, calibrated_to_toml, terms_to_toml
 from servofd.aircraft.calibration import Calibration as Scale
-from servofd.aircraft.current import CalibratedCurrent, current_to_toml
+from servofd.aircraft.current import REGRESSORS, CalibratedCurrent
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.statistics import Estimate
 from servofd.core.toml_text import toml_key, toml_lines, toml_value
@@ -123,9 +123,8 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
         }
         entry.setdefault("threshold_deg", one.threshold_deg)
         lines += toml_lines(entry, comments)
-    current = calibration.aircraft.surfaces[name].healthy_current
-    if drawn is not None and current is not None:
-        lines += current_to_toml(name, current)
+    if drawn is not None:
+        lines += terms_to_toml(f"surfaces.{toml_key(name)}.healthy_current", drawn, REGRESSORS)
     if known is None:
         return lines
     intervals = {} if one is None else {key: f"[{e.low:.4g}, {e.high:.4g}]" for key, e in one.estimates.items()}

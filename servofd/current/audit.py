@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -18,9 +20,8 @@ from servofd.core.errors import CalibrationError, NoMeasurement
 from servofd.core.types import FloatArray
 from servofd.current.both import AGREE_S, agree, beside, confirmed
 from servofd.current.evidence import largest_of
-from servofd.current.judge import BY_CURRENT, judged, limits_of, verdict_of
+from servofd.current.judge import BY_CURRENT, EXPLAINED_OWN, judged, limits_of, verdict_of
 from servofd.current.model import CurrentSeries, Motion, Seen, fit_current, see
-from servofd.current.own import own_current
 from servofd.current.shared import faults_of_wire, own_currents, parted
 from servofd.current.stream import OfCurrent, motion_model
 from servofd.current.wear import features_of, wear_of
@@ -214,6 +215,40 @@ def current_series(log: FlightLog, name: str, aircraft: Aircraft, source: Curren
     context = Context(airspeed_s=airspeed_s, airspeed_m_s=airspeed_m_s, voltage_s=volts_s, voltage_v=volts_v)
     motion = Motion.of(motion_model(aircraft, name), command_s, command_deg, float(read.time_s[-1]))
     return CurrentSeries(name, read.time_s, read.current_a, motion, context, read.notes)
+
+
+_PARTS_OF_LOG: Final = (3, 2, 1)
+"""Into how many parts a log is cut, one after the other; how late its readings come is known from the first ones."""
+
+
+def own_current(series: CurrentSeries) -> CalibratedCurrent:
+    """Return the healthy current that a log shows by itself: of the part that predicts the whole most sharply.
+
+    Raises `CalibrationError` if no part of the log has enough motion and current.
+    """
+    first_s, last_s = float(series.time_s[0]), float(series.time_s[-1])
+    found: list[tuple[bool, float, CalibratedCurrent]] = []
+    sharpest = operator.itemgetter(0, 1)
+    reason, late_s = "", None
+    for count in _PARTS_OF_LOG:
+        best = min(found, key=sharpest, default=None)
+        if best is not None and not best[0]:
+            late_s = best[2].late_s
+        for from_s, to_s in itertools.pairwise(np.linspace(first_s, last_s, count + 1).tolist()):
+            part = series.within(from_s, np.nextafter(to_s, np.inf))
+            try:
+                known = fit_current([part], is_own=True, late_s=late_s)
+            except CalibrationError as error:
+                reason = reason or str(error)
+                continue
+            known = known.model_copy(update={"fitted_between_s": (round(from_s, 2), round(to_s, 2))})
+            sharpness_a = float(np.mean(see(series, known).noise_a))
+            found.append((known.explained_share < EXPLAINED_OWN, sharpness_a, known))
+    if not found:
+        raise CalibrationError(reason)
+    known = min(found, key=sharpest)[2]
+    part = series.within(*(known.fitted_between_s or (first_s, last_s)))
+    return known.model_copy(update={"limits_nats": limits_of([{series.surface: see(part, known)}])})
 
 
 def _judged(

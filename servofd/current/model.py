@@ -15,7 +15,7 @@ since the one before: both are found by which fits best.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -135,10 +135,7 @@ class Motion:
         """The same in a part of its time; the last instant of it before a part without commands."""
         first, last = np.searchsorted(self.time_s, (from_s, to_s)).tolist()
         rows = slice(min(first, self.time_s.size - 1), max(last, 1))
-        return Motion(
-            self.time_s[rows], self.asked_deg[rows], self.deflection_deg[rows],
-            self.speed_deg_s[rows], self.push_deg_s2[rows], self.known[rows],
-        )  # fmt: skip
+        return Motion(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     def rows(self, at_s: FloatArray, lag_s: float, width_s: float, values: FloatArray) -> FloatArray:
         """Values (n, k) as readings at some times see them, (m, k): late, and averaged over a width."""

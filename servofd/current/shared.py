@@ -37,7 +37,8 @@ def own_currents(
     together: Mapping[str, CurrentSeries], known: Mapping[str, CalibratedCurrent]
 ) -> dict[str, CurrentSeries]:
     """Return what is read of a wire less what the others draw for their motion, for each servo on it."""
-    return _less_others(together, {name: _motion_a(series, known[name]) for name, series in together.items()})
+    own = {name: terms(series, known[name])[0][:, 1:] @ known[name].theta[1:] for name, series in together.items()}
+    return _less_others(together, own)
 
 
 def parted(flights: Sequence[Mapping[str, CurrentSeries]]) -> list[dict[str, CurrentSeries]]:
@@ -63,11 +64,6 @@ def parted(flights: Sequence[Mapping[str, CurrentSeries]]) -> list[dict[str, Cur
         motion_a = {name: each @ share for name, each, share in zip(flight, columns, shares, strict=True)}
         found.append(_less_others(flight, motion_a))
     return found
-
-
-def _motion_a(series: CurrentSeries, known: CalibratedCurrent) -> FloatArray:
-    """What a good servo draws for its motion [A], shape (m,)."""
-    return terms(series, known)[0][:, 1:] @ known.theta[1:]
 
 
 def _less_others(together: Mapping[str, CurrentSeries], motion_a: Mapping[str, FloatArray]) -> dict[str, CurrentSeries]:

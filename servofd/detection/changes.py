@@ -120,7 +120,7 @@ class Tests(NamedTuple):
     @classmethod
     def of(cls, known: CalibratedServo, period_s: float, *, is_lossy: bool = False, missed_deg: float = 0.0) -> Tests:
         """From the noise of a healthy servo and its covariance between flights; lossy: most commands are lost."""
-        noise = known.noise.noise.at(period_s)
+        noise = known.noise.at(period_s)
         scaled = known.covariance / np.outer(_UNITS[:FITTED], _UNITS[:FITTED])
         first, second = noise.colour
         hz = np.arange(_FIRST_HZ, min(_LAST_HZ, 1.0 / period_s / 3.0) + 1e-9, _SPACING_HZ)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from logparsers.units import MS_PER_S
-from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
+from servofd.aircraft.calibrated import CalibratedServo, Noise, lower_triangle
 from servofd.aircraft.priors import NAMES, PRIORS
 from servofd.core.errors import CalibrationError
 from servofd.core.series import latest
@@ -90,7 +90,7 @@ def known_servo(
     return CalibratedServo(
         parameters={key: float(f"{value:.6g}") for key, value in zip(NAMES, fitted.theta.tolist(), strict=True)},
         between=lower_triangle(between),
-        noise=CalibratedNoise(
+        noise=Noise(
             still_deg=float(f"{noise.still_deg:.4g}"),
             lag_s=float(f"{noise.lag_s:.4g}"),
             colour=(round(noise.colour[0], 4), round(noise.colour[1], 4)),

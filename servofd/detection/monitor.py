@@ -33,7 +33,7 @@ from servofd.servo.context import Context
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from servofd.core.types import BoolArray, FloatArray
+    from servofd.core.types import FloatArray, Marks
     from servofd.detection.seen import HealthyStream
     from servofd.detection.stream import Piece
     from servofd.servo.context import Context
@@ -145,7 +145,7 @@ class SurfaceMonitor(Looks):
         self,
         commands: tuple[FloatArray, FloatArray],
         positions: tuple[FloatArray, FloatArray],
-        stands: BoolArray | None = None,
+        stands: Marks | None = None,
         stood_s: Sequence[tuple[float, float]] = (),
         drawn: tuple[FloatArray, FloatArray] | None = None,
     ) -> list[Event]:
@@ -166,7 +166,7 @@ class SurfaceMonitor(Looks):
         seen_deg = (
             positions[1][known] if self.surface.measured is None else self.surface.measured.to_deg(positions[1][known])
         )
-        fresh = np.ones(seen_deg.size, dtype=bool) if stands is None else ~stands
+        fresh = np.ones(seen_deg.size, dtype=bool) if stands is None else stands == 0
         seen = list(zip(positions[0][known][fresh].tolist(), seen_deg[fresh].tolist(), strict=True))
         for what, rows in (("command", asked), ("position", seen)):
             if rows:

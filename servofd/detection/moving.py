@@ -84,7 +84,7 @@ class Moving:
         self.known, self._limit = known, thresholds_of(known)[0]
         self._table = variants(known.theta, middle_deg=known.middle_deg)
         self._state = new_state(self._table.shape[0])
-        self._noise, self._peak = known.noise.noise.at(period_s), np.array([0.0, np.nan])
+        self._noise, self._peak = known.noise.at(period_s), np.array([0.0, np.nan])
         self._may_hold, self._last_deg, self._repeats = period_s > UNSEEN_S, np.nan, 0
 
     def surroundings(self, context: Context) -> None:
@@ -203,7 +203,7 @@ def watched(
     judged_deg = np.where(usable, error_deg, np.nan)
     tested = follow(tests, Memory(tests), record.time_s, judged_deg, moved.slopes, noise_deg, lost_deg)
     shown = moving.shown(moved, record.measured_deg, usable, tested, noise_deg)
-    noise = known.noise.noise.at(record.period_s)
+    noise = known.noise.at(record.period_s)
     return Watched(
         known, noise, record, moved.reading_deg, moved.slopes, usable, noise_deg, lost_deg, tests, tested, shown,
         moving.alone, moving.own,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
+from servofd.aircraft.calibrated import CalibratedServo, Noise, lower_triangle
 from servofd.aircraft.pace import pace_steps
 from servofd.aircraft.priors import FITTED, NAMES, PRIORS
 from servofd.aircraft.series import Series
@@ -106,7 +106,7 @@ def named_servo(model: ServoModel, tolerance: Tolerance, period_s: float) -> Cal
     return CalibratedServo(
         parameters=dict(zip(NAMES, theta.tolist(), strict=True)),
         between=lower_triangle(np.diag(deviation**2)),
-        noise=CalibratedNoise(
+        noise=Noise(
             still_deg=max(tolerance.noise_deg, _LEAST), lag_s=0.0, colour=(0.0, 0.0), innovation=1.0, period_s=period_s
         ),
         reach_deg=(-_ANYWHERE_DEG, _ANYWHERE_DEG),

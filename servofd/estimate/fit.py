@@ -439,7 +439,8 @@ def _noise(error: FloatArray, speed: FloatArray, records: Sequence[Record]) -> N
     first, second = _ar2(r1 / max(r0, 1e-12), r2 / max(r0, 1e-12))
     rho1, rho2 = first / (1.0 - second), first**2 / (1.0 - second) + second
     new = float(np.sqrt(max(1.0 - first * rho1 - second * rho2, 0.02)))
-    return Noise(still * inflation, lag * inflation, (first, second), new, records[0].period_s)
+    still, lag = still * inflation, lag * inflation
+    return Noise(still_deg=still, lag_s=lag, colour=(first, second), innovation=new, period_s=records[0].period_s)
 
 
 def _ar2(rho1: float, rho2: float) -> tuple[float, float]:

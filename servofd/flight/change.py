@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from servofd.axes.model import FORMS, Filtered, Form, Regression
+from servofd.axes.model import DELAYS_S, FORMS, Filtered, Form, Regression
 from servofd.axes.motion import FLIES_M_S, Motion
 from servofd.axes.verdict import excludes_none, left_out, named
 from servofd.core.series import rms
@@ -35,8 +35,6 @@ LEAST_PAST_S = 35
 """Flown before the first window that is judged: seven unknowns that were fitted to less extrapolate."""
 _COLOUR_S = 1.0
 """Residuals less than a second apart count as one: gusts pass a small aeroplane in as much."""
-_DELAYS_S = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.25, 0.3, 0.4)
-"""Delays between command and motion that are tried [s]."""
 _DELAY_FROM_S = 40
 """Flight from which the delay is found [s]."""
 _RIDGE = 1e-3
@@ -179,10 +177,6 @@ class Past(NamedTuple):
     precision: FloatArray
     variance: FloatArray
 
-    def at(self, place: int, count: int) -> Past:
-        """One of them, as often as there are windows that it is compared with."""
-        return Past(*(np.repeat(each[..., place, None], count, axis=-1) for each in self))
-
 
 def _windows(seconds: Seconds, length_s: int) -> tuple[IntArray, IntArray]:
     """Begins and ends of the windows of a length that hold enough, and have enough flight before them."""
@@ -251,7 +245,7 @@ def regressed(form: Form, motion: Motion, usable: BoolArray, corner_hz: float, r
     filtered = Filtered(motion, corner_hz=corner_hz, reference_m_s=reference_m_s)
     columns = form.regression(filtered)
     first = usable & (np.cumsum(usable) <= _DELAY_FROM_S * motion.rate_hz)
-    delays = (0.0,) if form.command == "throttle" else _DELAYS_S
+    delays = (0.0,) if form.command == "throttle" else DELAYS_S
     best = max(delays, key=lambda d: Seconds.of(form, columns.delayed(d, motion.rate_hz), first, motion).explained)
     return Seconds.of(form, columns.delayed(best, motion.rate_hz), usable, motion)
 
@@ -260,16 +254,21 @@ def airborne(motion: Motion) -> tuple[BoolArray, float]:
     """Where an aircraft surely flies, and its usual airspeed [m/s]: not soon after a take-off, nor before a landing."""
     from scipy import ndimage
 
-    moving = motion.present & (motion.airspeed_m_s > FLIES_M_S)
-    if not moving.any():
-        return moving, 1.0
-    usual_m_s = float(np.median(motion.airspeed_m_s[moving]))
-    flies = motion.present & (motion.airspeed_m_s > _AIRBORNE * usual_m_s)
+    flies, usual_m_s = _flying(motion)
     after, before = (round(s * motion.rate_hz) for s in (_AFTER_TAKEOFF_S, _BEFORE_LANDING_S))
     # Erosion by a window that reaches so far back and ahead of each sample.
     window = np.ones(after + before + 1, dtype=bool)
     sure = ndimage.binary_erosion(flies, window, origin=(after - before) // 2, border_value=0)
     return sure, usual_m_s
+
+
+def _flying(motion: Motion) -> tuple[BoolArray, float]:
+    """Where an aircraft is about as fast as it usually is, and how fast that is [m/s]."""
+    moving = motion.present & (motion.airspeed_m_s > FLIES_M_S)
+    if not moving.any():
+        return moving, 1.0
+    usual_m_s = float(np.median(motion.airspeed_m_s[moving]))
+    return motion.present & (motion.airspeed_m_s > _AIRBORNE * usual_m_s), usual_m_s
 
 
 _TURNING = {"roll": ("roll_acceleration", 2.5), "pitch": ("pitch_acceleration", 2.5)}
@@ -287,11 +286,9 @@ def first_turns(motion: Motion) -> list[tuple[str, str, float]]:
 
     Result: axis, the command that turns it, and how much flight it took to be sure [s].
     """
-    moving = motion.present & (motion.airspeed_m_s > FLIES_M_S)
-    if motion.rate_hz < _SLOW_HZ or not moving.any():
+    flies, usual_m_s = _flying(motion)
+    if motion.rate_hz < _SLOW_HZ or not flies.any():
         return []
-    usual_m_s = float(np.median(motion.airspeed_m_s[moving]))
-    flies = motion.present & (motion.airspeed_m_s > _AIRBORNE * usual_m_s)
     enough = np.searchsorted(np.cumsum(flies), (_FIRST_S[-1] + 1) * motion.rate_hz)
     first = motion.until(float(motion.time_s[min(int(enough), motion.time_s.size - 1)]))
     flies, found = flies[: first.time_s.size], []
@@ -506,7 +503,7 @@ def onset(seconds: Seconds, reported: int) -> float:
     Of the windows that end where it was reported, the one whose loss and offset explain most.
     """
     begins = np.arange(max(reported - WINDOWS_S[-1], 0), reported - _HELD_S + 1)
-    past = seconds.fitted(begins[:1]).at(0, begins.size)
+    past = seconds.fitted(np.repeat(begins[:1], begins.size))
     return float(begins[split(seconds.compared(past, begins, np.full(begins.size, reported))[1])])
 
 

@@ -7,25 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servofd.axes.motion import Series
+from servofd.axes.px4 import Control
 from servofd.core.series import stretches
 from servofd.core.statistics import LEAST_DIVISOR
 from servofd.core.types import BoolArray, FloatArray
 from servofd.flight.change import AxisChange, Status, first_turns
-from servofd.flight.columns import Flight, Output
+from servofd.flight.columns import Flight
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
     """One question to one flight.
 
-    `name`: as in the report. `text`: one sentence. `since_s`: from when on [s]; None where that means nothing.
+    `text`: one sentence. `since_s`: from when on [s]; None where that means nothing. `name`: as in the report.
     """
 
-    name: str
     status: Status
     text: str
     since_s: float | None = None
+    name: str = ""
 
 
 _NO_OUTPUTS = (
@@ -43,12 +43,12 @@ stayed there for 1 s. A pilot who holds full aileron through a roll takes about 
 def saturation(flight: Flight) -> Check:
     """Whether a command stood at its end, and so could ask for no more."""
     if not flight.outputs:
-        return Check("saturation", "unknown", _NO_OUTPUTS)
+        return Check("unknown", _NO_OUTPUTS)
     if not np.isfinite(flight.span_s[0]):
-        return Check("saturation", "unknown", _NEVER_FLEW)
+        return Check("unknown", _NEVER_FLEW)
     longest_s, begin_s, which = 0.0, 0.0, flight.outputs[0]
     for output in flight.outputs:
-        at_end = (np.abs(output.share) >= _AT_END) & (output.time_s >= flight.span_s[0])
+        at_end = (np.abs(output.values) >= _AT_END) & (output.time_s >= flight.span_s[0])
         for first, last in stretches(at_end):
             end_s = float(output.time_s[min(last, output.time_s.size - 1)])
             lasted_s = end_s - float(output.time_s[first])
@@ -56,11 +56,10 @@ def saturation(flight: Flight) -> Check:
                 longest_s, begin_s, which = lasted_s, float(output.time_s[first]), output
     if longest_s < _LONG_AT_END_S:
         seen = "for no longer than a moment" if longest_s == 0.0 else f"for {longest_s:.1f} s at most ({which.name})"
-        return Check("saturation", "ok", f"commands stood at their ends {seen}")
+        return Check("ok", f"commands stood at their ends {seen}")
     late = begin_s + longest_s >= flight.span_s[1]
     then = f", up to the end of the flight{_answer(flight, which, begin_s, begin_s + longest_s)}" if late else ""
     return Check(
-        "saturation",
         "look",
         f"{which.name} stood at its end for {longest_s:.1f} s from {begin_s:.0f} s on{then}",
         begin_s,
@@ -71,7 +70,7 @@ _OBEYS_DEG_S = 5.0
 """Rate below which an aircraft does not obey full travel: a hundredth of what it gives an aerobatic one [deg/s]."""
 
 
-def _answer(flight: Flight, output: Output, begin_s: float, end_s: float) -> str:
+def _answer(flight: Flight, output: Control, begin_s: float, end_s: float) -> str:
     """How the aircraft turned meanwhile, about the axis of this output that was asked for most."""
     motion = flight.motion
     if motion is None:
@@ -103,10 +102,10 @@ def trim(flight: Flight) -> Check:
     """Where the commands stand in level flight."""
     means = _level_means(flight)
     if not means:
-        return Check("trim", "unknown", _NO_OUTPUTS if not flight.outputs else "no level flight that shows the trim")
+        return Check("unknown", _NO_OUTPUTS if not flight.outputs else "no level flight that shows the trim")
     name, mean = max(means.items(), key=lambda each: abs(each[1]))
     text = f"in level flight {name} stands at {mean:+.0%} of its half travel"
-    return Check("trim", "look" if abs(mean) > _FAR_TRIM else "ok", f"{text}, the furthest of {len(means)}")
+    return Check("look" if abs(mean) > _FAR_TRIM else "ok", f"{text}, the furthest of {len(means)}")
 
 
 def _level_means(flight: Flight) -> dict[str, float]:
@@ -117,7 +116,7 @@ def _level_means(flight: Flight) -> dict[str, float]:
     for output in flight.outputs:
         at = flight.at(output.time_s, level)
         if np.count_nonzero(at) > _FEW:
-            found[output.name] = float(np.mean(output.share[at]))
+            found[output.name] = float(np.mean(output.values[at]))
     return found
 
 
@@ -131,21 +130,20 @@ of what an even split would give it, cut commands that the autopilot means to gi
 def travel(flight: Flight) -> Check:
     """How much of its travel each output used, and whether its limits cut commands."""
     if not flight.outputs:
-        return Check("travel", "unknown", _NO_OUTPUTS)
+        return Check("unknown", _NO_OUTPUTS)
     narrow = [one.name for one in flight.outputs if one.span_us < _LEAST_SPAN_US]
-    uneven = [one.name for one in flight.outputs if 1.0 - abs(one.trim_share) < _LEAST_SIDE]
-    used = {one.name: float(np.ptp(one.share)) / 2.0 for one in flight.outputs}
+    uneven = [one.name for one in flight.outputs if 1.0 - abs(one.trim) < _LEAST_SIDE]
+    used = {one.name: float(np.ptp(one.values)) / 2.0 for one in flight.outputs}
     least = min(used, key=lambda name: used[name])
     most = max(used, key=lambda name: used[name])
     shares = f"outputs used {used[least]:.0%} ({least}) to {used[most]:.0%} ({most}) of their travel"
     if narrow or uneven:
         which = ", ".join(dict.fromkeys([*narrow, *uneven]))
         return Check(
-            "travel",
             "look",
             f"MIN, MAX and TRIM of their outputs leave {which} too little travel to one side; {shares}",
         )
-    return Check("travel", "ok", shares)
+    return Check("ok", shares)
 
 
 _UNEVEN = 0.15
@@ -157,18 +155,18 @@ def asymmetry(flight: Flight) -> Check:
     means = _level_means(flight)
     by_name = {one.name: one for one in flight.outputs}
     rolls = [
-        by_name[name].axes["roll"] * (mean - by_name[name].trim_share)
+        by_name[name].axes["roll"] * (mean - by_name[name].trim)
         for name, mean in means.items()
         if "roll" in by_name[name].axes
     ]
     if not rolls:
-        return Check("asymmetry", "unknown", "no level flight with the commands of ailerons or elevons")
+        return Check("unknown", "no level flight with the commands of ailerons or elevons")
     held = float(np.mean(rolls))
     side = "right" if held > 0.0 else "left"
     text = f"it takes {abs(held):.0%} of roll to the {side} to fly level"
     if abs(held) > _UNEVEN:
-        return Check("asymmetry", "look", f"{text}: a wing, its load, or one of the surfaces is not as the other")
-    return Check("asymmetry", "ok", text)
+        return Check("look", f"{text}: a wing, its load, or one of the surfaces is not as the other")
+    return Check("ok", text)
 
 
 _CYCLE_S = 10.0
@@ -185,11 +183,11 @@ def limit_cycle(flight: Flight) -> Check:
     """Whether command and rate swing at one frequency, in some windows in a row, each from the middle of another."""
     motion = flight.motion
     if motion is None or not flight.flies.any():
-        return Check("limit_cycle", "unknown", flight.lacking or _NEVER_FLEW)
+        return Check("unknown", flight.lacking or _NEVER_FLEW)
     rows = round(_CYCLE_S * motion.rate_hz)
     begins = [b for b in range(0, motion.time_s.size - rows + 1, rows // 2) if flight.flies[b : b + rows].all()]
     if not begins:
-        return Check("limit_cycle", "unknown", f"no {_CYCLE_S:.0f} s of flight in one piece")
+        return Check("unknown", f"no {_CYCLE_S:.0f} s of flight in one piece")
     for axis, rate in zip(("roll", "pitch"), motion.rates_deg_s[:2], strict=True):
         if axis not in motion.commands_us:
             continue
@@ -209,8 +207,8 @@ def limit_cycle(flight: Flight) -> Check:
                     f"{axis} swings at {peak_hz:.1f} Hz by ±{swing_deg_s:.0f} deg/s with its command from "
                     f"{since_s:.0f} s on: play, a slow servo, gains too high, or a pilot's own hand"
                 )
-                return Check("limit_cycle", "look", text, since_s)
-    return Check("limit_cycle", "ok", f"no swing at one frequency in {len(begins)} windows of {_CYCLE_S:.0f} s")
+                return Check("look", text, since_s)
+    return Check("ok", f"no swing at one frequency in {len(begins)} windows of {_CYCLE_S:.0f} s")
 
 
 def _narrow(command: FloatArray, rate: FloatArray, rate_hz: float) -> tuple[float, float]:
@@ -231,14 +229,14 @@ _LOWEST_V, _DIP_SHARE = 4.5, 0.15
 def supply(flight: Flight) -> Check:
     """Whether the rail of the servos held its voltage."""
     if flight.supply_v is None:
-        return Check("supply", "unknown", "no voltage of the servos' rail in this log (of ArduPilot: POWR.VServo)")
+        return Check("unknown", "no voltage of the servos' rail in this log (of ArduPilot: POWR.VServo)")
     volts, time_s = flight.supply_v.values, flight.supply_v.time_s
     usual_v, lowest_v = float(np.median(volts)), float(volts.min())
     since_s = float(time_s[int(np.argmin(volts))])
     text = f"the servos' rail held {usual_v:.1f} V, {lowest_v:.1f} V at least"
     if lowest_v < min(usual_v, _LOWEST_V) or lowest_v < (1.0 - _DIP_SHARE) * usual_v:
-        return Check("supply", "look", f"{text}, at {since_s:.0f} s", since_s)
-    return Check("supply", "ok", text)
+        return Check("look", f"{text}, at {since_s:.0f} s", since_s)
+    return Check("ok", text)
 
 
 _BEFORE_TAKEOFF_S = 60.0
@@ -252,7 +250,7 @@ _FOLLOWS, _STICK_US = 0.7, 100.0
 def surface_check(flight: Flight) -> Check:
     """What was moved in the minute before take-off, how far and which way, and which way the aircraft answered."""
     if not flight.outputs:
-        return Check("surface_check", "unknown", _NO_OUTPUTS)
+        return Check("unknown", _NO_OUTPUTS)
     wrong = [] if flight.motion is None else first_turns(flight.motion)
     return _wrong_way(wrong) if wrong else _on_the_ground(flight)
 
@@ -265,46 +263,49 @@ def _wrong_way(turns: Sequence[tuple[str, str, float]]) -> Check:
     after_s = max(flown_s for *_, flown_s in turns)
     swapped = any(axis != by for axis, by, _ in turns)
     which = ": outputs swapped, or one surface of a pair reversed" if swapped else ""
-    return Check("surface_check", "look", f"in the first {after_s:.0f} s of flight {said}{which}")
+    return Check("look", f"in the first {after_s:.0f} s of flight {said}{which}")
 
 
 def _on_the_ground(flight: Flight) -> Check:
     if not np.isfinite(flight.span_s[0]):
-        return Check("surface_check", "unknown", _NEVER_FLEW)
+        return Check("unknown", _NEVER_FLEW)
     takeoff_s = flight.span_s[0]
     ground = [
-        (one, (one.time_s < takeoff_s - _ROLLING_S) & (one.time_s >= takeoff_s - _BEFORE_TAKEOFF_S - _ROLLING_S))
+        (
+            one,
+            (one.time_s < takeoff_s - _ROLLING_S) & (one.time_s >= takeoff_s - _BEFORE_TAKEOFF_S - _ROLLING_S),
+        )
         for one in flight.outputs
     ]
     if not all(np.count_nonzero(at) > _FEW for _, at in ground):
-        return Check("surface_check", "unknown", "the log begins in the air, or just before: no minute on the ground")
+        return Check("unknown", "the log begins in the air, or just before: no minute on the ground")
     reversed_ = [one.name for one, at in ground if _against_stick(flight, one, at)]
     if reversed_:
         text = f"{' and '.join(reversed_)} moved against the stick before take-off"
-        return Check("surface_check", "look", text, takeoff_s - _BEFORE_TAKEOFF_S)
-    full = [one.name for one, at in ground if one.share[at].max() >= _FULL and one.share[at].min() <= -_FULL]
-    some = [one.name for one, at in ground if np.ptp(one.share[at]) >= 2.0 * _SOME and one.name not in full]
+        return Check("look", text, takeoff_s - _BEFORE_TAKEOFF_S)
+    full = [one.name for one, at in ground if one.values[at].max() >= _FULL and one.values[at].min() <= -_FULL]
+    some = [one.name for one, at in ground if np.ptp(one.values[at]) >= 2.0 * _SOME and one.name not in full]
     still = [one.name for one, _ in ground if one.name not in (*full, *some)]
     if not some and not still:
-        return Check("surface_check", "ok", f"done: {', '.join(full)} moved to both ends before take-off")
+        return Check("ok", f"done: {', '.join(full)} moved to both ends before take-off")
     grade = "partly done" if full or some else "not done"
     parts = [f"{', '.join(some)} moved part of the way"] * bool(some) + [f"{', '.join(still)} not moved"] * bool(still)
-    return Check("surface_check", "unknown", f"{grade}: {'; '.join(parts)} before take-off")
+    return Check("unknown", f"{grade}: {'; '.join(parts)} before take-off")
 
 
 _ROLLING_S = 8.0
 """What counts as flight begins some seconds after the wheels have left the ground, and those roll for some more."""
 
 
-def _against_stick(flight: Flight, output: Output, at: BoolArray) -> bool:
+def _against_stick(flight: Flight, output: Control, at: BoolArray) -> bool:
     """Whether an output moved the other way than the sticks that it serves."""
     stick = np.zeros(int(np.count_nonzero(at)))
     for axis, sign in output.axes.items():
         if axis in flight.sticks:
-            series: Series = flight.sticks[axis]
-            values = np.interp(output.time_s[at], series.time_s, series.values)
+            asked = flight.sticks[axis]
+            values = np.interp(output.time_s[at], asked.time_s, asked.values)
             stick += sign * (values - np.median(values))
-    share: FloatArray = output.share[at]
+    share: FloatArray = output.values[at]
     if np.ptp(stick) < _STICK_US or np.ptp(share) < 2.0 * _SOME:
         return False
     return float(np.corrcoef(stick, share)[0, 1]) < -_FOLLOWS
@@ -315,12 +316,12 @@ def axis_change(axes: Mapping[str, AxisChange]) -> Check:
     looks = [one for one in axes.values() if one.status == "look"]
     if looks:
         looks.sort(key=lambda one: one.alarm_s or np.inf)
-        return Check("axis_change", "look", "; ".join(one.text for one in looks), looks[0].since_s)
+        return Check("look", "; ".join(one.text for one in looks), looks[0].since_s)
     judged = [one for one in axes.values() if one.status == "ok"]
     if judged:
-        return Check("axis_change", "ok", "; ".join(one.text for one in judged))
+        return Check("ok", "; ".join(one.text for one in judged))
     why: dict[str, list[str]] = {}
     for one in axes.values():
         why.setdefault(one.text.removeprefix(f"{one.axis}: "), []).append(one.axis)
     reasons = "; ".join(f"{' and '.join(names)}: {reason}" for reason, names in why.items())
-    return Check("axis_change", "unknown", reasons or "no axis could be judged")
+    return Check("unknown", reasons or "no axis could be judged")

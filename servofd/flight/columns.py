@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 
 from logparsers.records import FlightLog
-from servofd.aircraft.outputs import WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
-from servofd.axes.motion import FLIES_M_S, SHARES, Motion, Series, airspeed_of, series_of
-from servofd.axes.px4 import controls_of
+from servofd.aircraft.outputs import HALF_TRAVEL_US, WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
+from servofd.axes.motion import FLIES_M_S, SHARES, Motion, Series, airspeed_of, chosen, series_of
+from servofd.axes.px4 import Control, controls_of
 from servofd.axes.read import motion_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.series import stretches
@@ -21,52 +21,16 @@ from servofd.flight.change import airborne
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Output:
-    """One output that turns a surface.
-
-    `name`: of the surface. `axes`: axes that it serves, with its sign in each. `time_s`, `share` (shape (n,)): what was
-    asked of it: -1 at the MIN of its output, 1 at MAX, reversed outputs turned round. `trim_share`: its trim in the
-    same unit. `span_us`: from MIN to MAX [us].
-    """
-
-    name: str
-    axes: Mapping[str, float]
-    time_s: FloatArray
-    share: FloatArray
-    trim_share: float
-    span_us: float
-
-    def within(self, begin_s: float, end_s: float) -> Output:
-        """What was asked of it in a part of the log."""
-        part = Series(self.time_s, self.share).within(begin_s, end_s)
-        return replace(self, time_s=part.time_s, share=part.values)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """One flight, as the checks need it.
 
-    Parameters
-    ----------
-    outputs : tuple of Output
-        Those of surfaces; empty if the log does not say which they are.
-    motion : Motion or None
-        On one grid; None if the log lacks something for it.
-    lacking : str
-        What it lacks.
-    flies : ndarray of bool
-        Where the aircraft surely flies, on the grid of `motion`.
-    span_s : tuple of float
-        From take-off to landing, or to the end of the log [s]; NaN if it never flew, or that is not known.
-    sticks : mapping of str to Series
-        What the pilot asked of each axis [us].
-    supply_v : Series or None
-        Voltage of the servos' rail.
-    left_out : str
-        Why a part of the log was not judged; empty if all was.
+    `outputs`: those of surfaces; empty if the log does not say which they are. `motion`: on one grid; None if the log
+    lacks something for it, `lacking`. `flies`: where the aircraft surely flies, on that grid. `span_s`: from take-off
+    to landing, or to the end of the log [s]; NaN if it never flew, or that is not known. `sticks`: what the pilot asked
+    of each axis [us]. `supply_v`: of the servos' rail. `left_out`: why a part of the log was not judged.
     """
 
-    outputs: tuple[Output, ...]
+    outputs: tuple[Control, ...]
     motion: Motion | None
     lacking: str
     flies: BoolArray
@@ -129,8 +93,13 @@ _LANDED_S, _ROCKS_DEG = 20.0, 5.0
 stands keeps its bank."""
 _DECIDES = re.compile(r"SERVO\d+_(FUNCTION|REVERSED)|CA_SV_CS\d_(TYPE|TRQ_[RPY])")
 """Settings that decide which surface an output turns, and which way."""
-_STICKS = {"roll": ("RCMAP_ROLL", 1), "pitch": ("RCMAP_PITCH", 2), "yaw": ("RCMAP_YAW", 4)}
-"""Parameter that names the channel of each stick, and ArduPilot's default."""
+_STICKS = {
+    "roll": ("RCMAP_ROLL", 1, "y", "roll", 1.0),
+    "pitch": ("RCMAP_PITCH", 2, "x", "pitch", -1.0),
+    "yaw": ("RCMAP_YAW", 4, "r", "yaw", 1.0),
+}
+"""Parameter that names the channel of each stick, and ArduPilot's default; fields of PX4's manual_control_setpoint,
+before and since PX4 1.14, and their sign: a pitch stick forward lowers the nose."""
 
 
 def flight_of(log: FlightLog) -> Flight:
@@ -184,21 +153,17 @@ _MANY = 3
 """Names from which on a sentence gives the first and the number of the rest."""
 
 
-def _outputs(log: FlightLog) -> tuple[Output, ...]:
+def _outputs(log: FlightLog) -> tuple[Control, ...]:
     if log.format == "ulog":
-        controls = () if log.vehicle in WITHOUT_SURFACES else controls_of(log)
-        return tuple(
-            Output(one.name, one.axes, one.series.time_s, one.series.values, one.trim, one.span_us) for one in controls
-        )
+        return () if log.vehicle in WITHOUT_SURFACES else controls_of(log)
     outputs = outputs_of(log.parameters)
     serving = {number: dict(SHARES[each.function or 0]) for number, each in outputs.items() if each.function in SHARES}
     names = named_outputs(outputs, sorted(serving))
     found = []
     for number in sorted(serving):
-        output, name = outputs[number], pulse_channel(log.channels, number)
-        if not name:
+        output, series = outputs[number], series_of(log, pulse_channel(log.channels, number))
+        if series is None:
             continue
-        series = Series.of(log[name])
         sent = series.values > 0.0
         span_us = output.max_us - output.min_us
         if np.count_nonzero(sent) < 2 or span_us <= 0.0:
@@ -206,31 +171,19 @@ def _outputs(log: FlightLog) -> tuple[Output, ...]:
         middle_us = (output.max_us + output.min_us) / 2.0
         share = 2.0 * output.sign * (series.values[sent] - middle_us) / span_us
         trim = 2.0 * output.sign * (output.trim_us - middle_us) / span_us
-        found.append(Output(names[number], serving[number], series.time_s[sent], share, trim, span_us))
+        found.append(Control(series.time_s[sent], share, names[number], serving[number], trim, span_us))
     return tuple(found)
 
 
-_STICKS_OF_PX4 = {"roll": ("roll", "y", 1.0), "pitch": ("pitch", "x", -1.0), "yaw": ("yaw", "r", 1.0)}
-"""Fields of manual_control_setpoint, since and before PX4 1.14; a pitch stick forward lowers the nose."""
-_STICK_US = 500.0
-"""What 1 of a stick is as a pulse [us]."""
-
-
 def _sticks(log: FlightLog) -> dict[str, Series]:
-    found = {}
-    for axis, (now, before, sign) in _STICKS_OF_PX4.items():
-        for field in (now, before):
-            moved = series_of(log, f"manual_control_setpoint[0].{field}", sign * _STICK_US)
-            if moved is not None:
-                found[axis] = moved
-    for axis, (parameter, usual) in _STICKS.items():
+    found: dict[str, Series] = {}
+    for axis, (parameter, usual, *of_px4, way) in _STICKS.items():
         number = int(log.parameters.get(parameter, usual))
         turned = log.parameters.get(f"RC{number}_REVERSED") == 1.0 or log.parameters.get(f"RC{number}_REV") == -1.0
-        sign = -1.0 if turned else 1.0
-        for name in (f"RCIN.C{number}", f"RC_CHANNELS.chan{number}_raw"):
-            moved = series_of(log, name, sign)
-            if moved is not None:
-                found[axis] = moved
+        choices = [([name], -1.0 if turned else 1.0) for name in (f"RC_CHANNELS.chan{number}_raw", f"RCIN.C{number}")]
+        choices += [([f"manual_control_setpoint[0].{name}"], way * HALF_TRAVEL_US) for name in of_px4]
+        if moved := chosen(log, choices):
+            found[axis] = moved[0]
     return found
 
 

@@ -70,13 +70,13 @@ def _together(names: Sequence[str], answers: Sequence[_Answer]) -> _Answer:
 def _judged(flight: Flight) -> tuple[tuple[Check, ...], dict[str, AxisChange]]:
     """Checks and axes of one flight."""
     axes = {} if flight.motion is None else judge_motion_alone(flight.motion)
-    change = checks.axis_change(axes) if axes else Check("axis_change", "unknown", flight.lacking)
+    change = checks.axis_change(axes) if axes else Check("unknown", flight.lacking)
     asked = (
         *(checks.surface_check, checks.saturation, checks.trim, checks.travel),
         *(checks.limit_cycle, checks.asymmetry, checks.supply),
     )
-    found = (*(check(flight) for check in asked), change)
-    return found, axes
+    found = [replace(check(flight), name=check.__name__) for check in asked]
+    return (*found, replace(change, name="axis_change")), axes
 
 
 _SPOKEN = {"side": "the rudder"}

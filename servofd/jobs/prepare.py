@@ -54,12 +54,12 @@ def keep_windows() -> None:
     """Compile the tests of the detector's windows."""
     import numpy as np
 
-    from servofd.aircraft.calibrated import CalibratedNoise, CalibratedServo, lower_triangle
+    from servofd.aircraft.calibrated import CalibratedServo, Noise, lower_triangle
     from servofd.aircraft.priors import FITTED, PRIORS
     from servofd.detection.changes import Memory, Tests, follow
     from servofd.estimate.family import PATTERNS
 
-    noise = CalibratedNoise(still_deg=0.1, lag_s=0.0, colour=(0.0, 0.0), innovation=1.0, period_s=0.02)
+    noise = Noise(still_deg=0.1, lag_s=0.0, colour=(0.0, 0.0), innovation=1.0, period_s=0.02)
     parameters, between = {prior.name: prior.value for prior in PRIORS}, lower_triangle(np.eye(FITTED))
     usual = CalibratedServo(parameters=parameters, between=between, noise=noise, reach_deg=(-20.0, 20.0))
     tests = Tests.of(usual, 0.02)

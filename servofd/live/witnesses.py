@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from servofd.aircraft.pace import WARM_UP_S
-from servofd.core.types import BoolArray, FloatArray
+from servofd.core.types import FloatArray, Marks
 from servofd.detection.event import Event
 from servofd.detection.monitor import SurfaceMonitor
 
@@ -52,7 +52,7 @@ class Witnesses:
         return [self.of_both] if self.alone is None else [self.of_both, self.alone]
 
     def feed(
-        self, asked: Rows, read: Rows, drawn: Rows, stands: BoolArray | None, stood_s: Sequence[tuple[float, float]]
+        self, asked: Rows, read: Rows, drawn: Rows, stands: Marks | None, stood_s: Sequence[tuple[float, float]]
     ) -> list[Event]:
         """Take what has come since; arguments as of `SurfaceMonitor.feed`."""
         events = self.of_both.feed(asked, read, stands, stood_s, drawn)

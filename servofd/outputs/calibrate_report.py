@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from math import exp
 from typing import TYPE_CHECKING
 
-from servofd.aircraft.axis_names import SURFACE_AXES
+from servofd.aircraft.axes import SURFACE_AXES
 from servofd.outputs.document import Bullets, Document, Table
 from servofd.outputs.sentence import spoken
 

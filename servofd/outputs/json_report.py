@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from logparsers.records import FlightLog
-from servofd.aircraft.axis_names import MOST_OF_THE_FLIGHT
+from servofd.aircraft.axes import MOST_OF_THE_FLIGHT
 from servofd.aircraft.series import take_off_s
 from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
 from servofd.jobs.workflow import FailedLog
@@ -91,7 +91,7 @@ def _named(of: object, names: Sequence[str]) -> dict[str, Any]:
 
 def _flight(flight: FlightAlone) -> dict[str, Any]:
     return {
-        "checks": [asdict(check) for check in flight.checks],
+        "checks": [{"name": check.name, **asdict(check)} for check in flight.checks],
         "axes": {name: _change(axis) for name, axis in flight.axes.items()},
     }
 

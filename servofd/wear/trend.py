@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logparsers import FlightLog, LogError
-from servofd.aircraft.axes import MotionModel
-from servofd.aircraft.axis_names import SURFACE_AXES
+from servofd.aircraft.axes import SURFACE_AXES, MotionModel
 from servofd.aircraft.current_source import current_sources
 from servofd.aircraft.schema import Aircraft, load_aircraft
 from servofd.aircraft.series import bus_of, cut

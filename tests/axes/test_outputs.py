@@ -11,7 +11,7 @@ from scipy import stats
 
 from servofd.aircraft.axes import motion_to_toml
 from servofd.axes.judge import judge_motion
-from servofd.axes.verdict import AxisDetectable, AxisEvent, reason_of
+from servofd.axes.verdict import AxisAudit, AxisDetectable, AxisEvent, reason_of
 from servofd.cli import main
 from servofd.core.statistics import Estimate
 from servofd.fleets.overview import overview
@@ -135,17 +135,17 @@ def test_sizes_that_cannot_be_or_say_nothing_are_no_reason(
     assert (event.model_holds, event.is_nothing) == (holds, nothing)
 
 
+def healthy_roll() -> AxisAudit:
+    return next(one for one in judge_motion(calibrated(), flown(50, "2026-05-09")) if one.axis == "roll")
+
+
 @pytest.mark.slow
 def test_an_offset_that_is_known_is_not_called_a_loss_that_may_be_none() -> None:
     model, half = calibrated(), Estimate(0.07, -0.13, 0.27)
     event = AxisEvent(60.0, 61.0, None, 9.0, half, Estimate(56.0, 40.0, 72.0))
     either = replace(event, lost_share=Estimate(0.25, -0.21, 0.99), offset_us=Estimate(70.0, -16.0, 155.0))
-    said = [
-        reason_of(
-            "roll", model, (), (one,), 1.0, {}, None, status="suspect", worst=one, shows=AxisDetectable(0.5, 50.0)
-        )
-        for one in (event, either)
-    ]
+    audits = [replace(healthy_roll(), members=(), events=(one,), status="suspect") for one in (event, either)]
+    said = [reason_of(audit, model, audit.events[0], {}) for audit in audits]
     assert "acted as if +56 us away" in said[0]
     assert "hardly tells which" in said[1]
 
@@ -163,10 +163,9 @@ def test_too_little_motion_is_no_reason_where_one_that_got_stuck_would_have_show
     least: float, lost: Estimate, says: str
 ) -> None:
     both, smallest = ("aileron_left", "aileron_right"), AxisDetectable(least, 40.0)
-    reason = reason_of(
-        "roll", calibrated(), both, (), 0.05, {"stall": 0.0}, lost, status="unknown", worst=None, shows=smallest
-    )
-    assert says in reason
+    judged = replace(healthy_roll(), status="unknown", members=both, detectable=smallest)
+    calm = replace(judged, lost_share=lost, identifiable=0.05)
+    assert says in reason_of(calm, calibrated(), None, {"stall": 0.0})
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def test_outputs_have_the_names_ends_and_trims_of_the_allocation(tmp_path: Path)
     parameters |= {"CA_SV_CS3_TRQ_Y": -1.0}
     outputs = flight_of(read_as_ulog(tmp_path, flown(5), twice, parameters=parameters)).outputs
     assert [one.name for one in outputs] == ["aileron", "elevator_2", "elevator_3", "servo_4"]
-    assert outputs[0].trim_share == pytest.approx(0.1)
+    assert outputs[0].trim == pytest.approx(0.1)
     assert [one.span_us for one in outputs[:2]] == [800.0, 1000.0]
     assert [one.axes for one in outputs[1:]] == [{"pitch": 1.0}, {"pitch": 1.0}, {"yaw": -1.0}]
 

@@ -428,7 +428,7 @@ def bus_that_stops(for_s: float, at_once: int) -> tuple[SurfaceMonitor, list[Eve
             for k, name in enumerate(names)
         }
         stands = bus.take(new)
-        events += monitor.feed(new["elevator"][:2], new["elevator"][2:], stands["elevator"], bus.stood_s)
+        events += monitor.feed(new["elevator"][:2], new["elevator"][2:4], stands["elevator"], bus.stood_s)
         if look := monitor.due():
             events += monitor.events_of(look, look.find())
     return monitor, events + monitor.finish()

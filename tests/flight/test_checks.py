@@ -12,9 +12,10 @@ import pytest
 import logparsers
 from logparsers.dataflash.encode import encode
 from servofd.axes.motion import Series
+from servofd.axes.px4 import Control
 from servofd.cli import main
 from servofd.flight import checks
-from servofd.flight.columns import Flight, Output, flight_of
+from servofd.flight.columns import Flight, flight_of
 from servofd.simulation.airframe import airframe_log, fly_airframe
 from servofd.simulation.dataflash_writer import pulses, words
 from tests.axes.flights import flown
@@ -26,7 +27,7 @@ FLOWN_S = (80.0, 180.0)
 
 
 def flight_with(share: np.ndarray, *, stick: np.ndarray | None = None, supply: np.ndarray | None = None) -> Flight:
-    output = Output("aileron", {"roll": 1.0}, TIME_S, share, 0.0, 800.0)
+    output = Control(TIME_S, share, "aileron", {"roll": 1.0}, 0.0, 800.0)
     motion = flown(1, duration_s=200.0)
     flies = (motion.time_s >= FLOWN_S[0]) & (motion.time_s <= FLOWN_S[1])
     sticks = {} if stick is None else {"roll": Series(TIME_S, stick)}

@@ -38,20 +38,20 @@ def test_a_trim_that_the_autopilot_moved_leaves_nothing_out_and_hides_no_asymmet
     log = log_of(flown(1, duration_s=200.0))
     moved = flight_of(changed(log, Setting(150.0, "SERVO1_TRIM", 1500.0, 1560.0)))
     assert moved.left_out == ""
-    assert moved.outputs[0].trim_share == flight_of(log).outputs[0].trim_share
+    assert moved.outputs[0].trim == flight_of(log).outputs[0].trim
 
 
 def test_a_setting_that_changed_before_the_log_or_before_take_off_is_as_it_was_flown() -> None:
     log = log_of(flown(1, duration_s=200.0))
     first_s, _ = log.ends_s
     before = flight_of(changed(log, Setting(first_s - 0.5, "SERVO1_REVERSED", 1.0, 0.0)))
-    assert np.array_equal(before.outputs[0].share, flight_of(log).outputs[0].share)
+    assert np.array_equal(before.outputs[0].values, flight_of(log).outputs[0].values)
     set_up = changed(log, Setting(10.0, "SERVO1_TRIM", 1900.0, 1500.0))
-    assert flight_of(set_up).outputs[0].trim_share == pytest.approx(0.8)  # in flight: the autopilot's
+    assert flight_of(set_up).outputs[0].trim == pytest.approx(0.8)  # in flight: the autopilot's
     airspeed = log["CTUN.As"]
     taxis = replace(airspeed, values=np.where(airspeed.time_s < 20.0, 1.0, airspeed.values))
     on_the_ground = replace(set_up, channels={**set_up.channels, airspeed.name: taxis})
-    assert flight_of(on_the_ground).outputs[0].trim_share == pytest.approx(0.0)
+    assert flight_of(on_the_ground).outputs[0].trim == pytest.approx(0.0)
 
 
 def with_pitot(log: FlightLog, airspeed_m_s: np.ndarray, time_s: np.ndarray) -> FlightLog:
