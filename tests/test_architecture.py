@@ -30,6 +30,7 @@ ONLY_IN = {
     "pymavlink": {"logparsers/codec.py", "logparsers/mavlink.py"},
     "serial": {"logparsers/link.py"},
     "h5py": {"logparsers/hdf5.py"},
+    "control": {"servofd/servo/transfer.py"},
     "starlette": {f"servofd/serve/{name}.py" for name in ("app", "guard")},
     "uvicorn": {"servofd/serve/guard.py"},
 }

@@ -61,6 +61,7 @@ EXTRAS = MappingProxyType(
         "pandas": "view",
         "starlette": "serve",
         "uvicorn": "serve",
+        "control": "control",
         "h5py": "hdf5",
         "fsspec": "remote",
     }
