@@ -168,16 +168,19 @@ class Solution:
         return self.problem.slopes(self.x, self.error)
 
     @property
+    def _weighted(self) -> FloatArray:
+        """Slopes, as much as the square of each error counts."""
+        return self.slopes * self.problem.noise.weights(self.error)[:, None]
+
+    @property
     def curvature(self) -> FloatArray:
         """Half of the second derivatives of the misfit, shape (k, k)."""
-        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
-        curvature: FloatArray = weighted.T @ self.slopes + np.diag(self.problem.prior**2)
+        curvature: FloatArray = self._weighted.T @ self.slopes + np.diag(self.problem.prior**2)
         return curvature
 
     def changes(self, parts: Sequence[IntArray]) -> FloatArray:
         """By how much the numbers change where each of some parts of the samples is left out, shape (p, k)."""
-        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
-        whole, free = self.curvature, self.problem.high > self.problem.low
+        weighted, whole, free = self._weighted, self.curvature, self.problem.high > self.problem.low
         pull = -(weighted.T @ self.error + self.problem.prior**2 * (self.x - self.problem.centre))
         found = np.zeros((len(parts), self.x.size))
         for change, part in zip(found, parts, strict=True):
@@ -209,7 +212,7 @@ class Solution:
         by_noise: FloatArray = memory * inverse(self.curvature)
         if not count:
             return by_noise
-        weighted = self.slopes * self.problem.noise.weights(self.error)[:, None]
+        weighted = self._weighted
         parts = np.array_split(np.arange(self.error.size), count)
         pulls = np.array([weighted[part].T @ self.error[part] for part in parts])
         pulls -= pulls.mean(axis=0)
