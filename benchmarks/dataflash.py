@@ -24,7 +24,7 @@ from pymavlink import DFReader
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from logparsers.dataflash import DataFlashFile
+from logparsers.dataflash import open_dataflash
 from logparsers.dataflash.encode import Message, encode
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def read_bytes(path: Path) -> int:
 
 
 def read_columns(path: Path) -> dict[str, dict[str, Any]]:
-    log = DataFlashFile.open(path)
+    log = open_dataflash(path)
     return {name: log.table(name) for name in WANTED}
 
 
@@ -167,7 +167,7 @@ def compare(folder: Path, minutes: float, *, gps: bool) -> None:
     del content
     read_columns(folder / "tiny.bin")
     floor, ours = best(lambda: read_bytes(path)), best(lambda: read_columns(path))
-    opened = best(lambda: DataFlashFile.open(path))
+    opened = best(lambda: open_dataflash(path))
     rows = sum(len(t["TimeUS"]) for t in read_columns(path).values())
     open_s, read_s, prefix_rows = read_pymavlink(folder / "prefix.bin")
     theirs = open_s * size / min(PREFIX, size) + read_s * rows / prefix_rows

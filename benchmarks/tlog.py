@@ -21,8 +21,9 @@ os.environ["MAVLINK20"] = "1"
 from pymavlink import mavutil
 from pyulog import ULog
 
-from logparsers.mavlink import dialect, pack
+from logparsers.mavlink import dialect
 from logparsers.telemetry import TelemetryFile
+from logparsers.telemetry.encode import Message, payloads
 from logparsers.telemetry.frames import check_sum
 from logparsers.ulog import UlogFile
 
@@ -37,7 +38,7 @@ TLOG_GOAL, ULOG_GOAL = 35.0, 1.0
 
 def frame(name: str, values: dict[str, Any], sequence: int) -> bytes:
     layout = dialect().layouts[name]
-    payload = pack(name, values).rstrip(b"\0") or b"\0"
+    payload = payloads(Message(name, [0], {k: [v] for k, v in values.items()}), layout).tobytes().rstrip(b"\0") or b"\0"
     body = bytes((0xFD, len(payload), 0, 0, sequence % 256, 1, 1)) + layout.id.to_bytes(3, "little") + payload
     crc = check_sum(np.frombuffer(body, np.uint8), 1, len(body), layout.seed)
     return body + struct.pack("<H", crc)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from logparsers.detect import detect, read_text
+from logparsers.detect import detect
 from logparsers.errors import (
     ClockError,
     EmptyLog,
@@ -22,7 +22,7 @@ from logparsers.errors import (
 from logparsers.only import Only
 from logparsers.records import Channel, Damage, FlightLog, Setting, Text
 from logparsers.source import LogFile, sources
-from logparsers.table import TableLayout
+from logparsers.table import TableLayout, read_table
 
 __all__ = [
     "Channel",
@@ -124,10 +124,11 @@ def read_all(
             reader = None
             try:
                 reader = detect(source.head, str(source.path))
-                logs += [source.packed(log) for log in reader(source, layout, wanted)]
+                found = reader(source, layout, wanted)
+                logs += [source.packed(log if log.is_of_autopilot else log.only(wanted)) for log in found]
             except LogError as error:
                 problems.append(error)
-                if not isinstance(error, _NO_LOG) or reader not in (None, read_text):
+                if not isinstance(error, _NO_LOG) or reader not in (None, read_table):
                     strange.append(Damage("corrupt", f"not read: {error}"))
     if not logs:
         raise problems[0]

@@ -43,13 +43,7 @@ Opener = Callable[[], IO[bytes]]
 
 
 def is_packed(head: bytes) -> bool:
-    r"""Tell an archive from a log by its first bytes.
-
-    Examples
-    --------
-    >>> is_packed(b"PK\x03\x04"), is_packed(b"ULog")
-    (True, False)
-    """
+    """Tell an archive from a log by its first bytes."""
     return head.startswith((*STREAMS, *ZIP))
 
 

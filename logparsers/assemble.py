@@ -74,14 +74,6 @@ def join_rows(
     `time_s` (shape (n,)): time stamp of every row [s]; not finite where there is none. `columns`: their cells; not
     finite where there is none. Result: `time_s` (shape (m,)): m <= n. `row_of` (shape (m,)): the row that each stamp
     stood in.
-
-    Examples
-    --------
-    >>> command = Column("command", np.array([1.0, np.nan, 2.0]), "deg", "")
-    >>> position = Column("position", np.array([np.nan, 0.9, np.nan]), "deg", "")
-    >>> time_s, joined, _, damage = join_rows(np.array([0.0, 0.0, 0.1]), (command, position))
-    >>> time_s.tolist(), [column.values.tolist() for column in joined], damage
-    ([0.0, 0.1], [[1.0, 2.0], [0.9, nan]], ())
     """
     row_of = np.arange(time_s.size)
     if np.all(time_s[1:] > time_s[:-1]):

@@ -26,6 +26,9 @@ MOST_NOTES = 100
 OFTEN = 0.01
 """Messages with less than this share of the rows of the most frequent one do not tell when a flight begins and ends."""
 
+_SAID = ("parameters", "texts", "vehicle", "firmware", "start_utc", "changed")
+"""What a recording says beside its channels, as in `FlightLog`."""
+
 
 @dataclass(frozen=True, slots=True)
 class Series:
@@ -54,17 +57,13 @@ class Recording(Protocol):
     def values(self, series: Series) -> NDArray[Any]:
         """Numbers of a series in the order of the file, shape (n,)."""
 
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """All that is wrong with it but for rows out of order. It has `_SAID` as well."""
+
 
 def as_float(values: NDArray[Any]) -> FloatArray:
-    """Convert to float64; a signalling NaN in a damaged or forged message is just a NaN.
-
-    Examples
-    --------
-    >>> as_float(np.array([1, 2], dtype=np.uint16))
-    array([1., 2.])
-    """
-    if values.dtype.kind != "f":
-        return values.astype(np.float64)
+    """Convert to float64; a signalling NaN in a damaged or forged message is just a NaN."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)
 
@@ -90,11 +89,6 @@ class Made(Mapping[str, Channel]):
         return len(self._names)
 
 
-def together(homes: Mapping[str, Mapping[str, Channel]]) -> Made:
-    """Channels of several records under one roof, each made by its own when it is looked up."""
-    return Made(homes, lambda name: homes[name][name])
-
-
 class LazyChannels(Made):
     """Channels by name, each decoded when it is looked up; time stamps are kept, values are not.
 
@@ -105,9 +99,8 @@ class LazyChannels(Made):
 
     def __init__(self, recording: Recording, names: Mapping[str, Series] | None = None) -> None:
         self._recording = recording
-        self._series, self._is_whole = (recording.series(), True) if names is None else (names, True)
-        if len(self._series) > MOST_CHANNELS:
-            self._series, self._is_whole = dict(islice(self._series.items(), MOST_CHANNELS)), False
+        found = recording.series() if names is None else names
+        self._series, self._is_whole = dict(islice(found.items(), MOST_CHANNELS)), len(found) <= MOST_CHANNELS
         super().__init__(self._series, self._decoded)
         self._clocks: dict[Hashable, tuple[FloatArray, NDArray[np.intp] | None, Damage | None]] = {}
 
@@ -145,7 +138,8 @@ class LazyChannels(Made):
         after the flight, makes it no longer. None if there is none.
         """
         found, spans = [], []
-        for group, label in self._groups().items():
+        labels = {series.group: name.rpartition(".")[0] for name, series in self._series.items()}
+        for group, label in labels.items():
             time_s, _, damage = self._clock(group)
             if damage:
                 found.append(replace(damage, note=f"{label}: {damage.note}"))
@@ -163,10 +157,6 @@ class LazyChannels(Made):
         flown = [(begin_s, end_s) for size, begin_s, end_s in spans if size >= enough]
         return tuple(listed), (min(begin_s for begin_s, _ in flown), max(end_s for _, end_s in flown))
 
-    def _groups(self) -> dict[Any, str]:
-        """Groups, and what to call them: the name of a channel up to its last dot."""
-        return {series.group: name.rpartition(".")[0] for name, series in self._series.items()}
-
     def _clock(self, group: Hashable) -> tuple[FloatArray, NDArray[np.intp] | None, Damage | None]:
         """Time stamps of a group, its rows in that order (None: all as they are), and what is wrong with them."""
         if group not in self._clocks:
@@ -179,20 +169,12 @@ class LazyChannels(Made):
         return self._clocks[group]
 
 
-def recorded_log(
-    recording: Recording,
-    path: Path,
-    kind: str,
-    only: Only,
-    *,
-    damage: Iterable[Damage] = (),
-    others: Iterable[str] = (),
-    **said: Any,  # noqa: ANN401 - fields of a log
-) -> FlightLog:
+def recorded_log(recording: Recording, path: Path, kind: str, only: Only, others: Iterable[str] = ()) -> FlightLog:
     """Log of a recording, whose channels are decoded when they are looked up.
 
-    `path`, `kind`, `damage`, `said`: as in `FlightLog`. `others`: as for `LazyChannels.only`.
+    `path`, `kind`: as in `FlightLog`. `others`: as for `LazyChannels.only`.
     """
     channels = LazyChannels(recording).only(only, path, others)
     disorder, span_s = channels.survey()
-    return FlightLog(path, kind, channels, (*damage, *disorder), span_s=span_s, **said)
+    said = {name: getattr(recording, name) for name in _SAID}
+    return FlightLog(path, kind, channels, (*recording.damage, *disorder), span_s=span_s, **said)

@@ -144,11 +144,6 @@ def apart(time_s: FloatArray) -> FloatArray:
     A vehicle logs all items of a mission within one microsecond; each is a row.
 
     `time_s` (shape (n,)): stamps that never fall [s]. Result (shape (n,)): stamps that rise strictly.
-
-    Examples
-    --------
-    >>> [round(1e9 * float(x)) for x in apart(np.array([0.0, 0.0, 0.0, 1e-6]))]
-    [0, 1, 2, 1000]
     """
     fresh = np.diff(time_s, prepend=-np.inf) > 0.0
     if fresh.all():

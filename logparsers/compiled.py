@@ -31,13 +31,7 @@ _FAST = {"contract", "nsz", "arcp"}
 
 @cache
 def cache_folder() -> Path:
-    """Folder in which machine code is kept: the user's own cache, or the one that NUMBA_CACHE_DIR names.
-
-    Examples
-    --------
-    >>> cache_folder().is_absolute()
-    True
-    """
+    """Folder in which machine code is kept: the user's own cache, or the one that NUMBA_CACHE_DIR names."""
     return Path(os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_path("servofd")).absolute()
 
 
@@ -53,16 +47,11 @@ def made_by() -> str:
     return f"numba {numba.__version__}, Python {sys.version_info[:3]}, {get_host_cpu_name()}"
 
 
-def _keep_in_cache_folder() -> None:
-    """Have the compiler keep its code there; where that is read-only, it finds another place by itself."""
-    with suppress(OSError):
+if numba is not None:
+    with suppress(OSError):  # where that is read-only, the compiler finds another place by itself
         cache_folder().mkdir(parents=True, exist_ok=True)
         if os.access(cache_folder(), os.W_OK):
             numba.config.CACHE_DIR = str(cache_folder())
-
-
-if numba is not None:
-    _keep_in_cache_folder()
 
 
 class _KeptCode(FunctionCache):  # type: ignore[misc]

@@ -1,18 +1,4 @@
-"""What can go wrong with a log as a whole. Local damage never raises: it becomes `Damage`.
-
-::
-
-    LogError
-    ├── MissingLog        there is no such file, or it cannot be opened
-    ├── UnknownFormat     nothing here reads these bytes
-    ├── EmptyLog          the file has no samples
-    ├── UnreadableLog     the format is known, the content is broken beyond use
-    ├── TruncatedLog      the file stops before its channels are complete
-    ├── ClockError        its time stamps cannot be put in order
-    ├── MissingChannel    a channel that was asked for is not in the log
-    ├── LinkError         a live stream cannot be opened
-    └── SeveralRuns       one log was asked for, the file holds several
-"""
+"""What can go wrong with a log as a whole. Local damage never raises: it becomes `Damage`."""
 
 from __future__ import annotations
 

@@ -31,11 +31,6 @@ def interleave(times: Sequence[ArrayLike], records: Sequence[NDArray[Any]]) -> b
 
     `times` (shape (n_i,)): when each record was written. `records` (shape (n_i,)): the records of each stream, as they
     shall stand in the file.
-
-    Examples
-    --------
-    >>> interleave([[0, 2], [1]], [np.array([b"a", b"c"]), np.array([b"bb"])])
-    b'abbc'
     """
     starts, size = places(times, [np.full(len(r), r.dtype.itemsize) for r in records])
     body = np.zeros(size, np.uint8)

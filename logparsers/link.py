@@ -9,7 +9,7 @@ import select
 import socket
 import time
 from collections.abc import Sequence
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Protocol
 
 from logparsers.endpoint import Endpoint, Serial, Socket
 from logparsers.errors import LinkError
@@ -40,12 +40,10 @@ class Link(Protocol):
 
 def open_link(endpoint: Endpoint) -> Link:
     """Open an endpoint."""
+    kinds: dict[str, type[_UdpIn | _TcpIn | _Redialled]]
+    kinds = {"udpin": _UdpIn, "udpout": _UdpOut, "tcpin": _TcpIn, "tcp": _Redialled}
     try:
-        if isinstance(endpoint, Serial):
-            return _SerialLink(endpoint)
-        kinds: dict[str, type[_UdpIn | _UdpOut | _TcpIn | _Tcp]]
-        kinds = {"udpin": _UdpIn, "udpout": _UdpOut, "tcpin": _TcpIn, "tcp": _Tcp}
-        return kinds[endpoint.kind](endpoint)
+        return _Redialled(endpoint) if isinstance(endpoint, Serial) else kinds[endpoint.kind](endpoint)
     except socket.gaierror as error:
         raise LinkError(f"{endpoint}: no host of this name ({error.strerror or error})") from None
     except OSError as error:
@@ -71,13 +69,16 @@ def _why(endpoint: Endpoint, error: OSError) -> str:
     return f"{text}; {advice}" if advice else text
 
 
-def _bound(kind: int, endpoint: Socket) -> socket.socket:
+def _opened(kind: int, endpoint: Socket) -> socket.socket:
     """Socket of this machine; on Linux without the option that lets two programs share a port."""
-    made = socket.socket(socket.AF_INET, kind)
+    made, address = socket.socket(socket.AF_INET, kind), (endpoint.host, endpoint.port)
     try:
         if kind == socket.SOCK_STREAM:
             made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # ports of ended connections only
-        made.bind((endpoint.host, endpoint.port))
+        else:
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        (made.connect if endpoint.kind == "udpout" else made.bind)(address)
+        made.setblocking(kind == socket.SOCK_STREAM)
     except BaseException:
         made.close()
         raise
@@ -92,9 +93,7 @@ class _UdpIn:
     """Answers whoever sent something; the latest few of them."""
 
     def __init__(self, endpoint: Socket) -> None:
-        self._socket = _bound(socket.SOCK_DGRAM, endpoint)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-        self._socket.setblocking(False)
+        self._socket = _opened(socket.SOCK_DGRAM, endpoint)
         self._peers: dict[Any, None] = {}
 
     def send(self, data: bytes) -> None:
@@ -118,38 +117,19 @@ class _UdpIn:
         self._socket.close()
 
 
-class _UdpOut:
+class _UdpOut(_UdpIn):
     """Sends to one address, and receives from it alone."""
-
-    def __init__(self, endpoint: Socket) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            self._socket.connect((endpoint.host, endpoint.port))
-        except BaseException:
-            self._socket.close()
-            raise
-        self._socket.setblocking(False)
 
     def send(self, data: bytes) -> None:
         with contextlib.suppress(OSError):  # there is no receiver yet
             self._socket.send(data)
-
-    def receive(self, timeout_s: float) -> bytes:
-        if _readable([self._socket], timeout_s):
-            with contextlib.suppress(OSError):
-                return self._socket.recv(_PIECE)
-        return b""
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class _TcpIn:
     """Waits for connections, and sends to all of them."""
 
     def __init__(self, endpoint: Socket) -> None:
-        self._socket = _bound(socket.SOCK_STREAM, endpoint)
+        self._socket = _opened(socket.SOCK_STREAM, endpoint)
         self._socket.listen()
         self._peers: list[socket.socket] = []
 
@@ -182,48 +162,37 @@ class _TcpIn:
 
 
 class _Redialled:
-    """A connection that is opened again, once a second at most, after it broke."""
+    """A connection to a server or a serial device; after it broke it is opened again, once a second at most."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
         self._tried_s = time.monotonic()
-        self._port: Any = self._dial()
+        self._port: Any = _dialled(endpoint)
 
-    def _dial(self) -> Any:  # noqa: ANN401 - a socket or a serial port
-        raise NotImplementedError
-
-    def _write(self, data: bytes) -> None:
-        raise NotImplementedError
-
-    def _read(self) -> bytes:
-        """None of them means that the connection broke."""
-        raise NotImplementedError
-
-    def _there(self) -> Self | None:
+    def _is_there(self) -> bool:
         now_s = time.monotonic()
         if self._port is None and now_s - self._tried_s >= _AGAIN_S:
             self._tried_s = now_s
             with contextlib.suppress(OSError):
-                self._port = self._dial()
-        return None if self._port is None else self
+                self._port = _dialled(self._endpoint)
+        return self._port is not None
 
     def send(self, data: bytes) -> None:
-        if self._there():
+        if self._is_there():
             try:
-                self._write(data)
+                (self._port.write if isinstance(self._endpoint, Serial) else self._port.sendall)(data)
             except OSError:
                 self.close()
 
     def receive(self, timeout_s: float) -> bytes:
-        if not self._there():
+        if not self._is_there():
             time.sleep(min(max(timeout_s, 0.0), 0.1))  # there is nothing to wait on
             return b""
-        try:
+        data = b""
+        with contextlib.suppress(OSError):
             if not _readable([self._port], timeout_s):
                 return b""
-            data = self._read()
-        except OSError:
-            data = b""
+            data = (self._port.read if isinstance(self._endpoint, Serial) else self._port.recv)(_PIECE)
         if not data:
             self.close()
         return data
@@ -234,46 +203,17 @@ class _Redialled:
             self._port, self._tried_s = None, time.monotonic()
 
 
-class _Tcp(_Redialled):
-    """Connects to a server."""
+def _dialled(endpoint: Endpoint) -> Any:  # noqa: ANN401 - a socket, or a serial port, which has no types
+    if isinstance(endpoint, Socket):
+        return _prepared(socket.create_connection((endpoint.host, endpoint.port), timeout=_PATIENCE_S))
+    import serial
 
-    _endpoint: Socket
-
-    def _dial(self) -> socket.socket:
-        where = (self._endpoint.host, self._endpoint.port)
-        return _prepared(socket.create_connection(where, timeout=_PATIENCE_S))
-
-    def _write(self, data: bytes) -> None:
-        self._port.sendall(data)
-
-    def _read(self) -> bytes:
-        data: bytes = self._port.recv(_PIECE)
-        return data
-
-
-class _SerialLink(_Redialled):
-    """A serial device."""
-
-    _endpoint: Serial
-
-    def _dial(self) -> Any:  # noqa: ANN401 - pyserial has no types
-        import serial
-
-        try:
-            return serial.Serial(
-                self._endpoint.device, self._endpoint.baud, timeout=0, write_timeout=_AGAIN_S, exclusive=True
-            )
-        except ValueError:
-            raise OSError(errno.EINVAL, f"it has no such rate as {self._endpoint.baud} bits per second") from None
-        except serial.SerialException as error:  # repeats the device and the number of the error in its text
-            raise OSError(error.errno, os.strerror(error.errno) if error.errno else str(error)) from None
-
-    def _write(self, data: bytes) -> None:
-        self._port.write(data)
-
-    def _read(self) -> bytes:
-        data: bytes = self._port.read(_PIECE)
-        return data
+    try:
+        return serial.Serial(endpoint.device, endpoint.baud, timeout=0, write_timeout=_AGAIN_S, exclusive=True)
+    except ValueError:
+        raise OSError(errno.EINVAL, f"it has no such rate as {endpoint.baud} bits per second") from None
+    except serial.SerialException as error:  # repeats the device and the number of the error in its text
+        raise OSError(error.errno, os.strerror(error.errno) if error.errno else str(error)) from None
 
 
 def _prepared(connection: socket.socket) -> socket.socket:

@@ -61,13 +61,6 @@ def header4(head: bytes) -> Header4 | None:
     """Read a level-4 header in whichever byte order makes sense, or None if neither does.
 
     `head`: at least 20 bytes.
-
-    Examples
-    --------
-    >>> header4(struct.pack(">5i", 1010, 90000, 1, 0, 3))
-    Header4(dtype='>f4', numeric=True, shape=(90000, 1), parts=1, name_bytes=3)
-    >>> header4(b"time_s,elevator_cmd_deg") is None
-    True
     """
     for order, machine in (("<", 0), (">", 1)):
         kind, rows, columns, imaginary, name_bytes = struct.unpack(order + "5i", head[:HEADER4])

@@ -7,9 +7,7 @@ pymavlink learns to read, this package reads.
 from __future__ import annotations
 
 import importlib
-import inspect
 import pkgutil
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -20,7 +18,6 @@ import numpy as np
 import pymavlink.dialects.v20
 from numpy.typing import NDArray
 
-from logparsers.errors import LogError
 from logparsers.units import C_NUMBERS
 
 DEFAULT_DIALECT = "all"
@@ -70,16 +67,14 @@ class Layout:
     """One message type.
 
     `id`, `name`: number and name of the message. `fields`: in the order in which the protocol declares them. `size`:
-    full payload, extension fields included [bytes]. `base_size`: payload without extension fields: what MAVLink 1
-    sends [bytes]. `seed`: the byte that ends its check-sum (``crc_extra``). `instance`: field that tells several
-    sources within one component apart; empty if there is none.
+    full payload, extension fields included [bytes]. `seed`: the byte that ends its check-sum (``crc_extra``).
+    `instance`: field that tells several sources within one component apart; empty if there is none.
     """
 
     id: int
     name: str
     fields: Mapping[str, Field]
     size: int
-    base_size: int
     seed: int
     instance: str
 
@@ -111,41 +106,21 @@ class Dialect:
     seeds: NDArray[np.uint8] = field(repr=False)
 
 
-def dialect_names() -> tuple[str, ...]:
-    """Every dialect that pymavlink ships, the default one first.
-
-    Examples
-    --------
-    >>> dialect_names()[0], "matrixpilot" in dialect_names()
-    ('all', True)
-    """
-    names = {module.name for module in pkgutil.iter_modules(pymavlink.dialects.v20.__path__)}
-    return (DEFAULT_DIALECT, *sorted(names - {DEFAULT_DIALECT}))
-
-
 @cache
 def rival_names() -> tuple[str, ...]:
-    """Dialects that read some message which the default one does not know, or takes for another.
-
-    Examples
-    --------
-    >>> rival_names()
-    ('matrixpilot', 'paparazzi')
-    """
+    """Dialects that read some message which the default one does not know, or takes for another."""
     known = _module(DEFAULT_DIALECT).mavlink_map
     seeds = {number: message.crc_extra for number, message in known.items()}
+    names = {module.name for module in pkgutil.iter_modules(pymavlink.dialects.v20.__path__)}
     return tuple(
         name
-        for name in dialect_names()[1:]
+        for name in sorted(names - {DEFAULT_DIALECT})
         if any(seeds.get(number) != message.crc_extra for number, message in _module(name).mavlink_map.items())
     )
 
 
 @cache
 def _module(name: str) -> Any:  # noqa: ANN401 - a generated module
-    if name not in dialect_names():
-        known = ", ".join(dialect_names())
-        raise LogError(f"no MAVLink dialect {name!r}; pymavlink has {known}")
     return importlib.import_module(f"pymavlink.dialects.v20.{name}")
 
 
@@ -153,13 +128,13 @@ def _module(name: str) -> Any:  # noqa: ANN401 - a generated module
 def dialect(name: str = DEFAULT_DIALECT) -> Dialect:
     """Message types of a dialect.
 
-    `name`: one of `dialect_names`. Result: shared between callers; read only.
+    `name`: as pymavlink calls it. Result: shared between callers; read only.
 
     Examples
     --------
     >>> servo = dialect("common").layouts["SERVO_OUTPUT_RAW"]
-    >>> servo.fields["servo3_raw"].unit, servo.base_size, servo.size, servo.instance
-    ('us', 21, 37, 'port')
+    >>> servo.fields["servo3_raw"].unit, servo.size, servo.instance
+    ('us', 37, 'port')
     """
     by_id = dict(sorted(_module(name).mavlink_map.items()))
     layouts = [_layout(message) for message in by_id.values()]
@@ -181,25 +156,14 @@ def _layout(message: Any) -> Layout:  # noqa: ANN401 - a generated class
         unit = message.fieldunits_by_name.get(name, "")
         wire[name] = Field(name, dtype, int(length), offset, unit, types[name] == "char")
         offset += wire[name].width
-    size = int(message.unpacker.size)
-    if offset != size:
-        raise LogError(f"{message.msgname}: fields fill {offset} bytes, pymavlink reads {size}")
-    extensions = _extension_names(message)
     return Layout(
         id=int(message.id),
         name=str(message.msgname),
         fields=MappingProxyType({name: wire[name] for name in message.fieldnames}),
-        size=size,
-        base_size=size - sum(wire[name].width for name in extensions),
+        size=offset,
         seed=int(message.crc_extra),
         instance=message.instance_field or "",
     )
-
-
-def _extension_names(message: Any) -> list[str]:  # noqa: ANN401
-    """Extension fields are those a sender may leave out: pymavlink gives them a default."""
-    parameters = inspect.signature(message.__init__).parameters
-    return [name for name in message.fieldnames if parameters[name].default is not inspect.Parameter.empty]
 
 
 _NEWER_NAMES = {
@@ -234,54 +198,18 @@ def enum_name(enum: str, value: int) -> str:
 
 @cache
 def constants(prefix: str) -> SimpleNamespace:
-    """Numbers that MAVLink names, by what follows the prefix of their names.
-
-    Examples
-    --------
-    >>> constants("MAV_STATE_").CRITICAL
-    5
-    """
+    """Numbers that MAVLink names, by what follows the prefix of their names."""
     named = vars(_module(DEFAULT_DIALECT))
     return SimpleNamespace(**{name.removeprefix(prefix): n for name, n in named.items() if name.startswith(prefix)})
 
 
 def message_name(number: int) -> str | None:
-    """Name of a message, or None if it is unknown.
-
-    Examples
-    --------
-    >>> message_name(36), message_name(59999)
-    ('SERVO_OUTPUT_RAW', None)
-    """
+    """Name of a message, or None if it is unknown."""
     known = _module(DEFAULT_DIALECT).mavlink_map.get(number)
     return None if known is None else str(known.msgname)
 
 
 def version_text(number: int) -> str:
-    """Write out a firmware version as ArduPilot and PX4 pack it: one byte each, the last says how ripe it is.
-
-    Examples
-    --------
-    >>> version_text(0x040600FF), version_text(0x010F0040)
-    ('4.6.0', '1.15.0-alpha')
-    """
+    """Write out a firmware version as ArduPilot and PX4 pack it: one byte each, the last says how ripe it is."""
     major, minor, patch, release = (number & 0xFFFFFFFF).to_bytes(4, "big")
     return f"{major}.{minor}.{patch}" + next(word for low, word in _RELEASES if release >= low)
-
-
-def pack(name: str, values: Mapping[str, Any], *, dialect_name: str = DEFAULT_DIALECT) -> bytes:
-    """Full payload of one message, in wire order: what a writer puts into a frame.
-
-    `values`: numbers, sequences of numbers, or text for character arrays; a field left out is zero. `dialect_name`:
-    one of `dialect_names`.
-    """
-    layout = dialect(dialect_name).layouts[name]
-    payload = bytearray(layout.size)
-    for key, value in values.items():
-        known = layout.fields[key]
-        if known.is_text:
-            raw = str(value).encode("ascii")[: known.width]
-        else:
-            raw = np.asarray(value, dtype=known.dtype).tobytes()[: known.width]
-        struct.pack_into(f"{len(raw)}s", payload, known.offset, raw)
-    return bytes(payload)

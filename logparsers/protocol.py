@@ -61,13 +61,7 @@ HEADER_1, HEADER_2, CHECK_BYTES = 6, 10, 2
 
 
 def frame_bytes(data: bytes | NDArray[np.uint8], at: int) -> int:
-    """Length of the frame that begins at a place, as its header tells it; 0 if none begins there.
-
-    Examples
-    --------
-    >>> frame_bytes(bytes.fromhex("fe 09 00 01"), 0), frame_bytes(b"none", 0)
-    (17, 0)
-    """
+    """Length of the frame that begins at a place, as its header tells it; 0 if none begins there."""
     if len(data) < at + 3 or data[at] not in (MARKER_1, MARKER_2):
         return 0
     if data[at] == MARKER_1:
@@ -76,12 +70,6 @@ def frame_bytes(data: bytes | NDArray[np.uint8], at: int) -> int:
 
 
 def kind_of(vehicle: str, parameters: Mapping[str, float]) -> str:
-    """Kind of an aircraft: one with motors that lift it says that it is a fixed wing, and its parameters that they do.
-
-    Examples
-    --------
-    >>> kind_of("fixed wing", {"Q_ENABLE": 1.0}), kind_of("fixed wing", {"Q_ENABLE": 0.0})
-    ('QuadPlane', 'fixed wing')
-    """
+    """Kind of an aircraft: the parameters of a fixed wing say whether it has motors that lift it."""
     lifts = vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0.0) >= 1.0
     return "QuadPlane" if lifts else vehicle

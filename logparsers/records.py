@@ -42,13 +42,7 @@ class Setting(NamedTuple):
 
 
 def settings_changed(rows: Iterable[tuple[float, str, float]]) -> tuple[Setting, ...]:
-    """Changes among settings as they were logged: when [s], which, and its value.
-
-    Examples
-    --------
-    >>> settings_changed([(0.0, "A", 1.0), (1.0, "B", 2.0), (9.0, "A", 1.0), (10.0, "A", 3.0)])
-    (Setting(time_s=10.0, name='A', before=1.0, value=3.0),)
-    """
+    """Changes among settings as they were logged: when [s], which, and its value."""
     known: dict[str, float] = {}
     found = []
     for time_s, name, value in rows:
@@ -60,13 +54,7 @@ def settings_changed(rows: Iterable[tuple[float, str, float]]) -> tuple[Setting,
 
 
 def rows_text(number: int) -> str:
-    """Write a number of rows.
-
-    Examples
-    --------
-    >>> rows_text(1), rows_text(20)
-    ('1 row', '20 rows')
-    """
+    """Write a number of rows."""
     return f"{number} row" if number == 1 else f"{number} rows"
 
 

@@ -18,12 +18,6 @@ def replayed(source: LogBytes) -> Iterator[tuple[float, bytes]]:
     """Good frames of a telemetry log, and when each arrived [s since 1970].
 
     `source`: a ``.tlog``.
-
-    Examples
-    --------
-    >>> frame = bytes.fromhex("fe 09 00 01 01 00 00 00 00 00 01 0c 00 00 03 30 11")
-    >>> list(replayed((1_700_000_000_000_000).to_bytes(8, "big") + frame)) == [(1.7e9, frame)]
-    True
     """
     data, name = mapped(source)
     known = dialect()

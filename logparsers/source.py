@@ -88,18 +88,11 @@ def mapped(file: LogBytes) -> tuple[NDArray[np.uint8], str]:
         if not file:
             raise EmptyLog("<0 bytes>: the file is empty (0 bytes); was the log copied completely?")
         return np.frombuffer(file, np.uint8), f"<{len(file)} bytes>"
-    with opened(file) as source:
-        return source.mapped(), str(source.path)
-
-
-@contextmanager
-def opened(file: LogFile) -> Iterator[Source]:
-    """Open a log, packed or not; one that was open already is read from its beginning and stays open."""
     with closing(sources(file)) as found:
         source = next(found)
         if source.archive:
             raise SeveralRuns(f"{source.archive}: an archive of several files; unpack it, and give one of them")
-        yield source
+        return source.mapped(), str(source.path)
 
 
 def sources(file: LogFile) -> Generator[Source]:
@@ -129,14 +122,7 @@ def sources(file: LogFile) -> Generator[Source]:
 
 
 def heads(file: LogFile, size: int) -> list[bytes]:
-    """First bytes of a log, or of each file of an archive, of which no more is unpacked.
-
-    Examples
-    --------
-    >>> import gzip, io
-    >>> heads(io.BytesIO(gzip.compress(b"time_s,elevator_cmd_deg")), 6)
-    [b'time_s']
-    """
+    """First bytes of a log, or of each file of an archive, of which no more is unpacked."""
     with _raw(file) as source:
         source.file.seek(0)
         if not is_packed(source.head):

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from logparsers.assemble import Column, assemble
 from logparsers.errors import EmptyLog, MissingChannel, UnreadableLog, decoding
 from logparsers.records import Damage
-from logparsers.text import convert, read_grid
+from logparsers.text import read_grid
 from logparsers.texts import split_rows
 from logparsers.units import COMMANDS, SECONDS, faser_unit, is_faser, suffix_unit
 
 if TYPE_CHECKING:
+    from logparsers.only import Only
     from logparsers.records import FlightLog, FloatArray
     from logparsers.source import Source
     from logparsers.text import Cells, Grid
@@ -78,12 +79,14 @@ class TableLayout:
             raise ValueError(f"columns must differ, not {', '.join(self.columns)}")
 
 
-def read_table(source: Source, layout: TableLayout | None = None) -> tuple[FlightLog, ...]:
+def read_table(source: Source, layout: TableLayout | None, _: Only) -> tuple[FlightLog, ...]:
     r"""Read a text table, one log per run.
 
     `layout`: how to read it; without one the header has ``time_s`` and perhaps ``run``, or the names of a FASER log.
     """
-    grid = read_grid(source.path, source.content(), layout.columns if layout else ())
+    texts = {*layout.where, layout.run} if layout else {"run"}
+    with decoding(source.path, "text table"):
+        grid = read_grid(source.path, source.content(), layout.columns if layout else (), texts)
     kind = "table"
     if layout is None:
         kind = _guess(source.path, grid)
@@ -91,9 +94,7 @@ def read_table(source: Source, layout: TableLayout | None = None) -> tuple[Fligh
         run = "run" if kind == "table" and "run" in grid.names else ""
         layout = TableLayout(time="time" if kind == "faser" else clock, run=run)
     _check_names(source.path, grid, layout)
-    with decoding(source.path, "text table"):
-        cells = convert(grid, {*layout.where, layout.run} - {""})
-    return _Reading(source.path, grid, layout, kind, cells).logs()
+    return _Reading(source.path, grid, layout, kind).logs()
 
 
 _CLOCKS = ("time_s", "t_s")
@@ -129,12 +130,11 @@ class _Reading:
     grid: Grid
     layout: TableLayout
     kind: str
-    cells: Mapping[str, Cells]
 
     def logs(self) -> tuple[FlightLog, ...]:
         damage = list(self.grid.damage)
         columns = []
-        for name, cells in self.cells.items():
+        for name, cells in self.grid.cells.items():
             if self._is_channel(name, cells, damage):
                 columns.append(Column(name, cells.values, self._unit(name), name))
         if not columns:
@@ -170,14 +170,14 @@ class _Reading:
             return {"": None}
         kept = np.ones(self.grid.row.size, dtype=np.bool_)
         for name, text in self.layout.where.items():
-            kept &= self.cells[name].texts == text
+            kept &= self.grid.cells[name].texts == text
             if not kept.any():
-                known = ", ".join(dict.fromkeys(self.cells[name].texts[:100_000]))[:120]
+                known = ", ".join(dict.fromkeys(self.grid.cells[name].texts[:100_000]))[:120]
                 raise EmptyLog(f"{self.path}: no row where {name} is {text!r}; that column holds {known}")
         rows = np.flatnonzero(kept)
         if not self.layout.run:
             return {"": rows}
-        texts = self.cells[self.layout.run].texts[rows]
+        texts = self.grid.cells[self.layout.run].texts[rows]
         places: dict[str, int] = {}
         codes = np.fromiter((places.setdefault(text, len(places)) for text in texts), np.int32, texts.size)
         if len(places) > MOST_RUNS:
@@ -192,8 +192,8 @@ class _Reading:
         return assemble(self.path, kind=self.kind, time_s=time_s, columns=mine, damage=damage, run=run)
 
     def _time_s(self, rows: NDArray[np.intp] | None) -> FloatArray:
-        if self.layout.time in self.cells:
-            time = self.cells[self.layout.time].values
+        if self.layout.time in self.grid.cells:
+            time = self.grid.cells[self.layout.time].values
             return (time if rows is None else time[rows]) * SECONDS[self.layout.time_unit]
         rate = self.layout.sample_rate_hz or np.nan
         row = self.grid.row if rows is None else self.grid.row[rows]

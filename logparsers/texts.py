@@ -10,17 +10,10 @@ from numpy.typing import NDArray
 
 
 def distinct_texts(raw: NDArray[np.uint8], most: int | None = None) -> tuple[list[str], NDArray[np.int64]]:
-    r"""Find the distinct texts among rows of characters. By sorting: no choice of texts can make it slow.
+    """Find the distinct texts among rows of characters. By sorting: no choice of texts can make it slow.
 
     `raw` (shape (n, width)): ASCII, ended by a NUL or by the last column. `most`: of more texts than that, only so
     many; rows of the others have the code behind them. Result: `codes` (shape (n,)): which text each row is.
-
-    Examples
-    --------
-    >>> rows = np.frombuffer(b"POS\0PWM\0POS\0", np.uint8).reshape(3, 4)
-    >>> texts, codes = distinct_texts(rows)
-    >>> texts, codes.tolist()
-    (['POS', 'PWM'], [0, 1, 0])
     """
     count, width = raw.shape
     words = np.zeros((count, -(-width // 8)), dtype=np.uint64)

@@ -71,11 +71,5 @@ def faser_unit(name: str) -> str:
 
 
 def is_faser(name: str) -> bool:
-    """Tell whether this is the name of a surface command or measured position, in FASER or RAPTRS.
-
-    Examples
-    --------
-    >>> is_faser("da_l_pos"), is_faser("cmdRud_rad"), is_faser("time")
-    (True, True, False)
-    """
+    """Tell whether this is the name of a surface command or measured position, in FASER or RAPTRS."""
     return name.removesuffix("_pos") in COMMANDS or name in RAPTRS_COMMANDS

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logparsers.assemble import Column, assemble
-from logparsers.channels import together
+from logparsers.channels import Made
 from logparsers.errors import MissingChannel, decoding
 from logparsers.mat import level4, level5
 from logparsers.records import Damage, FlightLog
@@ -37,23 +37,23 @@ MOST_COLUMNS: Final = 64
 """Of a matrix; one with more is a picture or a table of something else."""
 
 
-def read_level4(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+def read_level4(source: Source, layout: TableLayout | None, _: Only) -> tuple[FlightLog, ...]:
     """Read a MATLAB level-4 file, as the flight computer writes it; see `from_variables`."""
-    return (from_variables(source.path, level4(source.path, source.mapped().data), layout).only(only),)
+    return (from_variables(source.path, level4(source.path, source.mapped().data), layout),)
 
 
-def read_level5(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+def read_level5(source: Source, layout: TableLayout | None, _: Only) -> tuple[FlightLog, ...]:
     """Read a MATLAB level-5 or level-7 file: plain variables and structures."""
     with decoding(source.path, "MATLAB level-5 file"):
         variables = level5(source.path, source.mapped().data)
-    return (from_variables(source.path, variables, layout).only(only),)
+    return (from_variables(source.path, variables, layout),)
 
 
-def read_hdf5(source: Source, layout: TableLayout | None, only: Only) -> tuple[FlightLog, ...]:
+def read_hdf5(source: Source, layout: TableLayout | None, _: Only) -> tuple[FlightLog, ...]:
     """Read a MATLAB 7.3 or RAPTRS file; see `from_variables`."""
     from logparsers.hdf5 import arrays
 
-    return (from_variables(source.path, arrays(source), layout).only(only),)
+    return (from_variables(source.path, arrays(source), layout),)
 
 
 def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout | None = None) -> FlightLog:
@@ -61,13 +61,6 @@ def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout
 
     `variables`: by path; the last component becomes the name of the channel, unless an earlier one has it. A column of
     a matrix has its number behind that, as in ``pos[2]``. `layout`: name and unit of the clock, or a rate without one.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> variables = {"time": np.arange(3.0), "de": np.zeros(3), "pots": np.ones((3, 2)), "mode": np.array([1.0])}
-    >>> from_variables(Path("a.mat"), variables)
-    <FlightLog a.mat: faser, 2.0 s, 3 channels, no damage>
     """
     vectors = dict(_vectors(variables, ""))
     check_names(path, len(vectors))
@@ -100,7 +93,8 @@ def from_variables(path: Path, variables: Mapping[str, Any], layout: TableLayout
         damage = ()
     if len(logs) == 1:
         return next(iter(logs.values()))
-    channels = together({names[key]: logs[clock].channels for key, clock in clock_of.items()})
+    homes = {names[key]: logs[clock].channels for key, clock in clock_of.items()}
+    channels = Made(homes, lambda name: homes[name][name])
     return FlightLog(path, kind, channels, tuple(d for log in logs.values() for d in log.damage))
 
 

@@ -67,33 +67,11 @@ def encode(messages: Sequence[Message], *, start_us: int | None = None) -> bytes
 
     `start_us`: time of the definitions [us]; None for that of the first row. Result: the content of a ``.bin`` file.
     """
-    head, _, times, records = _parts(messages, start_us)
-    return head + interleave(times, records)
+    return encode_rows(messages, start_us=start_us).content
 
 
 def encode_rows(messages: Sequence[Message], *, start_us: int | None = None) -> Rows:
-    """Write a log as `encode` does, and remember its rows.
-
-    Examples
-    --------
-    >>> rcou = Message("RCOU", "QH", {"TimeUS": [10, 20], "C1": [1500, 1510]})
-    >>> rows = encode_rows([rcou])
-    >>> rows.content == encode([rcou]), np.diff(rows.ends).tolist(), rows.time_us.tolist(), rows.named.tolist()
-    (True, [13], [10, 20], ['RCOU', 'RCOU'])
-    """
-    head, names, times, records = _parts(messages, start_us)
-    lengths = [np.full(len(r), r.dtype.itemsize) for r in records]
-    starts = np.concatenate(places(times, lengths)[0])
-    order = np.argsort(starts)
-    ends = len(head) + (starts + np.concatenate(lengths))[order]
-    named = np.repeat(names, [len(r) for r in records])[order]
-    return Rows(head + interleave(times, records), ends, np.concatenate(times)[order], named)
-
-
-def _parts(
-    messages: Sequence[Message], start_us: int | None
-) -> tuple[bytes, list[str], list[NDArray[np.int64]], list[NDArray[Any]]]:
-    """Definitions; and of each message its name, and the times and bytes of its rows."""
+    """Write a log as `encode` does, and remember its rows."""
     clocks = [np.asarray(next(iter(m.columns.values())), np.int64) for m in messages]
     if start_us is None:
         start_us = min((int(c.min()) for c in clocks if c.size), default=0)
@@ -102,7 +80,12 @@ def _parts(
     head = b"".join(_fmt_record(layout) for layout in (FMT, *layouts))
     records = [_records(m, layout) for m, layout in zip(everything, layouts, strict=True)]
     times = [np.asarray(next(iter(m.columns.values())), np.int64) for m in everything]
-    return head, [m.name for m in everything], times, records
+    lengths = [np.full(len(r), r.dtype.itemsize) for r in records]
+    starts = np.concatenate(places(times, lengths)[0])
+    order = np.argsort(starts)
+    ends = len(head) + (starts + np.concatenate(lengths))[order]
+    named = np.repeat([m.name for m in everything], [len(r) for r in records])[order]
+    return Rows(head + interleave(times, records), ends, np.concatenate(times)[order], named)
 
 
 def _dictionary(messages: Sequence[Message], start_us: int) -> list[Message]:

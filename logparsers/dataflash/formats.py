@@ -128,6 +128,11 @@ class Layout:
             return "T", 1000
         return None
 
+    @property
+    def is_timed(self) -> bool:
+        """Whether the vehicle's clock stands first."""
+        return self.clock is not None and self.clock[0] == self.columns[0]
+
 
 def define(*, type: int, name: str, length: int, format: str, columns: str) -> Layout:  # noqa: A002 - the words of FMT
     """Lay out one message type.
@@ -168,19 +173,12 @@ def is_consistent(layout: Layout) -> bool:
 
 
 def parse_fmt(record: bytes) -> Layout | None:
-    r"""Read a FMT record.
+    """Read a FMT record.
 
     Where the length contradicts format characters and column names that agree with each other, they are
     believed and it is not: one flipped bit must not cost a whole message type.
 
     `record`: 89 bytes, header included. Result: None if this cannot be a definition.
-
-    Examples
-    --------
-    >>> parse_fmt(b"\xa3\x95\x80\x96\x0dABCDQH" + bytes(14) + b"TimeUS,X" + bytes(56)).fields["X"].offset
-    11
-    >>> parse_fmt(bytes(89)) is None
-    True
     """
     type_, length = record[3], record[4]
     name, format_, columns = (
@@ -197,14 +195,9 @@ def parse_fmt(record: bytes) -> Layout | None:
 
 
 def decode_text(stored: NDArray[Any]) -> NDArray[np.str_]:
-    r"""Text up to its first NUL; UTF-8, or Latin-1 where it is not UTF-8.
+    """Text up to its first NUL; UTF-8, or Latin-1 where it is not UTF-8.
 
     `stored` (shape (n,)): padded with NUL. Result (shape (n,)): only as wide as the longest text.
-
-    Examples
-    --------
-    >>> decode_text(np.array([b"AIL\0x", b"caf\xe9"])).tolist()
-    ['AIL', 'café']
     """
     distinct, which = np.unique(stored, return_inverse=True)
     return np.array([_text(raw) for raw in distinct.tolist()] or [""], dtype=np.str_)[which]

@@ -9,8 +9,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from logparsers.dataflash.formats import DICTIONARY, FMT, Field, Layout, define
-from logparsers.dataflash.store import LISTED, MOST_US, Store, Stretch
+from logparsers.dataflash.clock import LISTED, MOST_US
+from logparsers.dataflash.file import DataFlashFile, Stretch
+from logparsers.dataflash.formats import DICTIONARY, FMT, Field, define
+from logparsers.texts import split_rows
 
 NAME_SIZE: Final = 4
 """Characters of a message's name at most."""
@@ -29,42 +31,30 @@ STAMP: Final = "TimeUS"
 COMMA, NEWLINE = ord(","), ord("\n")
 
 
-class TextStore(Store):
-    r"""Index of a text DataFlash log: which lines belong to which message.
+class TextFile(DataFlashFile):
+    """A text DataFlash log: which lines belong to which message."""
 
-    Examples
-    --------
-    >>> log = TextStore(memoryview(b"FMT, 9, 11, ABC, Q, TimeUS\nABC, 1000\nABC, 20\n"))
-    >>> log.read("ABC", ["TimeUS"])["TimeUS"].tolist()
-    [1000, 20]
-    """
-
-    def __init__(self, data: memoryview) -> None:
-        super().__init__(len(data))
+    def __init__(self, source: str, data: memoryview) -> None:
+        super().__init__(source, data)
         self.layouts["FMT"] = FMT
-        self._data = data
         self._lines: dict[str, NDArray[np.int64]] = {}
-        starts, commas, names = _lines(np.frombuffer(data, np.uint8))
-        self._starts = starts
+        self._starts, commas, names = _lines(np.frombuffer(data, np.uint8))
         self._index(commas, names)
         self._spread_us: NDArray[np.int64] | None = None
         self._spread: frozenset[str] = frozenset()
         self._give_stamps()
-        self.apply_units()
-        self.follow_clock([name for name, layout in self.layouts.items() if self.count(name) and _is_timed(layout)])
+        self._apply_units()
 
     def count(self, name: str) -> int:
-        """As of `Store`."""
+        """As of `DataFlashFile`."""
         return len(self._lines.get(name, ()))
 
     def offsets(self, name: str) -> NDArray[Any]:
-        """As of `Store`."""
-        lines = self._lines.get(name, np.zeros(0, np.int64))
-        offsets: NDArray[np.int64] = self._starts[lines]
+        """As of `DataFlashFile`."""
+        offsets: NDArray[np.int64] = self._starts[self._lines.get(name, np.zeros(0, np.int64))]
         return offsets
 
-    def read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
-        """As of `Store`."""
+    def _read(self, name: str, fields: Sequence[str], rows: NDArray[np.intp] | None) -> dict[str, NDArray[Any]]:
         layout = self.layouts[name]
         lines = self._lines.get(name, np.zeros(0, np.int64))
         lines = lines if rows is None else lines[rows]
@@ -82,13 +72,12 @@ class TextStore(Store):
         return {field: found[field] for field in fields}
 
     def _line(self, line: int) -> bytes:
-        stop = self._starts[line + 1] if line + 1 < len(self._starts) else self.size
+        stop = self._starts[line + 1] if line + 1 < len(self._starts) else self._size
         return bytes(self._data[self._starts[line] : stop])
 
     def _index(self, commas: NDArray[Any], names: NDArray[Any]) -> None:
-        order = np.argsort(names, kind="stable")
-        keys, first = np.unique(names[order], return_index=True)
-        groups = dict(zip(keys.tolist(), np.split(order, first[1:]), strict=True))
+        keys, codes = np.unique(names, return_inverse=True)
+        groups = split_rows(keys.tolist(), codes)
         good = np.zeros(len(names), np.bool_)
         for line in groups.get(_key(b"FMT"), np.zeros(0, np.int64)).tolist():
             good[line] = self._define(line)
@@ -100,7 +89,7 @@ class TextStore(Store):
                 good[lines] = True
                 self._lines[name] = lines
         begin = int(np.argmax(good)) if good.any() else 0
-        self.said = tuple(filter(None, (self._line(line).decode("utf-8", "replace").strip() for line in range(begin))))
+        self._said = tuple(filter(None, (self._line(line).decode("utf-8", "replace").strip() for line in range(begin))))
         for line in (begin + np.flatnonzero(~good[begin:])).tolist():
             raw = self._line(line)
             if raw.strip():
@@ -122,7 +111,7 @@ class TextStore(Store):
         layout = dataclasses.replace(layout, fields=fields)
         known = self.layouts.setdefault(name, layout)
         if (known.format, known.columns) != (layout.format, layout.columns):
-            self.notes.append(f"byte {self._starts[line]}: second definition of {name}; ignored")
+            self._notes.append(f"byte {self._starts[line]}: second definition of {name}; ignored")
         return True
 
     def _damaged(self, offset: int, length: int) -> None:
@@ -134,7 +123,7 @@ class TextStore(Store):
     def _give_stamps(self) -> None:
         """Spread the lines of a log without stamps: between the times of GPS, or at the rate of the loop."""
         named = [name for name in self._lines if name != "FMT" and self.count(name)]
-        if any(_is_timed(self.layouts[name]) for name in named):
+        if any(self.layouts[name].is_timed for name in named):
             return
         bare = [name for name in named if self.layouts[name].clock is None and name not in DICTIONARY]
         if not bare:
@@ -163,7 +152,7 @@ class TextStore(Store):
                 for n, f in new.fields.items()
             })  # fmt: skip
         rows = sum(map(self.count, bare))
-        self.notes.append(f"no time stamps in {rows} rows: spread {how}; times, rates and the duration are estimates")
+        self._notes.append(f"no time stamps in {rows} rows: spread {how}; times, rates and the duration are estimates")
 
     def _anchors(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Lines of GPS and their times as long as those rise [us]; from 0 unless they count from boot."""
@@ -171,7 +160,7 @@ class TextStore(Store):
         clock = next((name for name in GPS_CLOCKS if layout and name in layout.fields), "")
         if not clock or layout is None or not layout.fields[clock].is_number or not self.count("GPS"):
             return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        ms = self.read("GPS", [clock])[clock].astype(np.float64)
+        ms = self.column("GPS", clock).astype(np.float64)
         rows = np.flatnonzero((ms > 0.0) & (ms < MOST_US / 1000))
         middle = np.median([ms[rows], *(np.roll(ms[rows], step) for step in (1, -1))], axis=0)
         rows = rows[np.abs(ms[rows] - middle) < SPIKE_MS] if rows.size > 2 else rows
@@ -179,11 +168,6 @@ class TextStore(Store):
         time_us = (1000.0 * ms[rows]).astype(np.int64)
         lines: NDArray[np.int64] = self._lines["GPS"][rows]
         return lines, time_us if clock == "T" or not rows.size else time_us - time_us[0]
-
-
-def _is_timed(layout: Layout) -> bool:
-    """The vehicle's clock stands first, as in the binary form."""
-    return layout.clock is not None and layout.clock[0] == layout.columns[0]
 
 
 def _key(name: bytes) -> int:
@@ -198,8 +182,8 @@ def _lines(raw: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[Any], NDA
     commas = np.zeros(len(starts), np.int64)
     names = np.full(len(starts), BAD, np.int64)
     for begin in range(0, len(starts), LINES_AT_ONCE):
-        here = starts[begin : begin + (LINES_AT_ONCE)]
-        stop = int(starts[begin + (LINES_AT_ONCE)]) if begin + (LINES_AT_ONCE) < len(starts) else len(raw)
+        here = starts[begin : begin + LINES_AT_ONCE]
+        stop = int(starts[begin + LINES_AT_ONCE]) if begin + LINES_AT_ONCE < len(starts) else len(raw)
         block = raw[here[0] : stop]
         commas[begin : begin + len(here)] = np.add.reduceat(block == COMMA, here - here[0], dtype=np.int64)
         heads = raw[np.minimum(here[:, None] + np.arange(NAME_SIZE + 1), len(raw) - 1)]

@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from logparsers.clock import utc_date
 from logparsers.protocol import Component
-from logparsers.records import Damage
-from logparsers.telemetry.timeline import Break, Timeline, build_timeline, place
-from logparsers.telemetry.unwrap import despike, unwrap
+from logparsers.records import Damage, FloatArray
+from logparsers.telemetry.timeline import Break, Timeline, build_timeline, despike, place, unwrap
 from logparsers.units import S_PER_US
 
 if TYPE_CHECKING:
+    from logparsers.mavlink import Field
     from logparsers.telemetry.messages import MessageTable, Sender
-
-    FloatArray = NDArray[np.float64]
 
 _BREAKS = {
     "reboot": "the vehicle's clock starts again; times run on by arrival time",
@@ -106,31 +104,28 @@ class TelemetryClock:
         return float(np.median(known[:3])) if known.size else 0.0
 
     @cached_property
-    def _reference(self) -> tuple[str, Sender, float, int] | None:
-        """The vehicle's busiest stream with a clock: message, source, tick [s], bits of the counter."""
-        best: tuple[tuple[bool, bool, bool, int], tuple[str, Sender, float, int]] | None = None
-        for message in self._table.messages:
-            clock = self._table.layout(message).clock
-            if clock is None:
-                continue
-            field, tick_s = clock
-            for sender in self._table.sources(message):
-                count = int(self._table.stream(message, sender).size)
-                own = not message.startswith(_RELAYED)
-                rank = (sender.component == Component.AUTOPILOT1, own, tick_s == 1e-3, count)
-                if best is None or rank > best[0]:
-                    best = rank, (message, sender, tick_s, 8 * field.dtype.itemsize)
-        return best[1] if best else None
+    def _reference(self) -> tuple[str, Sender, Field, float] | None:
+        """The vehicle's busiest stream with a clock: message, source, clock, and its tick [s]."""
+        table = self._table
+
+        def rank(stream: tuple[str, Sender, Field, float]) -> tuple[bool, bool, bool, int]:
+            message, sender, _, tick_s = stream
+            own = not message.startswith(_RELAYED)
+            return sender.component == Component.AUTOPILOT1, own, tick_s == 1e-3, table.stream(message, sender).size
+
+        clocks = [(message, clock) for message in table.messages if (clock := table.layout(message).clock)]
+        streams = [(message, sender, *clock) for message, clock in clocks for sender in table.sources(message)]
+        return max(streams, key=rank, default=None)
 
     def _reference_stamps(self) -> tuple[NDArray[Any], NDArray[Any], float, int]:
-        """Positions and raw stamps of the reference stream; a stamp of 0 was not filled in."""
+        """Positions and raw stamps of the reference stream, tick [s], bits; a stamp of 0 was not filled in."""
         if self._reference is None:
             nothing = np.zeros(0, dtype=np.int64)
             return nothing, nothing, 1.0, 64
-        message, sender, tick_s, bits = self._reference
-        raw = self._stamps(message, sender)
+        message, sender, field, tick_s = self._reference
+        raw = self._table.column(message, field.name, source=sender)
         filled = raw > 0
-        return self._table.stream(message, sender)[filled], raw[filled], tick_s, bits
+        return self._table.stream(message, sender)[filled], raw[filled], tick_s, 8 * field.dtype.itemsize
 
     @cached_property
     def _substitute(self) -> tuple[NDArray[Any], FloatArray]:
@@ -147,12 +142,6 @@ class TelemetryClock:
         timeline, breaks = build_timeline(stamps, arrival, markers)
         return timeline, breaks, stamps + timeline.shift_s[timeline.part(markers)]
 
-    def _stamps(self, message: str, source: Sender | None) -> NDArray[Any]:
-        clock = self._table.layout(message).clock
-        if clock is None:
-            raise ValueError(f"{message} carries no time")
-        return self._table.column(message, clock[0].name, source=source)
-
     def _place(self, message: str, source: Sender | None) -> FloatArray:
         markers = self._table.stream(message, source)
         arrival = self.arrival_s(markers)
@@ -160,12 +149,5 @@ class TelemetryClock:
         if clock is None:
             return self.timeline.from_arrival(arrival, markers)
         field, tick_s = clock
-        raw = self._stamps(message, source)
-        return place(
-            raw,
-            tick_s,
-            bits=8 * field.dtype.itemsize,
-            arrival_s=arrival,
-            positions=markers,
-            timeline=self.timeline,
-        )
+        raw, bits = self._table.column(message, field.name, source=source), 8 * field.dtype.itemsize
+        return place(raw, tick_s, bits=bits, arrival_s=arrival, positions=markers, timeline=self.timeline)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from logparsers.compiled import compiled
 from logparsers.interleave import places
-from logparsers.mavlink import DEFAULT_DIALECT, Layout, dialect
+from logparsers.mavlink import Layout, dialect
 from logparsers.protocol import CHECK_BYTES, HEADER_2, MARKER_2
 from logparsers.telemetry.frames import STAMP_BYTES, check_sum
 
@@ -42,9 +42,9 @@ def encode(messages: Sequence[Message], *, source: tuple[int, int] = (1, 1)) -> 
     if not messages:
         return b""
     arrivals = [np.asarray(m.arrival_us, np.int64) for m in messages]
-    layouts = [dialect(DEFAULT_DIALECT).layouts[m.name] for m in messages]
-    payloads = [_payload(m, layout) for m, layout in zip(messages, layouts, strict=True)]
-    lengths = [_trimmed(payload) for payload in payloads]
+    layouts = [dialect().layouts[m.name] for m in messages]
+    filled = [payloads(m, layout) for m, layout in zip(messages, layouts, strict=True)]
+    lengths = [_trimmed(payload) for payload in filled]
     starts, size = places(arrivals, [n + _AROUND for n in lengths])
     ranks = np.empty(sum(len(s) for s in starts), np.int64)
     ranks[np.argsort(np.concatenate(starts))] = np.arange(ranks.size)
@@ -52,11 +52,11 @@ def encode(messages: Sequence[Message], *, source: tuple[int, int] = (1, 1)) -> 
     body = np.zeros(size, np.uint8)
     for k, layout in enumerate(layouts):
         stamps = arrivals[k].astype(">u8").view(np.uint8).reshape(-1, STAMP_BYTES)
-        _write(body, starts[k], stamps, counts[k], payloads[k], lengths[k], layout.id, layout.seed, *source)
+        _write(body, starts[k], stamps, counts[k], filled[k], lengths[k], layout.id, layout.seed, *source)
     return body.tobytes()
 
 
-def _payload(message: Message, layout: Layout) -> Bytes:
+def payloads(message: Message, layout: Layout) -> Bytes:
     """Full payloads of all frames, shape (n, size)."""
     known = layout.fields.values()
     record = np.dtype(

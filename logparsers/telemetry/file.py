@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -20,20 +20,17 @@ from numpy.typing import NDArray
 
 from logparsers.channels import MOST_CHANNELS, Series, as_float
 from logparsers.errors import UnreadableLog
-from logparsers.mavlink import DEFAULT_DIALECT, Dialect, enum_name, rival_names, version_text
-from logparsers.mavlink import dialect as dialect_called
-from logparsers.protocol import LONGEST_TEXT, Autopilot, Capability, Kind, ParameterType
-from logparsers.records import Damage, Setting, Text, settings_changed
+from logparsers.mavlink import Dialect, dialect, enum_name, rival_names, version_text
+from logparsers.protocol import LONGEST_TEXT, Autopilot, Capability, Kind, ParameterType, kind_of
+from logparsers.records import Damage, FloatArray, Setting, Text, settings_changed
 from logparsers.source import LogBytes, mapped
 from logparsers.telemetry import frames
 from logparsers.telemetry.clock import TelemetryClock
 from logparsers.telemetry.messages import MessageTable
+from logparsers.texts import split_rows
 
 if TYPE_CHECKING:
     from logparsers.telemetry.messages import Sender
-    from logparsers.telemetry.timeline import Timeline
-
-    FloatArray = NDArray[np.float64]
 
 _SAMPLE_BYTES = 1 << 17
 """Bytes that are read again in other dialects, where something cannot be read in the default one."""
@@ -49,6 +46,7 @@ _NO_VEHICLES = [
     )
 ]
 """What sends heartbeats beside a vehicle."""
+_AUTOPILOTS = {"ardupilotmega": "ArduPilot", "px4": "PX4"}
 _BANNER = re.compile(r"(Ardu\w+|APM:\w+|PX4|Rover|Blimp|AntennaTracker)[ -]?V?\d")
 _NO_SERIES = ("PARAM_", "MISSION_", "STATUSTEXT", "FILE_TRANSFER", "LOG_", "REMOTE_LOG", "TERRAIN_DATA")
 """Messages that carry lists, files or words: their numbers are no signal over time."""
@@ -78,6 +76,10 @@ class Vehicle:
     system: int = 0
     component: int = 0
 
+    def kind(self, parameters: Mapping[str, float]) -> str:
+        """What it is by its own word and its parameters."""
+        return kind_of(self.type, parameters)
+
 
 class Stream(NamedTuple):
     """Messages that share a clock: one type, from one sender, of one instance."""
@@ -97,39 +99,30 @@ class TelemetryFile(MessageTable):
     instances are numbered and named (``DEBUG_FLOAT_ARRAY``), the name stands in the channel's origin. Lists, files and
     words (parameters, missions, texts) are no channels.
 
-    `data` (shape (n,)): the file; kept, not copied. `name`: what to call it in messages. `dialect`: dialect to read it
-    with. None: the one that knows all messages, unless another reads more of the file. `dialect`: the dialect in use.
-    `size`: length of the file [bytes]. `lost_bytes`: of these, how many belong to no good message. `unknown`: frames
-    of messages the dialect does not know: kept in step, never decoded.
+    `data` (shape (n,)): the file; kept, not copied. `name`: what to call it in messages. `dialect`: the one that knows
+    all messages, unless another reads more of the file. `lost_bytes`: how many belong to no good message. `unknown`:
+    frames of messages the dialect does not know: kept in step, never decoded.
     """
 
-    def __init__(self, data: NDArray[np.uint8], name: str, dialect: str | None = None) -> None:
-        known, (markers, kinds, unstamped, spans, hurt, lost) = _read(data, dialect)
+    def __init__(self, data: NDArray[np.uint8], name: str) -> None:
+        known, (markers, kinds, unstamped, spans, hurt, lost) = _read(data)
         if markers.size == 0:
             raise UnreadableLog(f"{name}: no MAVLink message with a correct check-sum in {data.size} bytes")
-        grouped = frames.group(markers, kinds, known.seeds.size + 1)
-        self.unknown = int(grouped.pop().size)
-        positions = {key: found for key, found in zip(known.layouts, grouped, strict=True) if found.size}
+        rows = split_rows([*known.layouts, ""], kinds)
+        self.unknown = int(rows.pop("").size)
+        positions = {message: markers[mine] for message, mine in rows.items() if mine.size}
         super().__init__(name, data, positions, known.layouts, unstamped)
-        self.dialect, self.size, self.lost_bytes = known.name, int(data.size), lost
-        self._spans: NDArray[Any] = spans
+        self.dialect, self.lost_bytes = known.name, lost
+        self.damaged_bytes: NDArray[Any] = spans
+        """Stretches without good messages: ``offset``, ``length`` [bytes] and ``kind``; the first 1000."""
         self._hurt: int = hurt
         self._bare = bool(unstamped.size > markers.size // 2)
-        self._clock = TelemetryClock(self, bare=self._bare)
+        self.clock = TelemetryClock(self, bare=self._bare)
 
     @classmethod
-    def open(cls, source: LogBytes, *, dialect: str | None = None) -> TelemetryFile:
-        """Map a file, or take bytes, and find its messages.
-
-        `source`: a path, the content itself, or an open binary file. `dialect`: one of
-        `logparsers.mavlink.dialect_names`.
-        """
-        return cls(*mapped(source), dialect)
-
-    def __repr__(self) -> str:
-        total = sum(self.count(message) for message in self.messages)
-        kinds = len(self.messages)
-        return f"<TelemetryFile {self.name}: {total} messages of {kinds} types, {self.lost_bytes} bytes lost>"
+    def open(cls, source: LogBytes) -> TelemetryFile:
+        """Map a file, or take bytes, and find its messages."""
+        return cls(*mapped(source))
 
     def time_s(self, message: str, *, source: Sender | None = None, instance: object = None) -> FloatArray:
         """When each message was made, on the time base of the file.
@@ -139,9 +132,7 @@ class TelemetryFile(MessageTable):
         added; from its arrival time, mapped onto the vehicle's clock, if it has none. Without a vehicle clock: since
         the first message.
         """
-        self.layout(message)
-        time = self._clock.time_s(message, source)
-        chosen: FloatArray = time[self.pick(message, source, instance)]
+        chosen: FloatArray = self.clock.time_s(message, source)[self.pick(message, source, instance)]
         return chosen
 
     def series(self) -> dict[str, Series]:
@@ -213,24 +204,14 @@ class TelemetryFile(MessageTable):
         return found
 
     @property
-    def timeline(self) -> Timeline:
-        """The vehicle's clock against arrival time, over the whole file."""
-        return self._clock.timeline
-
-    @property
     def damage(self) -> tuple[Damage, ...]:
         """What is wrong with bytes and clocks."""
-        return (*self._byte_damage, *self._clock.damage)
-
-    @cached_property
-    def start_utc(self) -> datetime | None:
-        """Date and time at 0 s: by the vehicle's clock (SYSTEM_TIME) if it was set, else by the receiver's."""
-        return self._clock.start_utc
+        return (*self._byte_damage, *self.clock.damage)
 
     @property
-    def damaged_bytes(self) -> NDArray[Any]:
-        """Stretches without good messages: ``offset``, ``length`` [bytes] and ``kind``; the first 1000."""
-        return self._spans
+    def start_utc(self) -> datetime | None:
+        """Date and time at 0 s: by the vehicle's clock (SYSTEM_TIME) if it was set, else by the receiver's."""
+        return self.clock.start_utc
 
     @cached_property
     def parameters(self) -> Mapping[str, float]:
@@ -238,8 +219,43 @@ class TelemetryFile(MessageTable):
         return MappingProxyType({name: value for _, name, value in self._settings})
 
     @cached_property
-    def _settings(self) -> tuple[tuple[float, str, float], ...]:
-        return tuple(_read_parameters(self))
+    def _settings(self) -> list[tuple[float, str, float]]:
+        """When the vehicle reported a parameter [s], which, and its value."""
+        source = self._vehicle_source("PARAM_VALUE")
+        if source is None:
+            return []
+        values = self.column("PARAM_VALUE", "param_value", source=source)
+        numbers = as_float(values)
+        if self._sends_bytes(source):
+            kinds = self.column("PARAM_VALUE", "param_type", source=source)
+            for kind, dtype in _INTEGERS.items():
+                rows = kinds == kind
+                raw = np.ascontiguousarray(values[rows]).view(np.uint8).reshape(-1, 4)
+                width = np.dtype(dtype).itemsize
+                numbers[rows] = np.ascontiguousarray(raw[:, :width]).view(dtype).reshape(-1)
+        names = self.column("PARAM_VALUE", "param_id", source=source)
+        times_s = self.time_s("PARAM_VALUE", source=source)
+        return list(zip(times_s.tolist(), names.tolist(), numbers.tolist(), strict=True))
+
+    def _sends_bytes(self, source: Sender) -> bool:
+        """Whether integers are sent as their bytes."""
+        if source in self.sources("AUTOPILOT_VERSION"):
+            flags = int(self.column("AUTOPILOT_VERSION", "capabilities", source=source)[-1])
+            return bool(flags & Capability.PARAM_ENCODE_BYTEWISE)
+        if source in self.sources("HEARTBEAT"):
+            return bool((self.column("HEARTBEAT", "autopilot", source=source) == Autopilot.PX4).any())
+        return False
+
+    def _vehicle_source(self, message: str) -> Sender | None:
+        """Pick the vehicle among the senders of a message, or the busiest if it is not among them."""
+        senders = self.sources(message)
+        if not senders:
+            return None
+        craft = self.craft
+        for sender in senders:
+            if craft and sender == (craft.system, craft.component):
+                return sender
+        return max(senders, key=lambda sender: self.stream(message, sender).size)
 
     @property
     def changed(self) -> tuple[Setting, ...]:
@@ -248,20 +264,71 @@ class TelemetryFile(MessageTable):
 
     @cached_property
     def texts(self) -> tuple[Text, ...]:
-        """What the vehicle and others said in words, in the order of the file."""
-        return _read_texts(self)
+        """What the vehicle and others said in words, in the order of the file; long texts are put together again."""
+        found: list[tuple[int, Text]] = []
+        senders = self.sources("STATUSTEXT")
+        for sender in senders:
+            name = f"{sender.system}/{sender.component}" if len(senders) > 1 else ""
+            columns = ("severity", "text", "id", "chunk_seq")
+            rows = [self.column("STATUSTEXT", field, source=sender).tolist() for field in columns]
+            begun: tuple[int, int] | None = None  # text and next chunk that may continue the last entry
+            times = self.time_s("STATUSTEXT", source=sender).tolist()
+            places = self.stream("STATUSTEXT", sender).tolist()
+            for place, time_s, severity, text, number, chunk in zip(places, times, *rows, strict=True):
+                if begun and begun == (number, chunk) and number:
+                    where, before = found[-1]
+                    found[-1] = where, Text(before.time_s, before.text + text, severity, name)
+                else:
+                    found.append((place, Text(time_s, text, severity, name)))
+                begun = (number, chunk + 1) if len(text) == LONGEST_TEXT else None
+        return tuple(text for _, text in sorted(found, key=lambda entry: entry[0]))
 
     @cached_property
-    def vehicle(self) -> Vehicle | None:
-        """What kind of aircraft, and what flies it; None if no autopilot introduced itself."""
-        return _read_vehicle(self)
+    def craft(self) -> Vehicle | None:
+        """The sender of the most heartbeats of a vehicle that name an autopilot; None if there is none.
+
+        Ground stations that call themselves a generic autopilot, and trackers that follow the aircraft, come after it.
+        """
+        found: list[tuple[tuple[bool, bool, int], Vehicle]] = []
+        for source in self.sources("HEARTBEAT"):
+            autopilots = self.column("HEARTBEAT", "autopilot", source=source)
+            kinds = self.column("HEARTBEAT", "type", source=source)
+            named = (autopilots != Autopilot.INVALID) & ~np.isin(kinds, _NO_VEHICLES)
+            if not named.any():
+                continue
+            kind, autopilot = (int(np.bincount(each[named]).argmax()) for each in (kinds, autopilots))
+            rank = kind != Kind.ANTENNA_TRACKER, autopilot != Autopilot.GENERIC, int(np.count_nonzero(named))
+            names = enum_name("MAV_TYPE", kind), enum_name("MAV_AUTOPILOT", autopilot)
+            found.append((rank, Vehicle(*names, self._version(source), *source)))
+        return max(found, key=lambda each: each[0])[1] if found else None
+
+    def _version(self, source: Sender) -> str:
+        """Version from AUTOPILOT_VERSION, else from the banner that ArduPilot prints when parameters are read."""
+        if source in self.sources("AUTOPILOT_VERSION"):
+            number = int(self.column("AUTOPILOT_VERSION", "flight_sw_version", source=source)[-1])
+            if number:
+                return version_text(number)
+        return next((said.text for said in self.texts if _BANNER.match(said.text)), "")
+
+    @property
+    def vehicle(self) -> str:
+        """Kind of aircraft, for example ``"fixed wing"``; empty if the log does not say."""
+        return self.craft.kind(self.parameters) if self.craft else ""
+
+    @property
+    def firmware(self) -> str:
+        """Name and version; a version alone gets the name of the autopilot. Empty if the log does not say."""
+        if self.craft is None:
+            return ""
+        name, said = _AUTOPILOTS.get(self.craft.autopilot, self.craft.autopilot), self.craft.firmware
+        return f"{name} {said}" if said[:1].isdigit() else said or name
 
     @cached_property
     def _byte_damage(self) -> tuple[Damage, ...]:
-        found = [self._describe(span) for span in self._spans]
-        more = self._hurt - self._spans.size
+        found = [self._describe(span) for span in self.damaged_bytes]
+        more = self._hurt - self.damaged_bytes.size
         if more:
-            rest = self.lost_bytes - int(self._spans["length"].sum())
+            rest = self.lost_bytes - int(self.damaged_bytes["length"].sum())
             found.append(Damage("corrupt", f"{more} more damaged stretches, {rest} bytes in all", rest))
         if self.unknown:
             note = f"{self.unknown} messages that dialect {self.dialect!r} does not know, or with a damaged id"
@@ -279,23 +346,22 @@ class TelemetryFile(MessageTable):
         kind, words = _KINDS[int(span["kind"])]
         time_s = None
         follower = np.array([offset + length + frames.STAMP_BYTES], dtype=np.int64)
-        if follower[0] < self.size and not self._bare and follower[0] not in self._unstamped:
-            time_s = float(self._clock.timeline.from_arrival(self._clock.arrival_s(follower), follower)[0])
+        if follower[0] < self._data.size and not self._bare and follower[0] not in self._unstamped:
+            time_s = float(self.clock.timeline.from_arrival(self.clock.arrival_s(follower), follower)[0])
         return Damage(kind, f"{words}: {length} bytes at offset {offset}", length, time_s, time_s)
 
 
-def _read(data: NDArray[np.uint8], chosen: str | None) -> tuple[Dialect, tuple[Any, ...]]:
-    """Find the frames; without a choice, in the dialect that finds most."""
-    known = dialect_called(chosen or DEFAULT_DIALECT)
+def _read(data: NDArray[np.uint8]) -> tuple[Dialect, tuple[Any, ...]]:
+    """Find the frames, in the dialect that finds most."""
+    known = dialect()
     found = frames.scan(data, known.slots, known.seeds)
     _, kinds, _, spans, _, _ = found
-    misread = (spans["kind"] != frames.TRUNCATED).any() or (kinds == known.seeds.size).any()
-    if chosen is not None or not misread:
+    if not ((spans["kind"] != frames.TRUNCATED).any() or (kinds == known.seeds.size).any()):
         return known, found
     pieces = [data[span["offset"] : span["offset"] + span["length"]][:_SAMPLE_BYTES] for span in spans[:200]]
     sample = np.concatenate([data[:_SAMPLE_BYTES], *pieces])[: 2 * _SAMPLE_BYTES]
     best, most = known, _decodable(sample, known)
-    for rival in (dialect_called(name) for name in rival_names()):
+    for rival in (dialect(name) for name in rival_names()):
         if (read := _decodable(sample, rival)) > most:
             best, most = rival, read
     return (best, frames.scan(data, best.slots, best.seeds)) if best is not known else (known, found)
@@ -304,93 +370,3 @@ def _read(data: NDArray[np.uint8], chosen: str | None) -> tuple[Dialect, tuple[A
 def _decodable(sample: NDArray[np.uint8], known: Dialect) -> int:
     """Messages that a dialect can check and decode."""
     return int(np.count_nonzero(frames.scan(sample, known.slots, known.seeds)[1] < known.seeds.size))
-
-
-def _read_vehicle(file: TelemetryFile) -> Vehicle | None:
-    """Find the autopilot of a log: the sender of the most heartbeats of a vehicle that name one.
-
-    Ground stations that call themselves a generic autopilot, and trackers that follow the aircraft, come after it.
-    """
-    found: list[tuple[tuple[bool, bool, int], Vehicle]] = []
-    for source in file.sources("HEARTBEAT"):
-        autopilots = file.column("HEARTBEAT", "autopilot", source=source)
-        kinds = file.column("HEARTBEAT", "type", source=source)
-        named = (autopilots != Autopilot.INVALID) & ~np.isin(kinds, _NO_VEHICLES)
-        if not named.any():
-            continue
-        kind, autopilot = (int(np.bincount(each[named]).argmax()) for each in (kinds, autopilots))
-        rank = kind != Kind.ANTENNA_TRACKER, autopilot != Autopilot.GENERIC, int(np.count_nonzero(named))
-        names = enum_name("MAV_TYPE", kind), enum_name("MAV_AUTOPILOT", autopilot)
-        found.append((rank, Vehicle(*names, _firmware(file, source), *source)))
-    return max(found, key=lambda each: each[0])[1] if found else None
-
-
-def _firmware(file: TelemetryFile, source: Sender) -> str:
-    """Version from AUTOPILOT_VERSION, else from the banner that ArduPilot prints when parameters are read."""
-    if source in file.sources("AUTOPILOT_VERSION"):
-        number = int(file.column("AUTOPILOT_VERSION", "flight_sw_version", source=source)[-1])
-        if number:
-            return version_text(number)
-    return next((said.text for said in file.texts if _BANNER.match(said.text)), "")
-
-
-def _read_parameters(file: TelemetryFile) -> Iterable[tuple[float, str, float]]:
-    """When the vehicle reported a parameter [s], which, and its value."""
-    source = _vehicle_source(file, "PARAM_VALUE")
-    if source is None:
-        return ()
-    values = file.column("PARAM_VALUE", "param_value", source=source)
-    numbers = as_float(values)
-    if _sends_bytes(file, source):
-        kinds = file.column("PARAM_VALUE", "param_type", source=source)
-        for kind, dtype in _INTEGERS.items():
-            rows = kinds == kind
-            raw = np.ascontiguousarray(values[rows]).view(np.uint8).reshape(-1, 4)
-            width = np.dtype(dtype).itemsize
-            numbers[rows] = np.ascontiguousarray(raw[:, :width]).view(dtype).reshape(-1)
-    names = file.column("PARAM_VALUE", "param_id", source=source)
-    times_s = file.time_s("PARAM_VALUE", source=source)
-    return zip(times_s.tolist(), names.tolist(), numbers.tolist(), strict=True)
-
-
-def _sends_bytes(file: TelemetryFile, source: Sender) -> bool:
-    if source in file.sources("AUTOPILOT_VERSION"):
-        return bool(
-            int(file.column("AUTOPILOT_VERSION", "capabilities", source=source)[-1]) & Capability.PARAM_ENCODE_BYTEWISE
-        )
-    if source in file.sources("HEARTBEAT"):
-        return bool((file.column("HEARTBEAT", "autopilot", source=source) == Autopilot.PX4).any())
-    return False
-
-
-def _vehicle_source(file: TelemetryFile, message: str) -> Sender | None:
-    """Pick the vehicle among the senders of a message, or the busiest if it is not among them."""
-    senders = file.sources(message)
-    if not senders:
-        return None
-    craft = file.vehicle
-    for sender in senders:
-        if craft and sender == (craft.system, craft.component):
-            return sender
-    return max(senders, key=lambda sender: file.stream(message, sender).size)
-
-
-def _read_texts(file: TelemetryFile) -> tuple[Text, ...]:
-    """Everything said in STATUSTEXT messages; long texts are put together again."""
-    found: list[tuple[int, Text]] = []
-    senders = file.sources("STATUSTEXT")
-    for sender in senders:
-        name = f"{sender.system}/{sender.component}" if len(senders) > 1 else ""
-        columns = ("severity", "text", "id", "chunk_seq")
-        rows = [file.column("STATUSTEXT", field, source=sender).tolist() for field in columns]
-        begun: tuple[int, int] | None = None  # text and next chunk that may continue the last entry
-        times = file.time_s("STATUSTEXT", source=sender).tolist()
-        places = file.stream("STATUSTEXT", sender).tolist()
-        for place, time_s, severity, text, number, chunk in zip(places, times, *rows, strict=True):
-            if begun and begun == (number, chunk) and number:
-                where, before = found[-1]
-                found[-1] = where, Text(before.time_s, before.text + text, severity, name)
-            else:
-                found.append((place, Text(time_s, text, severity, name)))
-            begun = (number, chunk + 1) if len(text) == LONGEST_TEXT else None
-    return tuple(text for _, text in sorted(found, key=lambda entry: entry[0]))

@@ -175,14 +175,6 @@ def scan(
     frame [bytes], rising. `kinds` (shape (m,)): slot of its message; ``len(seeds)`` for messages the dialect does not
     know. `unstamped`: positions of frames whose arrival time is lost. `spans`: damaged stretches, at most 1000;
     further ones are only counted.
-
-    Examples
-    --------
-    >>> from logparsers.mavlink import dialect
-    >>> known = dialect("minimal")
-    >>> markers, *_, lost = scan(np.zeros(100, np.uint8), known.slots, known.seeds)
-    >>> len(markers), lost
-    (0, 100)
     """
     room = data.size // 8 + 1  # a frame has at least 8 bytes; untouched pages cost nothing
     markers = np.empty(room, dtype=np.uint32 if data.size < 2**32 else np.int64)
@@ -191,12 +183,6 @@ def scan(
     spans = np.zeros(1000, dtype=SPAN)
     found, bare, hurt, lost = _scan(data, slots, seeds, (markers, kinds, unstamped, spans))
     return markers[:found], kinds[:found], unstamped[:bare].copy(), spans[:hurt].copy(), int(hurt), int(lost)
-
-
-def group(markers: NDArray[Any], kinds: NDArray[np.uint16], count: int) -> list[NDArray[Any]]:
-    """Positions of the frames of each of `count` kinds, in the order of the file."""
-    ends = np.cumsum(np.bincount(kinds, minlength=count))
-    return np.split(markers[np.argsort(kinds, kind="stable")], ends[:-1])
 
 
 def gather(data: Bytes, markers: NDArray[Any], offset: int, width: int) -> Bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logparsers.channels import MOST_CHANNELS
-from logparsers.errors import MissingChannel
 from logparsers.mavlink import Layout
 from logparsers.telemetry import frames
 from logparsers.texts import distinct_texts, split_rows
@@ -51,9 +49,6 @@ class MessageTable:
 
     def layout(self, message: str) -> Layout:
         """Fields of a message of this file."""
-        if message not in self._positions:
-            near = difflib.get_close_matches(message, self._positions, n=3, cutoff=0.4) or list(self._positions)[:12]
-            raise MissingChannel(f"{self.name}: no message {message!r}; it has {', '.join(near)}")
         return self._layouts[message]
 
     def count(self, message: str) -> int:
@@ -85,10 +80,7 @@ class MessageTable:
         `element`: only this element of an array; all if None. Result (shape (n,)): of the field's own type, in the
         unit of the protocol; texts as ``str``, cut at the first NUL. Extension fields that were not sent are zero.
         """
-        layout = self.layout(message)
-        if field not in layout.fields:
-            raise MissingChannel(f"{message} has no field {field!r}; it has {', '.join(layout.fields)}")
-        known = layout.fields[field]
+        known = self.layout(message).fields[field]
         markers = self.stream(message, source)[self.pick(message, source, instance)]
         if element is not None:
             size = known.dtype.itemsize
@@ -101,19 +93,9 @@ class MessageTable:
         values = raw.view(known.dtype)
         return values if known.length else values.reshape(-1)
 
-    def arrival_us(self, message: str) -> NDArray[np.uint64]:
-        """When each message arrived [us since 1970], shape (n,), as written; 0 where the file lost it."""
-        self.layout(message)
-        return self.arrivals_us(self.stream(message, None))
-
     def pick(self, message: str, source: Sender | None, instance: object) -> Any:  # noqa: ANN401 - an index
         """Rows of a message that belong to one instance: an index array, or a slice of all."""
-        if instance is None:
-            return slice(None)
-        known = self._instances(message, source)
-        if instance not in known:
-            raise MissingChannel(f"{message} has no instance {instance!r}; it has {list(known)[:12]}")
-        return known[instance]
+        return slice(None) if instance is None else self._instances(message, source)[instance]
 
     def stream(self, message: str, source: Sender | None = None) -> NDArray[Any]:
         """Positions of a message's frames in the file [bytes], rising, shape (n,)."""
@@ -135,8 +117,6 @@ class MessageTable:
         key = (message, source)
         if key not in self._rows:
             layout = self.layout(message)
-            if not layout.instance:
-                raise MissingChannel(f"{message} has no instances")
             known = layout.fields[layout.instance]
             raw = frames.gather(self._data, self.stream(message, source), known.offset, known.width)
             if known.is_text:

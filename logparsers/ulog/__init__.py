@@ -16,20 +16,7 @@ __all__ = ["UlogFile", "read_ulog"]
 def read_ulog(source: Source, only: Only) -> FlightLog:
     """Read the topics of a PX4 log that have wanted channels; the others never reach memory."""
     file = UlogFile(source.mapped(), str(source.path), only.topics)
-    log = recorded_log(
-        file,
-        source.path,
-        "ulog",
-        only,
-        damage=file.damage,
-        others=file.announced,
-        parameters=file.parameters,
-        texts=file.texts,
-        vehicle=file.vehicle,
-        firmware=file.firmware,
-        start_utc=file.start_utc,
-        changed=file.changed,
-    )
+    log = recorded_log(file, source.path, "ulog", only, file.announced)
     if log.span_s and log.span_s[0] < file.begin_s < log.span_s[1]:  # topics published once, before the log began
         return replace(log, span_s=(file.begin_s, log.span_s[1]))
     return log

@@ -21,7 +21,7 @@ from logparsers.only import Only
 from logparsers.records import Damage, Setting, Text, settings_changed
 from logparsers.source import LogBytes, mapped
 from logparsers.texts import distinct_texts, split_rows
-from logparsers.ulog.messages import Samples, read_content
+from logparsers.ulog.messages import Content, Samples
 from logparsers.units import S_PER_MS, S_PER_US
 
 FloatArray = NDArray[np.float64]
@@ -72,7 +72,7 @@ class UlogFile:
     """
 
     def __init__(self, data: NDArray[np.uint8], name: str, only: Only) -> None:
-        self.name, self._log = name, read_content(data, name, _WithClock(only))
+        self.name, self._log = name, Content(data, name, lambda topic: topic in only or topic in _CLOCK_TOPICS)
         if not self._log.topics and not self._log.announced:
             raise EmptyLog(f"{name}: the log has no topics")
         self._topics: dict[tuple[str, int], list[Samples]] = {}
@@ -114,11 +114,11 @@ class UlogFile:
 
     def fields(self, topic: str, instance: int = 0) -> Mapping[str, str]:
         """Type of each field of a topic; arrays and nested messages are spread out."""
-        return self._parts(topic, instance)[0].types
+        return self._topics[topic, instance][0].types
 
     def column(self, topic: str, field: str, *, instance: int = 0) -> NDArray[Any]:
         """Values of one field in the order of the file, shape (n,), in the type of the log."""
-        parts = self._parts(topic, instance)
+        parts = self._topics[topic, instance]
         columns = [part.rows[field] for part in parts if field in part.types]
         if len(columns) < len(parts):
             raise MissingChannel(f"{topic} has no field {field!r}; it has {', '.join(parts[0].types)}")
@@ -155,7 +155,7 @@ class UlogFile:
         if group.label:
             return values[self._labels(group.name, group.instance)[group.label]]
         # PX4 logs each topic once at the beginning, with a stamp of 0 if not published yet: no row, no damage.
-        first = self._parts(group.name, group.instance)[0].rows["timestamp"][:1]
+        first = self._topics[group.name, group.instance][0].rows["timestamp"][:1]
         return values[1:] if self.begin_s > 0.0 and not first.all() else values
 
     def _labels(self, topic: str, instance: int) -> dict[str, NDArray[np.intp]]:
@@ -236,19 +236,3 @@ class UlogFile:
         if log.cut_bytes:
             found.append(Damage("truncated", f"the file ends inside a message: {log.cut_bytes} bytes"))
         return tuple(found)
-
-    def _parts(self, topic: str, instance: int) -> list[Samples]:
-        if (topic, instance) not in self._topics:
-            known = ", ".join(f"{name}[{number}]" for name, number in self._topics)
-            raise MissingChannel(f"{self.name}: no topic {topic}[{instance}] was read; there are {known}")
-        return self._topics[topic, instance]
-
-
-class _WithClock:
-    """The topics that are asked for, and those that know the date."""
-
-    def __init__(self, only: Only) -> None:
-        self._only = only
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._only or name in _CLOCK_TOPICS

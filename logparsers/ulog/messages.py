@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Container, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -92,47 +92,6 @@ class Samples:
         return anywhere[self.places].view(self.dtype)
 
 
-@dataclass(slots=True)
-class Content:
-    """A log but for its samples, as the messages come: times are those of the newest sample before [us]."""
-
-    start_us: int
-    information: dict[str, Any] = field(default_factory=dict)
-    initial: dict[str, Any] = field(default_factory=dict)
-    changed: list[tuple[int, str, Any]] = field(default_factory=list)
-    dropouts: list[tuple[int, int]] = field(default_factory=list)
-    """With the milliseconds that each lasted."""
-    said: list[tuple[int, bool, int, str]] = field(default_factory=list)
-    """When, whether with a tag, how severe, and what."""
-    announced: dict[str, None] = field(default_factory=dict)
-    topics: list[Samples] = field(default_factory=list)
-    stretches: int = 0
-    """Without a message in them, and their bytes,"""
-    lost_bytes: int = 0
-    odd: int = 0
-    """messages that contradict what the log says of itself,"""
-    cut_bytes: int = 0
-    """and bytes of one inside which it ends."""
-
-
-def read_content(data: Bytes, name: str, wanted: Container[str]) -> Content:
-    """Read a log: all but samples of topics that are not wanted.
-
-    `data` (shape (n,)): the file. `name`: what to call it in messages.
-    """
-    content = Content(0)
-    places = np.concatenate([_places(data, *ends, content) for ends in _parts(data, name)])
-    content.start_us = int(data[8:_HEADER].view("<u8")[0])
-    reading, kinds = _Reading(data, name, wanted, content), data[places + 2]
-    for place in places[kinds != _DATA].tolist():
-        try:
-            reading.take(place)
-        except (ArithmeticError, LookupError, ValueError, struct.error):
-            content.odd += 1
-    reading.sort(places[kinds == _DATA])
-    return content
-
-
 def _parts(data: Bytes, name: str) -> Iterator[tuple[int, int]]:
     """Where the log begins and ends, and what was appended to it after a crash, by its flags."""
     if data[:7].tobytes() != _MAGIC or data.size < _HEADER:
@@ -148,30 +107,53 @@ def _parts(data: Bytes, name: str) -> Iterator[tuple[int, int]]:
         begin = end
 
 
-def _places(data: Bytes, begin: int, end: int, content: Content) -> Numbers:
-    """Where each message of a part begins, shape (n,)."""
-    count, stretches, lost, content.cut_bytes = _walk(data, begin, end, np.zeros(0, np.int64))
-    content.stretches += stretches
-    content.lost_bytes += lost
-    places = np.zeros(count, np.int64)
-    if count:
-        _walk(data, begin, end, places)
-    return places
+class Content:
+    """A log: all but samples of topics that are not wanted. Times are those of the newest sample before [us].
 
+    `data` (shape (n,)): the file. `name`: what to call it in messages. `wanted`: whether a topic is.
+    """
 
-class _Reading:
-    """A log while its messages are taken one by one, but for the samples."""
-
-    def __init__(self, data: Bytes, name: str, wanted: Container[str], content: Content) -> None:
-        self._data, self._name, self._wanted, self.content = data, name, wanted, content
+    def __init__(self, data: Bytes, name: str, wanted: Callable[[str], bool]) -> None:
+        self._data, self._name, self._wanted = data, name, wanted
+        self.information: dict[str, Any] = {}
+        self.initial: dict[str, Any] = {}
+        """Parameters at the beginning."""
+        self.changed: list[tuple[int, str, Any]] = []
+        self.dropouts: list[tuple[int, int]] = []
+        """With the milliseconds that each lasted."""
+        self.said: list[tuple[int, bool, int, str]] = []
+        """When, whether with a tag, how severe, and what."""
+        self.announced: dict[str, None] = {}
+        self.topics: list[Samples] = []
+        self.stretches = self.lost_bytes = self.odd = self.cut_bytes = 0
+        """Stretches without a message and their bytes, messages that contradict the log, bytes of one that is cut."""
         self._formats: dict[str, list[tuple[str, int, str]]] = {}
         self._left, self._has_begun = _MOST_FIELDS, False
-        self._topics: dict[int, list[tuple[int, Samples | None, int]]] = {}
-        """By number: where it was announced, what for (None: not wanted), and the most bytes of a sample."""
+        self._numbers: dict[int, list[tuple[int, Samples | None, int]]] = {}
+        """Topics by number: where each was announced, what for (None: not wanted), and the most bytes of a sample."""
         self._events: list[tuple[int, str, Any]] = []
         """Where a parameter changed, its name and value; or a dropout, without a name, and how long it lasted [ms]."""
+        places = np.concatenate([self._places(*ends) for ends in _parts(data, name)])
+        self.start_us = int(data[8:_HEADER].view("<u8")[0])
+        kinds = data[places + 2]
+        for place in places[kinds != _DATA].tolist():
+            try:
+                self._take(place)
+            except (ArithmeticError, LookupError, ValueError, struct.error):
+                self.odd += 1
+        self._sort(places[kinds == _DATA])
 
-    def take(self, at: int) -> None:
+    def _places(self, begin: int, end: int) -> Numbers:
+        """Where each message of a part begins, shape (n,)."""
+        count, stretches, lost, self.cut_bytes = _walk(self._data, begin, end, np.zeros(0, np.int64))
+        self.stretches += stretches
+        self.lost_bytes += lost
+        places = np.zeros(count, np.int64)
+        if count:
+            _walk(self._data, begin, end, places)
+        return places
+
+    def _take(self, at: int) -> None:
         """One message that is no sample."""
         size, kind = struct.unpack_from("<Hc", self._data.data, at)
         content = self._data[at + _HEAD : at + _HEAD + size].tobytes()
@@ -181,19 +163,19 @@ class _Reading:
         elif kind == b"A":
             self._announce(at, content)
         elif kind == b"I":
-            self.content.information.update([_value(content)])
+            self.information.update([_value(content)])
         elif kind == b"P" and self._has_begun:
             self._events.append((at, *_value(content)))
         elif kind == b"P":
-            self.content.initial.update([_value(content)])
+            self.initial.update([_value(content)])
         elif kind == b"O":
             self._events.append((at, "", *struct.unpack("<H", content)))
         elif kind == b"L":
             level, time_us = struct.unpack_from("<BQ", content)
-            self.content.said.append((time_us, False, level, _text(content[9:])))
+            self.said.append((time_us, False, level, _text(content[9:])))
         elif kind == b"C":
             level, _, time_us = struct.unpack_from("<BHQ", content)
-            self.content.said.append((time_us, True, level, _text(content[11:])))
+            self.said.append((time_us, True, level, _text(content[11:])))
 
     def _define(self, text: str) -> None:
         name, _, fields = text.partition(":")
@@ -206,17 +188,17 @@ class _Reading:
 
     def _announce(self, at: int, content: bytes) -> None:
         (instance, number), name = struct.unpack_from("<BH", content), _text(content[3:])
-        self.content.announced[name] = None
+        self.announced[name] = None
         samples, most = None, 0
-        if name in self._wanted:
+        if self._wanted(name):
             types = list(self._spread("", name, 0))
             most = sum(np.dtype(_TYPES[kind]).itemsize for _, kind in types)
             while types and types[-1][0].startswith("_padding"):
                 types.pop()
             dtype = np.dtype([(each, _TYPES[kind]) for each, kind in types])
             samples = Samples(name, instance, dict(types), dtype, self._data, np.zeros(0, np.int64))
-            self.content.topics.append(samples)
-        self._topics.setdefault(number, []).append((at, samples, most))
+            self.topics.append(samples)
+        self._numbers.setdefault(number, []).append((at, samples, most))
 
     def _spread(self, before: str, name: str, depth: int) -> Iterator[tuple[str, str]]:
         """Fields of a message and of those within it, with their types."""
@@ -232,15 +214,15 @@ class _Reading:
                 else:
                     yield from self._spread(f"{each}.", kind, depth + 1)
 
-    def sort(self, places: Numbers) -> None:
+    def _sort(self, places: Numbers) -> None:
         """Give each topic its samples, and what has no time of its own that of the newest sample before it."""
-        content, data = self.content, self._data
+        data = self._data
         numbers = data[places + _HEAD].astype(np.uint16) | data[places + _HEAD + 1].astype(np.uint16) << 8
         sizes = (data[places].astype(np.int64) | data[places + 1].astype(np.int64) << 8) - 2
         order = np.argsort(numbers, kind="stable")
         ends = np.searchsorted(numbers[order], np.arange((1 << 16) + 1))
         used = 0
-        for number, announced in self._topics.items():
+        for number, announced in self._numbers.items():
             mine = order[ends[number] : ends[number + 1]]
             begins = np.searchsorted(places[mine], [at for at, _, _ in announced]).tolist()
             for (_, samples, most), first, last in zip(announced, begins, [*begins[1:], mine.size], strict=True):
@@ -249,19 +231,19 @@ class _Reading:
                     rows = rows[(sizes[rows] >= samples.dtype.itemsize) & (sizes[rows] <= most)]
                     samples.places = places[rows] + _HEAD + 2
                 used += rows.size
-        content.odd += places.size - used
-        content.topics = sorted((one for one in content.topics if one.places.size), key=lambda t: (t.name, t.instance))
-        timed = [one for one in content.topics if one.types.get("timestamp") == "uint64_t"] if self._events else []
+        self.odd += places.size - used
+        self.topics = sorted((one for one in self.topics if one.places.size), key=lambda t: (t.name, t.instance))
+        timed = [one for one in self.topics if one.types.get("timestamp") == "uint64_t"] if self._events else []
         at = np.concatenate([[0], *(one.places for one in timed)])
-        stamps = np.concatenate([np.array([content.start_us], np.uint64), *(one.rows["timestamp"] for one in timed)])
+        stamps = np.concatenate([np.array([self.start_us], np.uint64), *(one.rows["timestamp"] for one in timed)])
         order = np.argsort(at, kind="stable")
         newest_us = np.maximum.accumulate(stamps[order])
         for place, name, value in self._events:
             time_us = int(newest_us[np.searchsorted(at, place, sorter=order) - 1])
             if name:
-                content.changed.append((time_us, name, value))
+                self.changed.append((time_us, name, value))
             else:
-                content.dropouts.append((time_us, value))
+                self.dropouts.append((time_us, value))
 
 
 def _text(raw: bytes) -> str:

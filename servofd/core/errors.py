@@ -1,16 +1,4 @@
-"""What can be wrong with a request. Every message says what, where, and what would have worked.
-
-::
-
-    ServofdError
-    ├── ConfigError       an aircraft or servo file does not say what it must
-    ├── UnknownName       a servo, surface, fault or effect that does not exist
-    ├── NoMeasurement     nothing in the log tells where a surface was
-    ├── CalibrationError  flights that a calibration must not be made from
-    ├── RecordingError    a recording that servofd did not write, or cannot read
-    ├── DesignError       no filter with the wanted properties exists for this model
-    └── IdentificationError   a test does not show what a servo is like
-"""
+"""What can be wrong with a request. Every message says what, where, and what would have worked."""
 
 from __future__ import annotations
 
@@ -73,10 +61,6 @@ def needs(*packages: str) -> None:
     """Refuse what packages are needed for that are not installed, and say how to get them.
 
     `*packages`: some of `EXTRAS`.
-
-    Examples
-    --------
-    >>> needs("matplotlib")
     """
     for package in packages:
         if find_spec(package) is None:

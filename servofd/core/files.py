@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -34,13 +33,7 @@ def distinct_file_names(names: Sequence[str]) -> list[str]:
 
 
 def beginning(path: Path, most_bytes: int) -> bytes:
-    """First bytes of a file; an OSError says why it cannot be read, as of a pipe, which would be waited for.
-
-    Examples
-    --------
-    >>> beginning(Path("pyproject.toml"), 7)
-    b'[build-'
-    """
+    """First bytes of a file; an OSError says why it cannot be read, as of a pipe, which would be waited for."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise OSError(errno.EINVAL, "is not a regular file; copy it to one")
     with path.open("rb") as file:
@@ -62,58 +55,21 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     A second run, an interruption or an error never leaves half a file under the final name.
     """
     target = Path(path).resolve()
-    if target.exists() and not target.is_file():
-        with _beside(path) as temporary:
+    is_replaced = not target.exists() or target.is_file()  # a device or a pipe can only be written to
+    try:
+        with tempfile.TemporaryDirectory(prefix=".servofd-", dir=target.parent if is_replaced else None) as folder:
+            temporary = Path(folder) / f"whole{target.suffix}"
+            temporary.touch()
             yield temporary
-            # A device or a pipe cannot be replaced, only written to.
-            _written_into(target, temporary.read_bytes(), path)
-        return
-    try:
-        handle, name = tempfile.mkstemp(prefix=".servofd-", suffix=target.suffix, dir=target.parent)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot write here: {error.strerror}") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(target)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot write here: {error.strerror or error}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-@contextmanager
-def _beside(path: str | Path) -> Iterator[Path]:
-    """Temporary file somewhere else, of the same suffix."""
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder) / f"whole{Path(path).suffix}"
-
-
-def _written_into(target: Path, content: bytes, path: str | Path) -> None:
-    try:
-        target.write_bytes(content)
+            if is_replaced:
+                temporary.replace(target)
+            else:
+                target.write_bytes(temporary.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path}: cannot write here: {error.strerror or error}") from None
 
 
 def write_whole(path: str | Path, content: bytes) -> None:
-    """Write a file whole or not at all.
-
-    Examples
-    --------
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_whole(Path(folder) / "a.txt", b"done")
-    ...     (Path(folder) / "a.txt").read_bytes()
-    b'done'
-    """
+    """Write a file whole or not at all."""
     with whole_file(path) as temporary:
         temporary.write_bytes(content)
-
-
-def _umask() -> int:
-    """Permissions that the user takes away from new files; reading them means setting them."""
-    current = os.umask(0)
-    os.umask(current)
-    return current

@@ -82,10 +82,6 @@ def correlation_factor(errors: Sequence[FloatArray], lags: int) -> float:
     total = sum(float(e @ e) for e in errors)
     if total == 0.0:
         return 1.0
-    products = np.sum([_products(e, lags) for e in errors], axis=0) / total
+    later = [[float(e[lag:] @ e[:-lag]) if lag < e.size else 0.0 for lag in range(1, lags + 1)] for e in errors]
+    products = np.sum(later, axis=0) / total
     return max(1.0, 1.0 + 2.0 * float((1.0 - np.arange(1, lags + 1) / (lags + 1)) @ products))
-
-
-def _products(error: FloatArray, lags: int) -> FloatArray:
-    """Sums of products with itself a number of samples later, shape (lags,); a spectrum pays from 100 lags on."""
-    return np.array([float(error[lag:] @ error[:-lag]) if lag < error.size else 0.0 for lag in range(1, lags + 1)])

@@ -52,17 +52,6 @@ def toml_key(name: str) -> str:
     return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else toml_value(name)
 
 
-def toml_inline(table: Mapping[str, Any]) -> str:
-    """Table on one line.
-
-    Examples
-    --------
-    >>> toml_inline({"unit": "deg", "correction": (1.0, 0.5)})
-    '{ unit = "deg", correction = [1.0, 0.5] }'
-    """
-    return "{ " + ", ".join(f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items()) + " }"
-
-
 def toml_lines(table: Mapping[str, Any], comments: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """Entries of a table, one a line, with a comment behind those that have one; None is left out.
 
@@ -83,11 +72,11 @@ def toml_value(value: Any) -> str:  # noqa: ANN401 - anything a TOML file can ho
 
     Examples
     --------
-    >>> toml_value(True), toml_value("a"), toml_value(1e-05)
-    ('true', '"a"', '1e-05')
+    >>> toml_value(True), toml_value("a"), toml_value({"unit": "deg", "correction": (1e-05, 0.5)})
+    ('true', '"a"', '{ unit = "deg", correction = [1e-05, 0.5] }')
     """
     if isinstance(value, dict):
-        return toml_inline(value)
+        return "{ " + ", ".join(f"{toml_key(key)} = {toml_value(each)}" for key, each in value.items()) + " }"
     if isinstance(value, bool | str | list | tuple):
         text = json.dumps(value, ensure_ascii=False)
         return _ACTS.sub(lambda found: _NO_CHARACTER if found[0] >= "\ud800" else f"\\u{ord(found[0]):04x}", text)

@@ -8,12 +8,10 @@ from pathlib import Path
 
 from logparsers import LogError
 from logparsers.source import heads
-from logparsers.text import convert, read_grid
+from logparsers.text import read_grid
 
 _HEAD_BYTES = 64 * 1024
 """Beginning of a file that is read for the preview."""
-_ROWS = 5
-"""Rows that are shown."""
 _MOSTLY = 0.9
 """Share of the cells of a column that have to be numbers for a column of numbers; the others are missing or damaged."""
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
@@ -81,10 +79,9 @@ def preview(path: Path) -> Preview | None:
         return None
     if len(grid.names) < 2:
         return None
-    lines = bytes(grid.blocks[0]).decode(errors="replace").splitlines()[:_ROWS]
     few = (1.0 - _MOSTLY) * grid.row.size
-    numeric = {name for name, cells in convert(grid).items() if cells.has_number and cells.strange <= few}
-    return Preview(grid.names, tuple(tuple(line.split(grid.delimiter)) for line in lines), frozenset(numeric))
+    numeric = {name for name, cells in grid.cells.items() if cells.has_number and cells.strange <= few}
+    return Preview(grid.names, grid.first, frozenset(numeric))
 
 
 def what_it_is(path: Path) -> str:

@@ -12,7 +12,7 @@ import pytest
 
 from servofd.cli import main
 from servofd.cli.terminal import complain, console, say
-from servofd.core.toml_text import toml_inline
+from servofd.core.toml_text import toml_value
 from servofd.outputs.chart import Chart, Curve, Panel
 from servofd.outputs.document import Document, Figures
 from servofd.outputs.figure import chart_png
@@ -108,7 +108,7 @@ def test_a_picture_of_a_hostile_name(name: str) -> None:
 
 @pytest.mark.parametrize("name", [*NAMES, "\udcff", "\x7f\u2028", "ok"])
 def test_toml_holds_any_name(name: str) -> None:
-    text = toml_inline({name: name, "list": [name]})
+    text = toml_value({name: name, "list": [name]})
     assert not [sign for sign in ACTS if sign in text]
     whole = name.replace("\udcff", "\ufffd")
     assert tomllib.loads(f"v = {text}")["v"] == {whole: whole, "list": [whole]}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from logparsers.dataflash import DataFlashFile
+from logparsers.dataflash import open_dataflash
 from logparsers.dataflash.encode import Message, encode
 
 SEED = 20240607
@@ -88,8 +88,8 @@ def as_text(messages: list[Message]) -> bytes:
 
 def text_of(content: bytes) -> bytes:
     """The text form of a binary log; numbers to the last digit."""
-    log = DataFlashFile.open(content)
-    lines = [f"FMT, {f.type}, {f.length}, {f.name}, {f.format}, {','.join(f.columns)}" for f in log.formats.values()]
+    log = open_dataflash(content)
+    lines = [f"FMT, {f.type}, {f.length}, {f.name}, {f.format}, {','.join(f.columns)}" for f in log.layouts.values()]
     rows = []
     for name in (n for n in log.names if n != "FMT"):
         table = log.table(name)

@@ -17,7 +17,7 @@ import pytest
 import logparsers
 from logparsers import LogError, SeveralRuns
 from logparsers.archive import LIMIT_VARIABLE
-from logparsers.dataflash import DataFlashFile
+from logparsers.dataflash import open_dataflash
 from logparsers.dataflash.encode import encode
 from tests.parsers import dataflash_writer, ulog_writer, writers
 from tests.parsers.writers import COMMAND, FLIGHT, zipped
@@ -41,7 +41,7 @@ def test_a_packed_log_is_the_log(name: str, pack: Callable[[bytes], bytes]) -> N
 def test_the_file_readers_unpack_too(tmp_path: Path) -> None:
     path = tmp_path / "flight.bin.gz"
     path.write_bytes(gzip.compress(DATAFLASH))
-    assert DataFlashFile.open(path).count("CSRV") == DataFlashFile.open(DATAFLASH).count("CSRV")
+    assert open_dataflash(path).count("CSRV") == open_dataflash(DATAFLASH).count("CSRV")
 
 
 def test_an_archive_of_several_logs_holds_several_runs(tmp_path: Path) -> None:
@@ -54,7 +54,7 @@ def test_an_archive_of_several_logs_holds_several_runs(tmp_path: Path) -> None:
     with pytest.raises(SeveralRuns, match="holds 2 runs"):
         logparsers.read(path)
     with pytest.raises(SeveralRuns, match="an archive of several files"):
-        DataFlashFile.open(path)
+        open_dataflash(path)
 
 
 def test_a_log_of_an_archive_that_cannot_be_read_is_on_record(tmp_path: Path) -> None:

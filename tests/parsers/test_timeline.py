@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logparsers.telemetry.timeline import build_timeline, find_breaks, place
-from logparsers.telemetry.unwrap import despike, lower_line, unwrap
+from logparsers.telemetry.timeline import build_timeline, despike, find_breaks, lower_line, place, unwrap
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ import pytest
 import logparsers
 from logparsers import mavlink, protocol
 from logparsers.channels import LazyChannels
-from logparsers.errors import EmptyLog, LogError, MissingChannel, MissingLog, UnreadableLog
+from logparsers.errors import EmptyLog, LogError, MissingLog, UnreadableLog
 from logparsers.telemetry import Sender, TelemetryFile
 from logparsers.telemetry.clock import TelemetryClock
 from tests.parsers import tlog_writer as writer
@@ -59,7 +59,7 @@ def assert_equal_to_pymavlink(path: Path, dialect: str = "all") -> int:
     compared = 0
     for name, messages in grouped.items():
         stamps = np.array([m._timestamp for m in messages])
-        np.testing.assert_array_equal(log.arrival_us(name).astype(float) * 1e-6, stamps)
+        np.testing.assert_array_equal(log.arrivals_us(log.stream(name)).astype(float) * 1e-6, stamps)
         senders = sorted({(m.get_srcSystem(), m.get_srcComponent()) for m in messages})
         assert list(log.sources(name)) == senders
         for field in log.layout(name).fields:
@@ -159,6 +159,7 @@ def test_messages_of_a_newer_protocol_are_stepped_over_and_counted() -> None:
 def test_systems_components_and_instances_are_kept_apart(flight: Path) -> None:
     log = TelemetryFile.open(flight)
     assert log.sources("HEARTBEAT") == (CRAFT, STATION)
+    assert log.count("RC_CHANNELS") == 0
     assert log.column("HEARTBEAT", "type", source=STATION).tolist() == [6] * 20
     assert log.instances("NAMED_VALUE_FLOAT") == ("SRVP1", "SRVP2")
     values = log.column("NAMED_VALUE_FLOAT", "value", instance="SRVP2")
@@ -201,7 +202,7 @@ def test_heartbeats_beside_the_vehicles_do_not_outvote_it(other: dict[str, int])
     copter = writer.frame("HEARTBEAT", {"type": 2, "autopilot": 3})
     entries = [(float(k), copter) for k in range(3)]
     entries += [(0.1 * k, writer.frame("HEARTBEAT", other, source=(255, 190))) for k in range(40)]
-    found = TelemetryFile.open(writer.log(sorted(entries))).vehicle
+    found = TelemetryFile.open(writer.log(sorted(entries))).craft
     assert found is not None
     assert (found.type, found.system) == ("quadrotor", 1)
 
@@ -225,7 +226,7 @@ def test_what_comes_over_two_links_counts_once_and_other_rows_of_one_stamp_stay(
 
 def test_the_vehicle_introduces_itself(flight: Path) -> None:
     log = TelemetryFile.open(flight)
-    craft = log.vehicle
+    craft = log.craft
     assert craft is not None
     assert (craft.type, craft.autopilot, craft.system) == ("fixed wing", "ardupilotmega", 1)
     assert craft.firmware == "ArduPlane V4.6.0 (abc)"
@@ -458,8 +459,7 @@ def use_everything(content: bytes) -> None:
     for name in log.messages:
         for field in log.layout(name).fields:
             log.column(name, field)
-    assert log.lost_bytes <= log.size
-    assert repr(log)
+    assert log.lost_bytes <= len(content)
     _ = log.vehicle, log.parameters, log.texts, log.damage
 
 
@@ -519,8 +519,6 @@ def test_empty_and_foreign_files_are_refused(tmp_path: Path) -> None:
         TelemetryFile.open(b"time,command\n1,2\n" * 100)
     with pytest.raises(MissingLog):
         TelemetryFile.open(tmp_path / "missing.tlog")
-    with pytest.raises(LogError, match="matrixpilot"):
-        TelemetryFile.open(writer.flight(1.0), dialect="klingon")
 
 
 def test_an_open_file_is_read_from_its_beginning_and_stays_open(flight: Path) -> None:
@@ -529,17 +527,6 @@ def test_an_open_file_is_read_from_its_beginning_and_stays_open(flight: Path) ->
         assert TelemetryFile.open(file).count("ATTITUDE") == 200
         assert not file.closed
     assert TelemetryFile.open(io.BytesIO(flight.read_bytes())).count("ATTITUDE") == 200
-
-
-def test_missing_messages_and_fields_are_named(flight: Path) -> None:
-    log = TelemetryFile.open(flight)
-    assert log.count("RC_CHANNELS") == 0
-    with pytest.raises(MissingChannel, match="SERVO_OUTPUT_RAW"):
-        log.column("SERVO_OUTPUTS", "servo1_raw")
-    with pytest.raises(MissingChannel, match="servo1_raw"):
-        log.column("SERVO_OUTPUT_RAW", "servo99_raw")
-    with pytest.raises(MissingChannel, match="SRVP1"):
-        log.column("NAMED_VALUE_FLOAT", "value", instance="SRVP9")
 
 
 @pytest.mark.slow

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from logparsers.mavlink import dialect, pack
+from logparsers.mavlink import Layout, dialect
+from logparsers.telemetry.encode import Message, payloads
 from logparsers.telemetry.frames import check_sum
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 EPOCH_US = 1_700_000_000_000_000
+
+
+def extension_bytes(layout: Layout, dialect_name: str) -> int:
+    """Of the fields that a sender may leave out, which pymavlink gives a default."""
+    message = importlib.import_module(f"pymavlink.dialects.v20.{dialect_name}").mavlink_map[layout.id]
+    parameters = inspect.signature(message.__init__).parameters
+    return sum(
+        field.width for field in layout.fields.values() if parameters[field.name].default is not inspect.Parameter.empty
+    )
 
 
 def frame(
@@ -29,9 +41,9 @@ def frame(
     dialect_name: str = "all",
 ) -> bytes:
     layout = dialect(dialect_name).layouts[name]
-    payload = pack(name, values, dialect_name=dialect_name)
+    payload = payloads(Message(name, [0], {key: [value] for key, value in values.items()}), layout).tobytes()
     if version == 1 or not extensions:
-        payload = payload[: layout.base_size]
+        payload = payload[: layout.size - extension_bytes(layout, dialect_name)]
     if version == 2 and trim:
         payload = payload.rstrip(b"\0") or b"\0"
     if version == 1:
