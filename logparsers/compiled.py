@@ -142,8 +142,8 @@ def _is_plain(value: object) -> bool:
     return value is None or isinstance(value, (bool, int, float, complex, str, bytes, np.generic, Enum))
 
 
-def compile_steps(*, kind: Literal["outer", "inner", "inlined"]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile a function of the stepper: the outer one, one that it calls, or one that becomes part of its caller.
+def compile_steps(*, kind: Literal["outer", "inlined"]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Compile a function of the stepper: the outer one, or one that becomes part of its caller.
 
     No reference counting: nothing in it allocates, and it would take half of the time (measured). What only other
     compiled functions call needs no door for Python, which takes as long to compile as the function.
@@ -151,8 +151,8 @@ def compile_steps(*, kind: Literal["outer", "inner", "inlined"]) -> Callable[[Ca
 
     def made(function: Callable[..., Any]) -> Callable[..., Any]:
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FAST, "_nrt": False}
-        if kind != "outer":
-            options |= {"no_cpython_wrapper": True, "forceinline": kind == "inlined"}
+        if kind == "inlined":
+            options |= {"no_cpython_wrapper": True, "forceinline": True}
         return compiled(function, **options)
 
     return made

@@ -219,15 +219,13 @@ def _planned(aircraft: Aircraft, name: str, short: str, period_s: float) -> Onbo
     modes = _modes(model, gain)
     if sum(map(math.hypot, modes[2::_MODE_NUMBERS], modes[3::_MODE_NUMBERS])) > _MOST_CANCELLATION * abs(gain):
         raise DesignError("its servo model loses all digits of a 32-bit number: use a model of lower order")
-    limit = model.rate_up_deg_s, model.rate_down_deg_s
-    slowest = min(limit)
+    limit, slowest = model.rates_deg_s, min(model.rates_deg_s)
     scale, offset_deg = _straight(surface)
     delay_s = physics.delay_s + physics.lag_s + physics.offset_s + 0.5 * physics.frame_s
     on_board = ServoModel(
         model.transfer, Physics(gain=gain, delay_s=delay_s, follow_up_deg_s=limit[0], follow_down_deg_s=limit[1])
     )
-    stops = physics.lower_deg, physics.upper_deg
-    constant = surface.threshold == "constant"
+    stops, constant = model.stops_deg, surface.threshold == "constant"
     limits = thresholds_of(known)
     zero, slope, square, cubic = _polynomial(surface)
     width_deg = _width_deg(physics)

@@ -104,10 +104,6 @@ class Parameter:
     --------
     >>> Parameter("width_deg", low=0.0, high=8.0, neutral=0.0, typical=0.1).off
     0.0
-    >>> Parameter("width_deg", low=8.0, high=0.0, neutral=0.0, typical=0.1)
-    Traceback (most recent call last):
-        ...
-    servofd.core.errors.ConfigError: parameter width_deg: its lower bound 8 must be below its upper bound 0
     """
 
     name: str

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,10 +18,8 @@ from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray
 from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.loops import play
-
-if TYPE_CHECKING:
-    from servofd.servo.motion import Motion
-    from servofd.servo.servo_model import ServoModel
+from servofd.servo.motion import Motion
+from servofd.servo.servo_model import ServoModel
 
 _LARGEST = 1e9
 """In degrees, Hz or seconds: beyond what any servo does, and far from where products of such numbers overflow."""
@@ -57,7 +55,7 @@ class Failure:
                 f"{self.kind}: end_s must be later than its start at {self.start_s:g} s, not {self.end_s}"
             )
 
-    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
         """What the servo makes of the commands given `elapsed_s` [s] into the fault [deg], (k,), after `before_deg`."""
         return command_deg
 
@@ -65,7 +63,7 @@ class Failure:
         """The servo as it is during the fault."""
         return servo
 
-    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
         """Where the surface is `elapsed_s` [s] into the fault, shape (k,), `deflection_deg` being the servo's way."""
         return deflection_deg
 
@@ -126,7 +124,7 @@ def _during(fault: Failure, motion: Motion, at_s: FloatArray, *, passes: bool) -
     simulated_deg = motion.at(instants_s)
     motion.become(healthy)
     moved_deg = fault.moved(healthy, instants_s - fault.start_s, simulated_deg)
-    moved_deg = np.clip(moved_deg, healthy.lower_deg, healthy.upper_deg)
+    moved_deg = np.clip(moved_deg, *healthy.stops_deg)
     if passes and moved_deg[-1] != simulated_deg[-1]:
         motion.rest(fault.end_s, float(moved_deg[-1]))
     return moved_deg[1 : at_s.size + 1]
@@ -182,12 +180,10 @@ class Stuck(Failure):
     kind: ClassVar[str] = "stuck"
     position_deg: float | None = None
 
-    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
-        """The position it goes to, if one is given."""
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
         return command_deg if self.position_deg is None else np.full(command_deg.size, self.position_deg)
 
-    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Not at all, unless it is on its way to a given position."""
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
         return np.full(elapsed_s.size, deflection_deg[0]) if self.position_deg is None else deflection_deg
 
 
@@ -204,8 +200,7 @@ class Bias(Failure):
     kind: ClassVar[str] = "bias"
     bias_deg: float = 2.0
 
-    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
-        """The command and the offset."""
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
         return command_deg + self.bias_deg
 
 
@@ -220,11 +215,11 @@ class HardOver(Failure):
     position_deg: float | None = None
 
     def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
-        """At the rate limit to the stop, from wherever it was."""
-        stop_deg = servo.upper_deg if math.isfinite(servo.upper_deg) else _STOP_DEG
+        lower_deg, upper_deg = servo.stops_deg
+        stop_deg = upper_deg if math.isfinite(upper_deg) else _STOP_DEG
         goal_deg = stop_deg if self.position_deg is None else self.position_deg
-        way_deg = np.clip(goal_deg, servo.lower_deg, servo.upper_deg) - deflection_deg[0]
-        rate_deg_s = servo.rate_up_deg_s if way_deg > 0.0 else servo.rate_down_deg_s
+        way_deg = np.clip(goal_deg, lower_deg, upper_deg) - deflection_deg[0]
+        rate_deg_s = servo.rates_deg_s[0 if way_deg > 0.0 else 1]
         rate_deg_s = rate_deg_s if math.isfinite(rate_deg_s) else _UNLOADED_RATE_DEG_S
         moved_deg: FloatArray = deflection_deg[0] + np.sign(way_deg) * np.minimum(rate_deg_s * elapsed_s, abs(way_deg))
         return moved_deg
@@ -247,8 +242,7 @@ class Floating(Failure):
     mean_deg: float = 0.0
     seed: float = 0
 
-    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
-        """As the wind wants it."""
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
         rng = np.random.default_rng(int(self.seed))
         tones_hz = self.bandwidth_hz * (np.arange(_TONES) + rng.random(_TONES)) / _TONES
         phases = rng.uniform(0.0, 2.0 * np.pi, _TONES)
@@ -275,8 +269,7 @@ class Oscillation(Failure):
         if self.replaces not in (0, 1):
             raise ConfigError(f"oscillation: replaces must be 0 (on top of the motion) or 1, not {self.replaces}")
 
-    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:  # noqa: ARG002
-        """A sine that begins at its zero."""
+    def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
         about_deg = deflection_deg[0] if self.replaces else deflection_deg
         moved_deg: FloatArray = about_deg + self.amplitude_deg * np.sin(2.0 * np.pi * self.frequency_hz * elapsed_s)
         return moved_deg
@@ -290,8 +283,7 @@ class DeadBand(Failure):
     positive: ClassVar[tuple[str, ...]] = ("width_deg",)
     width_deg: float = 3.0
 
-    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
-        """The command through a dead zone."""
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
         return play(command_deg, self.width_deg, before_deg)
 
 
@@ -318,7 +310,6 @@ class Slow(Failure):
                 raise ConfigError(f"slow: {name} must be at most 1, not {getattr(self, name)}")
 
     def become(self, servo: ServoModel) -> ServoModel:
-        """The same servo, slower."""
         return servo.slower(self.bandwidth_scale or 1.0).weaker(1.0 - self.rate_scale)
 
 
@@ -334,8 +325,7 @@ class LossOfEffectiveness(Failure):
         if not 0.0 <= self.gain < 1.0:
             raise ConfigError(f"loss_of_effectiveness: gain must be at least 0 and below 1, not {self.gain}")
 
-    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:  # noqa: ARG002
-        """A part of the command."""
+    def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
         return self.gain * command_deg
 
 
@@ -353,7 +343,6 @@ class Intermittent(Failure):
     seed: float = 0
 
     def received(self, elapsed_s: FloatArray, command_deg: FloatArray, before_deg: float) -> FloatArray:
-        """The command, held in outages."""
         rng = np.random.default_rng(int(self.seed))
         edges_s, last_s = [0.0], float(elapsed_s[-1]) if elapsed_s.size else 0.0
         while edges_s[-1] < last_s:

@@ -30,7 +30,6 @@ import numpy as np
 
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
-from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect, Now, Slot
 from servofd.servo.registry import fields_of
 
@@ -58,10 +57,8 @@ class Act:
 class Stepper:
     """The stepper for some effects, and the layout of its arrays."""
 
-    fields: Mapping[str, int]
-    """Place of each field among the sizes."""
-    off: FloatArray
-    """Size of each field of a servo without effects, shape (fields,)."""
+    off: Mapping[str, float]
+    """Size of each field of a servo without effects, in the order of the stepper's sizes."""
     acts: tuple[Act, ...]
     memory: int
     run: Callable[..., int]
@@ -97,7 +94,7 @@ def stepper_of(effects: tuple[type[Effect], ...], *, any_order: bool = False, is
     with _ONE_AT_A_TIME:
         text = text_of(acts, off, any_order=any_order)
         module = _module(text) if is_compiled else _executed(text)
-    return Stepper({field: k for k, field in enumerate(off)}, np.array(list(off.values())), acts, memory, module.run)
+    return Stepper(off, acts, memory, module.run)
 
 
 def check(effect: type[Effect]) -> None:
@@ -215,7 +212,7 @@ class _Renamed(ast.NodeTransformer):
         self._names, self._given, self._effect = names, given, effect
 
     def visit_arg(self, node: ast.arg) -> ast.arg:
-        node.arg = self._names[node.arg]
+        node.arg = self._names.get(node.arg, node.arg)
         return node
 
     def visit_Name(self, node: ast.Name) -> ast.expr:

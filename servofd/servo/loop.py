@@ -89,17 +89,13 @@ def scaled(transfer: TransferFunction, scales: Scales) -> TransferFunction:
         return transfer
     if len(transfer.numerator) > 1:
         return transfer.with_bandwidth_scaled(scales.bandwidth)
-    polynomial = _polynomial(transfer.denominator, scales)
-    return TransferFunction((transfer.dc_gain * float(polynomial[-1]),), tuple(polynomial.tolist()))
-
-
-def _polynomial(denominator: tuple[float, ...], scales: Scales) -> FloatArray:
-    """Monic characteristic polynomial with its poles scaled."""
+    denominator = transfer.denominator
     if len(denominator) <= _PHYSICAL + 1:
-        return _monic(len(denominator) - 1, _poles(denominator, scales))
-    monic = _damped(np.array(denominator) / denominator[0], scales.damping)
-    polynomial: FloatArray = monic * scales.bandwidth ** np.arange(monic.size)
-    return polynomial
+        polynomial = _monic(len(denominator) - 1, _poles(denominator, scales))
+    else:
+        polynomial = _damped(np.array(denominator) / denominator[0], scales.damping)
+        polynomial *= scales.bandwidth ** np.arange(polynomial.size)
+    return TransferFunction((transfer.dc_gain * float(polynomial[-1]),), tuple(polynomial.tolist()))
 
 
 class _Poles(NamedTuple):

@@ -20,13 +20,7 @@ compiled functions call needs no door for Python, which takes as long to compile
 
 
 def fixed(values: NDArray[Kind]) -> NDArray[Kind]:
-    """The same values, contiguous and read-only: compiled for them alone, a function is compiled once.
-
-    Examples
-    --------
-    >>> fixed(np.arange(6.0)[::2]).flags.writeable
-    False
-    """
+    """The same values, contiguous and read-only: compiled for them alone, a function is compiled once."""
     view = np.ascontiguousarray(values).view()
     view.setflags(write=False)
     return view

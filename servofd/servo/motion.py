@@ -137,11 +137,7 @@ def _machine(
         loop if loop.grid_s == grid_s else loop_of(transfer, v.scales, grid_s)
         for loop, v in zip(loops, variants, strict=True)
     ]
-    sizes = np.array([stepper.off] * len(variants))
-    for row, each in zip(sizes, variants, strict=True):
-        for name, value in each:
-            if name in stepper.fields:
-                row[stepper.fields[name]] = value
+    sizes = np.array([[known.get(name, off) for name, off in stepper.off.items()] for known in map(dict, variants)])
     acts, longest_s = np.zeros(len(STEPPED) + 1, dtype=bool), math.inf
     active = [act for act in stepper.acts if not acting.isdisjoint(act.switches)]
     for act in active:

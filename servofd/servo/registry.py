@@ -57,10 +57,7 @@ def is_built_in(effect: type[Effect]) -> bool:
 
 
 def check_name(effect: type[Effect]) -> None:
-    """Refuse an effect whose name and form the package has.
-
-    Raises `ConfigError` if it has.
-    """
+    """Refuse (`ConfigError`) an effect whose name and form the package has."""
     if effect.key() in {known.key() for known in _built_in()}:
         raise ConfigError(f"effect {effect.key()}: the catalogue has one of this name")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +12,11 @@ from servofd.servo.context import NO_CONTEXT, Context
 from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
+from servofd.servo.library import Servo
 from servofd.servo.loop import scaled
 from servofd.servo.motion import Motion
 from servofd.servo.physics import Physics, Plant, rate_fields
 from servofd.servo.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from servofd.servo.library import Servo
 
 _MOST_POLES = 3
 """Servos of more poles are simulated, but nothing acts inside their loop."""
@@ -83,31 +80,24 @@ class ServoModel:
         Examples
         --------
         >>> from servofd.servo.library import servo_named
-        >>> ServoModel.of(servo_named("s3151")).weaker(0.2).rate_up_deg_s
-        212.0
+        >>> ServoModel.of(servo_named("s3151")).weaker(0.2).rates_deg_s
+        (212.0, 212.0)
         """
         lower = {name: (1.0 - share) * getattr(self.physics, name) for name in rate_fields()}
         return replace(self, physics=self.physics._replace(**lower))
 
     @property
-    def rate_up_deg_s(self) -> float:
-        """Fastest motion upwards [deg/s]; infinite if nothing limits it."""
-        return min(self.physics.rate_up_deg_s, self.physics.follow_up_deg_s, self.physics.set_point_deg_s)
+    def rates_deg_s(self) -> tuple[float, float]:
+        """Fastest motion upwards and downwards [deg/s]; infinite if nothing limits it."""
+        p = self.physics
+        up_deg_s = min(p.rate_up_deg_s, p.follow_up_deg_s, p.set_point_deg_s)
+        return up_deg_s, min(p.rate_down_deg_s, p.follow_down_deg_s, p.set_point_deg_s)
 
     @property
-    def rate_down_deg_s(self) -> float:
-        """Fastest motion downwards [deg/s]."""
-        return min(self.physics.rate_down_deg_s, self.physics.follow_down_deg_s, self.physics.set_point_deg_s)
-
-    @property
-    def lower_deg(self) -> float:
-        """Lowest position of the surface: a stop of the linkage or of the servo [deg]."""
-        return max(self.physics.lower_deg, self.physics.gain * self.physics.stop_lower_deg)
-
-    @property
-    def upper_deg(self) -> float:
-        """Highest position [deg]."""
-        return min(self.physics.upper_deg, self.physics.gain * self.physics.stop_upper_deg)
+    def stops_deg(self) -> tuple[float, float]:
+        """Lowest and highest position of the surface: stops of the linkage or of the servo [deg]."""
+        p = self.physics
+        return max(p.lower_deg, p.gain * p.stop_lower_deg), min(p.upper_deg, p.gain * p.stop_upper_deg)
 
     def servo(self, context: Context = NO_CONTEXT) -> ServoModel:
         """What is simulated, for commands that are delayed already."""

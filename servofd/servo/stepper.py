@@ -122,12 +122,11 @@ def advance(
         for i in range(n):
             x[v, i] = x[v, n + i]
         u += k * grid_s * s
-        if left > 0.5 * grid_s:
-            h = left
-            continue
-        if abs(left) > _SAME_S:
-            nudge(x, v, a, b, left, u, s, push, pull, terms)
-        h = 0.0
+        if left <= 0.5 * grid_s:
+            if abs(left) > _SAME_S:
+                nudge(x, v, a, b, left, u, s, push, pull, terms)
+            left = 0.0
+        h = left
 
 
 @compile_steps(kind="outer")

@@ -97,7 +97,6 @@ def fly_airframe(
     turbulence: float = 1.0,
     manoeuvres: float = 1.0,
     faults: tuple[AirframeFault, ...] = (),
-    engine_cut_s: float = float("inf"),
     day: int | None = None,
 ) -> AirframeFlight:
     """Fly once.
@@ -127,7 +126,7 @@ def fly_airframe(
     for fault in faults:
         table[names.index(fault.surface)] = (fault.start_s, _KINDS.index(fault.kind), fault.value, fault.end_s)
     shocks, wanted = rng.standard_normal((steps, 3)), _targets(rng, steps, manoeuvres)
-    states = _flown(steps, shocks, wanted, mix, table, load, trims_us, turbulence, engine_cut_s)
+    states = _flown(steps, shocks, wanted, mix, table, load, trims_us, turbulence)
     every = max(1, round(1.0 / rate_hz / _STEP_S))
     states = states[::every]
     n, s = states.shape[0], len(names)
@@ -171,7 +170,6 @@ def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it hap
     load: FloatArray,
     trims_us: FloatArray,
     turbulence: float,
-    engine_cut_s: float,
 ) -> FloatArray:
     """States of every step: p, q, r, roll, pitch, speed, alpha, beta, throttle, pulses, deflections, forces."""
     s = mix.shape[0]
@@ -227,7 +225,7 @@ def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it hap
         lift = load[0] * 27.5 * np.tanh((a + 0.03) / 0.25) * v**2
         side = -9.0 * b * v**2 + 0.05 * dr * v**2
         drag = 0.9 * v**2 + 0.012 * lift**2 / max(v, 0.3) ** 2
-        thrust += ((throttle if time_s < engine_cut_s else 0.0) - thrust) * _STEP_S / 0.3
+        thrust += (throttle - thrust) * _STEP_S / 0.3
         pull = load[1] * (6.0 * thrust - 0.5 * v)
         p += _STEP_S * (-9.0 * v * (p - gust_p) + 2.0 * v * r - 12.0 * b * v**2 + load[2] * 2.6 * da * v**2)
         q += _STEP_S * (-load[3] * 45.0 * (a - 0.055) * v**2 - 6.0 * v * q + load[4] * 2.2 * de * v**2 + 0.6 * thrust)
@@ -264,13 +262,7 @@ def airframe_parameters(flight: AirframeFlight) -> dict[str, float]:
 
 
 def airframe_log(flight: AirframeFlight) -> bytes:
-    """Content of a ``.bin`` file: commands, gyros, accelerometers, attitude and airspeed.
-
-    Examples
-    --------
-    >>> airframe_log(fly_airframe(1, duration_s=10.0))[:2].hex()
-    'a395'
-    """
+    """Content of a ``.bin`` file: commands, gyros, accelerometers, attitude and airspeed."""
     stamps = np.round(US_PER_S * (flight.time_s + 5.0)).astype(np.int64)
     sent = dict(zip(flight.surfaces, flight.pulses_us.T, strict=True))
     p, q, r = np.radians(flight.rates_deg_s)

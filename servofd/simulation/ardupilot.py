@@ -7,15 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
-from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION
-
-if TYPE_CHECKING:
-    from servofd.simulation.flight import SimulatedFlight
-    from servofd.simulation.pulses import Output
+from servofd.simulation.flight import SimulatedFlight
+from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, Output
 
 
 def banner(version: str) -> str:
@@ -39,10 +35,7 @@ def rate_hz(flight: SimulatedFlight) -> float:
 
 
 def parameters(flight: SimulatedFlight, aircraft: Aircraft, feedback: str) -> dict[str, float]:
-    """Settings of an ArduPlane that flies these outputs.
-
-    `feedback`: how: ``"volz"``, ``"dronecan"`` or ``"script"``.
-    """
+    """Settings of an ArduPlane that flies these outputs; `feedback` is ``"volz"``, ``"dronecan"`` or ``"script"``."""
     loop_hz = float(max(50, math.ceil(rate_hz(flight) / 0.8 - 1e-6)))  # a message is sent at 0.8 of it at most
     known = {
         "LOG_BACKEND_TYPE": 1.0, "LOG_BITMASK": 65535.0, "LOG_DISARMED": 0.0, "LOG_FILE_RATEMAX": 0.0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,11 +14,9 @@ from servofd.aircraft.schema import Aircraft
 from servofd.core.types import IntArray
 from servofd.servo.context import AIR_KG_M3
 from servofd.simulation.ardupilot import banner, parameters, reporting
+from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, servo_state, sparse, surroundings
-
-if TYPE_CHECKING:
-    from servofd.simulation.flight import SimulatedFlight
 
 _CONTEXT_HZ: Final = 10.0
 """Rate of attitude, airspeed and supply in the log [Hz]."""

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.series import latest
 from servofd.core.types import FloatArray, IntArray
 from servofd.servo.context import NO_CONTEXT, Context
+from servofd.servo.effect import Effect
 from servofd.servo.faults import Failure, as_received, failing_deflection, in_order
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import COMMANDS, FORMER_NAMES
+from servofd.simulation.pulses import Output
 from servofd.simulation.surroundings import acting, current_a
-
-if TYPE_CHECKING:
-    from servofd.aircraft.schema import Aircraft
-    from servofd.servo.effect import Effect
-    from servofd.servo.servo_model import ServoModel
-    from servofd.simulation.pulses import Output
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -55,10 +55,7 @@ class ServoState:
 
 
 def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
-    """Circle over a field at 22 m/s, with a little noise.
-
-    `time_s` (shape (n,)): when [s].
-    """
+    """Circle over a field at 22 m/s, with a little noise, at some times (n,) [s]."""
     rng = np.random.default_rng([seed, 1000])
 
     def noise(deviation: float) -> FloatArray:
@@ -82,7 +79,7 @@ def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
 def acting(time_s: FloatArray, *, pushed: bool = False) -> Context:
     """Conditions of a servo: gusts, and airspeed and supply that vary enough to be separated from gain and rate limit.
 
-    `time_s` (shape (n,)): when [s]. `pushed`: whether a load of 0.05 N m comes and goes.
+    `pushed`: whether a load of 0.05 N m comes and goes.
     """
     wave = 2.0 * np.pi * time_s / 40.0
     return Context(
@@ -122,10 +119,7 @@ def stalled_a(time_s: FloatArray, asked_deg: FloatArray, measured_deg: FloatArra
 def servo_state(
     time_s: FloatArray, asked_deg: FloatArray, measured_deg: FloatArray, rng: np.random.Generator
 ) -> ServoState:
-    """Electrical and thermal state of a servo: it draws current as it turns or is held back, and is never still.
-
-    `time_s`, `asked_deg`, `measured_deg` (shape (n,)): what it makes of its command, and its motion [s], [deg].
-    """
+    """Electrical and thermal state of a servo: it draws current as it turns or is held back from what it asks for."""
     speed_deg_s = np.gradient(measured_deg, time_s)
     drawn_a = current_a(speed_deg_s, rng) + stalled_a(time_s, asked_deg, measured_deg)
     warm = 1.0 - np.exp(-(time_s - time_s[0]) / 300.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,14 +13,12 @@ from logparsers.telemetry.encode import Message, encode
 from servofd.aircraft.schema import Aircraft
 from servofd.core.types import IntArray
 from servofd.simulation.ardupilot import banner, parameters, reporting
+from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
-if TYPE_CHECKING:
-    from servofd.simulation.flight import SimulatedFlight
-
-    Sent = tuple[str, IntArray, dict[str, ArrayLike]]
-    """Name of a message, when it was made [us], and its fields."""
+Sent = tuple[str, IntArray, dict[str, ArrayLike]]
+"""Name of a message, when it was made [us], and its fields."""
 
 VERSION: Final = "4.7.0-dev"
 FEEDBACK: Final = ("named", "port", "array")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,11 @@ from servofd.aircraft.outputs import PX4_TYPES, SURFACE_FUNCTIONS
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
 from servofd.simulation.ardupilot import reporting
+from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US, Output
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
 
-if TYPE_CHECKING:
-    from servofd.simulation.flight import SimulatedFlight
-
-    Columns = dict[str, NDArray[Any]]
+Columns = dict[str, NDArray[Any]]
 
 MOST_SERVOS: Final = 8
 """Controls of the topic ``actuator_servos``."""

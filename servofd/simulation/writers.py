@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +17,9 @@ from servofd.core.errors import ConfigError, suggest
 from servofd.core.files import write_whole
 from servofd.core.types import FloatArray
 from servofd.simulation.dataflash_writer import GENERATIONS, dataflash_log
+from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.telemetry_writer import telemetry_log
 from servofd.simulation.ulog_writer import ulog_log
-
-if TYPE_CHECKING:
-    from servofd.simulation.flight import SimulatedFlight
 
 _BIG_ENDIAN_SINGLE = 1010
 """Type of a level 4 MAT-file's matrix: big-endian, single precision."""
@@ -67,10 +64,9 @@ def writer_for(path: str | Path, generation: str | None = None) -> Writer:
 def write_flight(
     path: str | Path, flight: SimulatedFlight, aircraft: Aircraft, *, generation: str | None = None
 ) -> None:
-    """Write a flight; the suffix chooses the format.
+    """Write a flight in the format that `writer_for` chooses.
 
-    `path`: as in `writer_for`. `aircraft`: its calibration turns degrees into what a FASER log holds; its measured
-    channels tell which servos report. `generation`: as in `writer_for`.
+    `aircraft`: its calibrations make of degrees what a FASER log holds; its measured channels tell which servos report.
     """
     writer = writer_for(path, generation)
     if flight.context.logged and not writer.context:

@@ -281,6 +281,7 @@ def own(body: str = "return x + a_deg", parameters: str = "(A,)", name: str = "e
         (own("return 'far'"), "act must return a finite number"),
         (own("return x / 0.0"), "act: ZeroDivisionError"),
         (own("return np.sin(x)"), "act may use math, numbers and functions of its module, not np"),
+        (own("return (lambda q: q + a_deg)(x)"), "act may use math, numbers and functions of its module, not q"),
         (own(more="memory = 1"), "act is called with (x, now, e_a_deg, memory)"),
         (own().replace("Slot.OUTPUT", "Slot.EVENTS"), "act takes the commands (times, values, slopes; arrays)"),
         (own(name="backlash"), "the catalogue has one of this name"),

@@ -240,7 +240,7 @@ def test_a_servo_with_a_lower_rate_limit_keeps_its_poles() -> None:
     healthy = MODEL.servo()
     limited = Slow(START_S, rate_scale=0.16).become(healthy)
     assert (limited.transfer, limited.physics.scales) == (healthy.transfer, healthy.physics.scales)
-    assert limited.rate_up_deg_s == pytest.approx(0.16 * RATE_DEG_S)
+    assert limited.rates_deg_s[0] == pytest.approx(0.16 * RATE_DEG_S)
 
 
 def test_a_fault_may_be_older_than_the_first_command() -> None:

@@ -198,4 +198,4 @@ def test_the_order_in_which_effects_are_put_on_a_servo_does_not_matter_and_the_l
     one = ServoModel(transfer) + PositionLimit(-5.0, 5.0) + RateLimit(100.0) + Delay(0.01)
     two = ServoModel(transfer) + Delay(0.01) + RateLimit(300.0) + RateLimit(100.0) + PositionLimit(-5.0, 5.0)
     assert one == two
-    assert (one.delay_s, one.physics.follow_up_deg_s, one.servo().upper_deg) == (0.01, 100.0, 5.0)
+    assert (one.delay_s, one.physics.follow_up_deg_s, one.servo().stops_deg[1]) == (0.01, 100.0, 5.0)

@@ -129,8 +129,8 @@ class TestNumbersOfAServoWithEffects:
     )
 
     def test_the_tightest_limit_counts(self) -> None:
-        assert (self.servo.rate_up_deg_s, self.servo.rate_down_deg_s) == (85.0, 80.0)
-        assert (self.servo.lower_deg, self.servo.upper_deg) == (-15.0, 20.0)
+        assert self.servo.rates_deg_s == (85.0, 80.0)
+        assert self.servo.stops_deg == (-15.0, 20.0)
 
     def test_play_is_half_of_every_full_width_and_all_of_the_friction(self) -> None:
         assert self.servo.physics.loose_deg == pytest.approx(0.3 + 0.2 + 0.1)

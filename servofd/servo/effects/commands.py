@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
+
 import numpy as np
 
 from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect, Now, Parameter, Slot
 
-RATES_DEG_S = (20.0, 30.0, 45.0, 60.0, 80.0, 105.0, 140.0, 180.0, 240.0, 320.0, 420.0, 600.0)
+_RATES_DEG_S = (20.0, 30.0, 45.0, 60.0, 80.0, 105.0, 140.0, 180.0, 240.0, 320.0, 420.0, 600.0)
 """Largest speeds from which a search starts: of hobby and industrial servos, each a third above the one before."""
+LARGEST_SPEED = partial(
+    Parameter, "rate_limit_deg_s", low=2.0, high=3e3, neutral=3e3, typical=60.0, grid=_RATES_DEG_S, off=math.inf
+)
+"""Of all rate limits; each has fields of its own."""
 STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
 """Steps of converters from which a search starts: of 10 and 12 bits a turn, and round numbers."""
 _DELAYS_S = (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)
@@ -95,9 +102,7 @@ class SetPointRate(Effect):
     name, slot, form, rank, memory = "rate_limit", Slot.COMMAND, "set point", 8, 1
     spoken = "a rate limit"
     longest_s, varies = 2.5e-3, True
-    parameters = (
-        Parameter("rate_limit_deg_s", ("set_point_deg_s",), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=float("inf")),
-    )
+    parameters = (LARGEST_SPEED(fields=("set_point_deg_s",)),)
 
     @staticmethod
     def act(x: float, now: Now, rate_deg_s: float, point: float) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import math
 
 from servofd.core.errors import ConfigError
 from servofd.servo.effect import Effect, Now, Parameter, Slot
-from servofd.servo.effects.commands import RATES_DEG_S
+from servofd.servo.effects.commands import LARGEST_SPEED
 from servofd.servo.effects.motor import WIDTHS_DEG
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
@@ -26,11 +26,7 @@ class RateLimit(Effect):
     name, slot, form, rank, memory = "rate_limit", Slot.OUTPUT, "output", 7, 2
     spoken = "a rate limit"
     longest_s, varies = 5e-3, True
-    parameters = (
-        Parameter(
-            "rate_limit_deg_s", ("follow_up_deg_s", "follow_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
-        ),
-    )
+    parameters = (LARGEST_SPEED(fields=("follow_up_deg_s", "follow_down_deg_s")),)
 
     def __init__(self, rate_limit_deg_s: float = math.inf, rate_down_deg_s: float | None = None) -> None:
         super().__init__(rate_limit_deg_s)
@@ -61,7 +57,7 @@ class RateLimit(Effect):
             speed, faster = begins + share * (linear + share * square), linear + 2.0 * share * square
             short = -1.0
             if lag == 0.0:
-                up, down = too_fast(most - speed, faster, square), too_fast(speed - least, -faster, -square)
+                up, down = reaches(most - speed, faster, square), reaches(speed - least, -faster, -square)
                 if share + min(up, down) >= 1.0:
                     return x, x, 0.0
                 lag, share = 1.0 if up <= down else -1.0, share + min(up, down)
@@ -73,7 +69,7 @@ class RateLimit(Effect):
             last = at + limit * (1.0 - share)
             high = 1.0
             if lag * (x - last) > 0.0:  # unless it was met before, where the servo turned
-                high = share + turns(short, lag * faster, lag * square)
+                high = share + (reaches(short, lag * faster, lag * square) if short > 0.0 else 1.0)
                 there = was + high * (begins + high * (0.5 * linear + high * square / 3.0))
                 if high >= 1.0 or lag * (there - at - limit * (high - share)) > 0.0:
                     return last, last, x - last
@@ -89,30 +85,17 @@ class RateLimit(Effect):
         return at, at, x - at
 
 
-def too_fast(slack: float, faster: float, square: float) -> float:
-    """After which share of a step a speed that grows by `faster`, and `square`, exceeds a limit by more than `slack`.
+def reaches(gap: float, faster: float, square: float) -> float:
+    """After which share of a step a speed that grows by `faster`, and `square`, has closed a gap to its limit, or 2.
 
     Examples
     --------
-    >>> too_fast(-0.1, 0.0, 0.0), too_fast(0.5, 1.0, 0.0), too_fast(0.5, 0.1, 0.0)
+    >>> reaches(-0.1, 0.0, 0.0), reaches(0.5, 1.0, 0.0), reaches(0.5, 0.1, 0.0)
     (0.0, 0.5, 2.0)
     """
-    within = faster * faster + 4.0 * square * slack
+    within = faster * faster + 4.0 * square * gap
     below = faster + math.sqrt(max(within, 0.0))
-    return 0.0 if slack <= 0.0 else 2.0 * slack / below if within >= 0.0 and below > slack else 2.0
-
-
-def turns(short: float, faster: float, square: float) -> float:
-    """After which share of a step a speed that is `short` of a limit reaches it; a whole one if it does not.
-
-    Examples
-    --------
-    >>> turns(0.5, 1.0, 0.0), turns(-1.0, 1.0, 0.0)
-    (0.5, 1.0)
-    """
-    within = faster * faster + 4.0 * square * short
-    below = faster + math.sqrt(max(within, 0.0))
-    return 2.0 * short / below if short > 0.0 and within >= 0.0 and below > short else 1.0
+    return 0.0 if gap <= 0.0 else 2.0 * gap / below if within >= 0.0 and below > gap else 2.0
 
 
 def speed_over(x: float, at: float, now: Now) -> tuple[float, float, float, float]:
@@ -210,12 +193,13 @@ class LinkageNonlinearity(Effect):
         return x * (1.0 + x * (quadratic + x * cubic))
 
 
-class UpperGain(LinkageNonlinearity):
+class UpperGain(Effect):
     """Another ratio above zero than below: a horn that is set askew, or a sensor whose scale differs up and down."""
 
-    form, rank, spoken = "up and down", 34, "another gain up than down"
+    name, slot, form, rank = "linkage_nonlinearity", Slot.OUTPUT, "up and down", 34
+    spoken = "another gain up than down"
+    surprise, instead = 12.0, ("gravity_load",)
     parameters = (Parameter("upper_gain", ("upper_gain",), 0.5, 2.0, 1.0, 0.03, (0.9, 0.95, 1.05, 1.1), smallest=0.01),)
-    sees = ("upper_gain",)
 
     @staticmethod
     def act(x: float, now: Now, upper_gain: float) -> float:

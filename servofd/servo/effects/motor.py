@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import ClassVar
 
 from servofd.servo.effect import Effect, Now, Parameter, Slot
-from servofd.servo.effects.commands import RATES_DEG_S
+from servofd.servo.effects.commands import LARGEST_SPEED
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 WIDTHS_DEG = (0.1, 0.2, 0.4, 0.8, 1.4, 2.2, 3.5, 6.0)
 """Widths of dead bands and play from which a search starts."""
 UNFOLLOWED = {"follow_up_deg_s": math.inf, "follow_down_deg_s": math.inf}
 """The limit of an output that follows, replaced by another kind of limit."""
-RATES_DEG_S_PER_V = (1.4, 2.5, 4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0)
+_RATES_PER_V = (1.4, 2.5, 4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 45.0, 70.0)
 """Largest speeds per volt from which a search starts."""
 _UP_DOWN_DEG_S = (20.0, 40.0, 90.0, 180.0, 350.0)
 """The same where each direction has its own: fewer, because every pair is tried."""
@@ -24,7 +26,8 @@ class DeadBand(Effect):
     name, slot, form, family, rank = "deadband", Slot.ERROR, "error from the edge", "hysteresis", 12
     spoken = "a dead band"
     sound, advice = 0.4, "check the servo's electronics and its dead band setting"
-    places, varies, at_rest = (BEFORE, INSIDE, AFTER), True, 4
+    places: ClassVar[tuple[float, ...] | None] = (BEFORE, INSIDE, AFTER)
+    varies, at_rest = True, 4
     parameters = (Parameter("width_deg", ("deadband_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),)
 
     @staticmethod
@@ -37,9 +40,7 @@ class InsensitiveBand(DeadBand):
 
     form, rank, longest_s, at_rest = "whole error", 13, 1e-3, 5
     places, varies = (BEFORE, INSIDE), False
-    parameters = (
-        Parameter("width_deg", ("insensitive_deg",), 0.0, 20.0, 0.0, 0.3, WIDTHS_DEG, loose=0.5, smallest=0.15),
-    )
+    parameters = (replace(DeadBand.parameters[0], fields=("insensitive_deg",)),)
     sees = ("insensitive_deg",)
 
     @staticmethod
@@ -71,12 +72,9 @@ class MotorRate(Effect):
 
     name, slot, form, fixed, rank = "rate_limit", Slot.ERROR, "motor", UNFOLLOWED, 6
     spoken = "a rate limit"
-    places, varies = (BEFORE, INSIDE, AFTER), True
-    parameters = (
-        Parameter(
-            "rate_limit_deg_s", ("rate_up_deg_s", "rate_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
-        ),
-    )
+    places: ClassVar[tuple[float, ...] | None] = (BEFORE, INSIDE, AFTER)
+    varies = True
+    parameters: ClassVar[tuple[Parameter, ...]] = (LARGEST_SPEED(fields=("rate_up_deg_s", "rate_down_deg_s")),)
 
     @staticmethod
     def act(x: float, now: Now, up_deg_s: float, down_deg_s: float) -> float:
@@ -99,7 +97,7 @@ class VoltageRate(Effect):
     name, slot, fixed, rank = "voltage_rate", Slot.ERROR, UNFOLLOWED, 19
     spoken = "a rate limit that falls with the supply"
     places, needs, instead = (BEFORE, INSIDE, AFTER), ("servo_voltage_v",), ("rate_limit",)
-    parameters = (Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),)
+    parameters = (Parameter("deg_s_per_v", ("deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, _RATES_PER_V, off=math.inf),)
 
     @staticmethod
     def act(x: float, now: Now, deg_s_per_v: float) -> float:

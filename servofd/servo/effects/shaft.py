@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import ClassVar
 
 from servofd.servo.effect import Effect, Now, Parameter, Slot
-from servofd.servo.effects.commands import RATES_DEG_S
-from servofd.servo.effects.motor import RATES_DEG_S_PER_V, UNFOLLOWED, VoltageRate
+from servofd.servo.effects.commands import LARGEST_SPEED
+from servofd.servo.effects.motor import UNFOLLOWED, VoltageRate
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 SPLIT = Parameter("torque_share", ("torque_share",), 0.35, 0.97, 0.8, 0.2, (0.8,), aside=True)
@@ -57,7 +59,7 @@ class GravityLoad(Effect):
     spoken = "a load that hangs on it"
     varies = True
     sees = ("droop_deg", "hangs_deg")
-    parameters = (
+    parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
             "droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (-2.0, 1.0, 3.0, 8.0, 20.0, 45.0), smallest=0.1
         ),
@@ -150,11 +152,7 @@ class ShaftSpeed(Effect):
     name, slot, form, fixed, rank = "rate_limit", Slot.SPEED, "shaft", UNFOLLOWED, 9
     spoken = "a rate limit"
     longest_s, places, varies = 1.25e-3, (BEFORE, AFTER, INSIDE), True
-    parameters = (
-        Parameter(
-            "rate_limit_deg_s", ("speed_up_deg_s", "speed_down_deg_s"), 2.0, 3e3, 3e3, 60.0, RATES_DEG_S, off=math.inf
-        ),
-    )
+    parameters = (LARGEST_SPEED(fields=("speed_up_deg_s", "speed_down_deg_s")),)
 
     @staticmethod
     def act(x: float, now: Now, up_deg_s: float, down_deg_s: float) -> float:
@@ -166,9 +164,7 @@ class ShaftSpeedBySupply(VoltageRate):
 
     slot, form, rank, longest_s = Slot.SPEED, "shaft", 20, 1.25e-3
     places, sees = (BEFORE, AFTER, INSIDE), ("speed_deg_s_per_v",)
-    parameters = (
-        Parameter("deg_s_per_v", ("speed_deg_s_per_v",), 0.5, 600.0, 600.0, 12.0, RATES_DEG_S_PER_V, off=math.inf),
-    )
+    parameters = (replace(VoltageRate.parameters[0], fields=("speed_deg_s_per_v",)),)
 
     @staticmethod
     def act(x: float, now: Now, deg_s_per_v: float) -> float:

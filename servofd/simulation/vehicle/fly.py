@@ -6,18 +6,16 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
+from logparsers.codec import Codec
+from logparsers.link import Link
 from logparsers.units import S_PER_US, US_PER_S
 from servofd.aircraft.schema import Aircraft
+from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.vehicle.remote_log import Send
 from servofd.simulation.vehicle.troubles import Air, Edit, Reboot, Stall, troubled_flight
 from servofd.simulation.vehicle.vehicle import Settings, Vehicle
-
-if TYPE_CHECKING:
-    from logparsers.codec import Codec
-    from logparsers.link import Link
-    from servofd.simulation.flight import SimulatedFlight
 
 _BEAT_S: Final = 0.5
 _TICK_S: Final = 0.02
@@ -35,10 +33,7 @@ class Leg(NamedTuple):
 
 
 def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tuple[Leg, ...]:
-    """A flight between the restarts of its autopilot.
-
-    `settings`: how it speaks; its troubles are counted from the beginning of the flight.
-    """
+    """A flight between the restarts of its autopilot; troubles are counted from the beginning of the flight."""
     flight = troubled_flight(flight, aircraft, settings.troubles)
     first_s = float(flight.time_s[0])
     reboots = sorted((t for t in settings.troubles if isinstance(t, Reboot)), key=lambda t: t.start_s)
@@ -67,10 +62,7 @@ def legs(flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> tup
 
 
 def fly(flown: tuple[Leg, ...], link: Link, codec: Codec, *, wait: bool, air: Air) -> Flown:
-    """Fly until the flight ends, or Ctrl-C ends it.
-
-    `link`: where it is received; left open. `air`: what is between it and the link.
-    """
+    """Fly until the flight ends, or Ctrl-C ends it, over a link, which is left open, and the air before it."""
     flight = Flown(flown, link, codec, air)
     with suppress(KeyboardInterrupt):
         if wait:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from logparsers.dataflash.encode import Rows
 from logparsers.protocol import RemoteLogCommand
-
-if TYPE_CHECKING:
-    from logparsers.dataflash.encode import Rows
 
 _BLOCK: Final = 200
 """Bytes of a block (MAVLink, REMOTE_LOG_DATA_BLOCK)."""
@@ -49,7 +47,7 @@ class RemoteLog:
     room meanwhile is dropped.
     """
 
-    def __init__(self, rows: Rows, speed: float = 1.0, stalls_us: Sequence[tuple[int, int]] = ()) -> None:
+    def __init__(self, rows: Rows, speed: float, stalls_us: Sequence[tuple[int, int]]) -> None:
         self._rows = rows
         self._stalls_us = tuple(stalls_us)
         self._room = round(_BUFFER * max(speed, 1.0))

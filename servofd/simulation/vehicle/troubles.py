@@ -9,16 +9,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from servofd.aircraft.schema import Aircraft
-    from servofd.core.types import BoolArray
-    from servofd.simulation.flight import SimulatedFlight
+from servofd.core.types import BoolArray
+from servofd.simulation.flight import SimulatedFlight
 
 _LONGEST_S = 3600.0
 """Longest time that a trouble may be given [s]."""
@@ -26,12 +23,10 @@ _LONGEST_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something that goes wrong.
-
-    `start_s`: when, counted from the beginning of the flight [s].
-    """
+    """Something that goes wrong."""
 
     start_s: float
+    """Counted from the beginning of the flight."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -168,10 +163,7 @@ class Air:
 
 
 def troubled_flight(flight: SimulatedFlight, aircraft: Aircraft, troubles: Sequence[Trouble]) -> SimulatedFlight:
-    """The flight as the servos fly it and the autopilot sees it.
-
-    `troubles`: `Edit` changes pulses and motion, `Freeze` the readings.
-    """
+    """The flight as the servos fly it (`Edit` changes pulses and motion) and the autopilot sees it (`Freeze`)."""
     begun_s, end_s = float(flight.time_s[0]), float(flight.time_s[-1])
     for trouble in troubles:
         if begun_s + trouble.start_s > end_s:

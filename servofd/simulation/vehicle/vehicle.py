@@ -6,11 +6,12 @@ import math
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from logparsers.codec import Received
 from logparsers.dataflash.encode import encode_rows
 from logparsers.mavlink import message_name
 from logparsers.protocol import LONGEST_TEXT, NO_INDEX, Capability, Command, Component, ParameterType, Result, Severity
@@ -20,14 +21,11 @@ from servofd.core.errors import ConfigError, suggest
 from servofd.core.types import IntArray
 from servofd.simulation.ardupilot import banner, parameters, rate_hz
 from servofd.simulation.dataflash_writer import VOLZ, dataflash_messages
+from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.surroundings import microseconds
 from servofd.simulation.telemetry_writer import FEEDBACK, VERSION, air_rows, beats, servo_rows
 from servofd.simulation.vehicle.remote_log import RemoteLog, Send
 from servofd.simulation.vehicle.troubles import Edit, Stall, Trouble
-
-if TYPE_CHECKING:
-    from logparsers.codec import Received
-    from servofd.simulation.flight import SimulatedFlight
 
 _4_7_0_DEV: Final = 0x04070000
 """Version 4.7.0, development, as AUTOPILOT_VERSION packs it."""
@@ -66,13 +64,9 @@ class Settings:
 
 
 class Vehicle:
-    """A simulated flight that is sent as it happens.
+    """A simulated flight that is sent as it happens: each sample is one turn of the autopilot's main loop."""
 
-    `flight`: with outputs; each sample is one turn of the autopilot's main loop.
-    """
-
-    def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, settings: Settings | None = None) -> None:
-        settings = settings or Settings()
+    def __init__(self, flight: SimulatedFlight, aircraft: Aircraft, settings: Settings) -> None:
         begun_us = int(microseconds(flight.time_s[:1])[0])
         loop_hz = rate_hz(flight)
         self.system, self.speed = settings.system, settings.speed
@@ -231,10 +225,7 @@ class Telemetry:
         return tuple(self._series)
 
     def newest(self, name: str, now_us: int, *, again: bool = False) -> list[Send]:
-        """Latest row of each source of a message.
-
-        `again`: also if it was given before. Result: None that is yet to be made.
-        """
+        """Latest row of each source of a message that was made by now; `again`: also if it was given before."""
         found = []
         for series in self._series.get(name, ()):
             at = int(np.searchsorted(series.made_us, now_us, side="right")) - 1
@@ -334,7 +325,7 @@ class Schedule:
     def ask(self, name: str, interval_us: int) -> bool:
         """Ask for another interval: in whole milliseconds up to a minute; 0 for the usual one, -1 for none.
 
-        It is granted unless the main loop does not turn often enough.
+        Whether it is granted: the main loop may not turn often enough.
         """
         if interval_us <= 0:
             self._interval_ms[name] = self._usual_ms[name] if interval_us == 0 else OFF
