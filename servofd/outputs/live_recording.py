@@ -171,7 +171,7 @@ class _Sink:
 
     def _samples(self, surface: str, pieces: list[Trace], *, is_beside: bool = False) -> None:
         columns, context = list(zip(*pieces, strict=True))[:8], pieces[-1].context
-        trace = Trace(*(np.concatenate(column) for column in columns), context=context)
+        trace = Trace._make([*(np.concatenate(column) for column in columns), (), context])
         time_s, place, lane = trace.time_s, surface_place(surface), self.lanes[surface, is_beside]
         if time_s.size and not is_beside:
             self._around(context)

@@ -164,9 +164,10 @@ class Audit(Shown, LogAudit):
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
         if name is None:
             drawn: list[Any] = [s for s in self.surfaces if s.threshold is not None or s.feedback == "current"]
-            if not (drawn or self.axes):
+            drawn = drawn or [*self.axes]
+            if not drawn:
                 raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
-            worst = min(drawn or self.axes, key=lambda one: LEAST_CLEARED.index(one.status))
+            worst = min(drawn, key=lambda one: LEAST_CLEARED.index(one.status))
         figure: Figure = (worst if name is None else self[name]).plot(ax)
         return figure
 

@@ -40,7 +40,8 @@ def test_a_recording_of_the_monitor_is_judged_in_review(tmp_path: Path, capsys: 
         trace = Trace.of(surface)
         assert trace is not None
         for rows in np.array_split(np.arange(trace.time_s.size), 7):
-            live.add(Samples(surface.surface, Trace(*(column[rows] for column in trace[:8]), context=trace.context)))
+            piece = Trace._make([*(column[rows] for column in trace[:8]), (), trace.context])
+            live.add(Samples(surface.surface, piece))
     live.close()
     again = rejudged(read_recording(path)).audit
     assert [s.status for s in again.surfaces] == [s.status for s in audit.surfaces]

@@ -181,7 +181,9 @@ def _trace(stored: _Stored, surface: str, context: Context) -> Trace | None:
     (time_s, shown), judged = deflection, residual[1]
     asked = stored.curves(surface_place(surface, "command"), surface_place(surface, "command_seconds")) or deflection
     rows = min(len(time_s), len(judged))  # a recording that was cut short may lack the last of them
-    return Trace(time_s[:rows], *shown[:rows, :3].T, *judged[:rows, :2].T, asked[0], asked[1][:, 0], context=context)
+    (command, simulated, measured), (residual_deg, level_deg) = shown[:rows, :3].T, judged[:rows, :2].T
+    curves = (time_s[:rows], command, simulated, measured, residual_deg, level_deg)
+    return Trace(*curves, asked[0], asked[1][:, 0], context=context)
 
 
 def statistics_of(trace: Trace) -> Statistics | None:
