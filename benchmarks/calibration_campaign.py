@@ -50,14 +50,13 @@ _TWINS: Final = {
 Row = dict[str, Any]
 _PAGE: Final = """# Calibrated, on strangers' aircraft
 
-Made by `benchmarks/calibration_campaign.py --table`. Aircraft of odd seed of `benchmarks/strangers.py` (motor-level
-servos, good and cheap; friction, play, supply, frames, sensors, rates drawn; an autopilot in the loop), each
-calibrated on one mixed flight of four minutes; then ten healthy and 21 faulty flights of two minutes each. The
-constants of servofd were chosen on aircraft of even seed, but for one rule: that a servo which keeps 69 % of its speed
-is suspect and not at fault was made after one of these aircraft; those from 27 on had never been seen. Intervals are of
-95 %. *Found* is an alarm after the onset, whatever the flight showed: in cruise and loiter some faults cannot show, and
-the verdict is then `unknown` or says what was not judgeable. A servo without power that stays where it is may be called
-stuck, and play that the air pushes to one side an offset, if the other name stands beside it.
+Made by `benchmarks/calibration_campaign.py --table` (seeds 9001:9081:2). Aircraft of odd seed of
+`benchmarks/strangers.py` (motor-level servos, good and cheap; friction, play, supply, frames, sensors, rates drawn; an
+autopilot in the loop), each calibrated on one mixed flight of four minutes; then ten healthy and 21 faulty flights of
+two minutes each. None of them had been seen before; the constants of servofd were chosen on aircraft of even seed.
+Intervals are of 95 %. *Found* is an alarm after the onset, whatever the flight showed: in cruise and loiter some faults
+cannot show, and the verdict is then `unknown` or says what was not judgeable. A servo without power that stays where it
+is may be called stuck, and play that the air pushes to one side an offset, if the other name stands beside it.
 
 """
 
