@@ -300,8 +300,8 @@ class _Reading:
             top = rows[0].split(self._mark)
             numbers = (place for place in named if _number(top[place], self._decimal) is not None)
             self._plain = [place for place in numbers if not self._columns[place].wants]
-            first = (row.decode(errors="replace").split(self._mark.decode()) for row in rows[:SHOWN])
-            self._first = tuple(map(tuple, first))
+            first = (row.decode(errors="replace") for row in rows[:SHOWN])
+            self._first = tuple(tuple(row.split(self._mark.decode())) for row in first)
         table = self._numbers(rows) if self._plain else None
         others = self._columns.keys() - set(() if table is None else self._plain)
         if table is not None:

@@ -110,7 +110,9 @@ class Walk:
     def _begins(self, at: int) -> bool:
         """Tell whether a known message type begins here."""
         data = self._data
-        return at + HEADER_SIZE <= self._size and bytes(data[at : at + 2]) == HEAD and self._length[data[at + 2]] > 0
+        if at + HEADER_SIZE > self._size or data[at] != HEAD[0] or data[at + 1] != HEAD[1]:
+            return False
+        return self._length[data[at + 2]] > 0
 
     def _next(self, at: int) -> int:
         """Where a known message type begins behind `at`; the end of the log if nowhere."""
