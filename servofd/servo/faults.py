@@ -103,21 +103,20 @@ def failing_deflection(
     faults = in_order(faults)
     command_s, command_deg, at_s = (np.asarray(values, dtype=float) for values in (command_s, command_deg, at_s))
     motion = model.motion(*as_received(faults, command_s, command_deg), context)
-    deflection_deg = np.empty(at_s.size)
+    healthy, deflection_deg = model.servo(context), np.empty(at_s.size)
     done = 0
     for fault in faults:
         first, last = np.searchsorted(at_s, (fault.start_s, fault.end_s)).tolist()
         deflection_deg[done:first] = motion.at(at_s[done:first])
         if first < at_s.size:
-            deflection_deg[first:last] = _during(fault, motion, at_s[first:last], passes=last < at_s.size)
+            deflection_deg[first:last] = _during(fault, healthy, motion, at_s[first:last], passes=last < at_s.size)
         done = last
     deflection_deg[done:] = motion.at(at_s[done:])
     return deflection_deg
 
 
-def _during(fault: Failure, motion: Motion, at_s: FloatArray, *, passes: bool) -> FloatArray:
+def _during(fault: Failure, healthy: ServoModel, motion: Motion, at_s: FloatArray, *, passes: bool) -> FloatArray:
     """Deflection while a fault lasts; afterwards the servo is as before, wherever the fault has left it."""
-    healthy = motion.servo
     motion.at(np.array([fault.start_s]))
     motion.become(fault.become(healthy))
     instants_s = np.concatenate([[fault.start_s], at_s, [fault.end_s] if passes else []])

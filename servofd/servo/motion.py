@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -24,9 +24,6 @@ from servofd.servo.loop import Loop, loop_of
 from servofd.servo.physics import Physics
 from servofd.servo.registry import everything
 from servofd.servo.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from servofd.servo.servo_model import ServoModel
 
 _FASTEST_TIMES_STEP = 0.6
 """Of the loop's natural frequency: longest step while something acts on it (as exact as `Effect.longest_s`)."""
@@ -180,8 +177,24 @@ def received(physics: Physics, commands: Commands) -> Commands:
     return commands
 
 
+class Simulated(Protocol):
+    """A servo that is simulated, as `ServoModel` is."""
+
+    @property
+    def transfer(self) -> TransferFunction:
+        """The linear servo."""
+
+    @property
+    def physics(self) -> Physics:
+        """Sizes of its effects."""
+
+    @property
+    def context(self) -> Context:
+        """What is around it."""
+
+
 def started_anew(
-    servo: ServoModel, commands: Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
+    servo: Simulated, commands: Commands, at_s: FloatArray, measured_deg: FloatArray, anew: BoolArray
 ) -> FloatArray:
     """Deflection at some instants [deg], shape (n,), from rest where it was measured at those that are marked.
 
@@ -213,7 +226,7 @@ class Motion:
     where its first command wants it.
     """
 
-    servo: ServoModel
+    servo: Simulated
     start_deg: float = math.nan
     context: Context = field(init=False)
     _machine: Machine = field(init=False)
@@ -261,7 +274,7 @@ class Motion:
             self._waiting = (self._waiting[0][used:], self._waiting[1][used:], self._waiting[2][used:])
         return read_deg[:, 0]
 
-    def become(self, servo: ServoModel) -> None:
+    def become(self, servo: Simulated) -> None:
         """Go on as another servo, from where it is; a slower one, as if time had been stretched."""
         if servo is self.servo:
             return

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import servofd
+from servofd.core.errors import NoMeasurement
 from servofd.detection.verdict import LogAudit
 from servofd.outputs.chart import Chart, Curve, Panel, bridged, thinned
 from servofd.outputs.figure import save_figure
@@ -78,7 +79,7 @@ def test_a_reading_that_came_twice_does_not_break_the_line_and_silence_does() ->
 
 @pytest.mark.slow
 def test_a_surface_without_residual_is_not_drawn(stuck: LogAudit, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="nothing to draw"):
+    with pytest.raises(NoMeasurement, match="nothing to draw"):
         save_figure(stuck.surfaces[-1], tmp_path / "x.png", "flap")
     assert not list(tmp_path.iterdir())
 
