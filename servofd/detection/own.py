@@ -1,10 +1,11 @@
 """The servo that a log shows by itself: fitted to the part of it that explains the whole best.
 
-Neither the servo nor the part of the log that is good is known. The whole log and its thirds are
-fitted, each by itself, then its first and last sixths and twelfths if none of them is like a sound servo. A part counts
-if its servo explains what the surface does there and stays below its own limits; of those that count, the one is taken
-that explains the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that
-was faulty throughout is what was fitted, and only what sound servos are like can tell.
+Neither the servo nor the part of the log that is good is known. The whole log and its thirds are fitted, each by
+itself, what came before a fault that was there from the first motion on and mended itself, then the log's first and
+last sixths and twelfths if none of them is like a sound servo. A part counts if its servo explains what the surface
+does there and stays below its own limits; of those that count, the one is taken that explains the whole log best, with
+the faults that it sees there, and that is most like a sound servo. A servo that was faulty throughout is what was
+fitted, and only what sound servos are like can tell.
 """
 
 from __future__ import annotations
@@ -172,6 +173,8 @@ class _Part:
     is_whole: bool
     slow_since_s: float
     """Since when it is slow, to the end [s]; NaN where it is not."""
+    mended_s: float
+    """When a fault that was there from its first motion on was over [s]; NaN without one."""
 
 
 def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigin:
@@ -190,7 +193,8 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
     share: float | None = None
     start: FloatArray | None = None
     for count in _PARTS:
-        for between_s, part in parts_of(segment, count):
+        before = _before_mended(segment, found) if count > 1 else ()
+        for between_s, part in itertools.chain(parts_of(segment, count), before):
             records = _records(part, usual)
             if not records:
                 continue
@@ -324,11 +328,22 @@ def parts_of(segment: Series, count: int) -> Iterator[tuple[tuple[float, float],
     edges_s = np.linspace(segment.measured_s[0], segment.measured_s[-1], count + 1).tolist()
     parts = list(itertools.pairwise(edges_s))
     for from_s, to_s in parts if count <= _LARGE_PARTS else (parts[0], parts[-1]):
-        part = cropped(segment, ((from_s, to_s),))
-        if to_s - from_s < _SHORTEST_S and count > 1:
-            continue
-        if not hardly_moved([part]):
-            yield (from_s, to_s), part
+        if to_s - from_s >= _SHORTEST_S or count == 1:
+            yield from _between(segment, from_s, to_s)
+
+
+def _before_mended(segment: Series, found: list[_Part]) -> Iterator[tuple[tuple[float, float], Series]]:
+    """What came before a fault that mended itself: it may be what is sound, and the rest at fault."""
+    from_s, tried_s = float(segment.measured_s[0]), {each.between_s[1] for each in found}
+    for to_s in sorted({each.mended_s for each in found if each.mended_s - from_s >= _SHORTEST_S} - tried_s):
+        yield from _between(segment, from_s, to_s)
+
+
+def _between(segment: Series, from_s: float, to_s: float) -> Iterator[tuple[tuple[float, float], Series]]:
+    """One part of a log, if enough moves in it."""
+    part = cropped(segment, ((from_s, to_s),))
+    if not hardly_moved([part]):
+        yield (from_s, to_s), part
 
 
 def _judged(
@@ -366,11 +381,12 @@ def _judged(
     if mended and is_short:
         return None
     moved = np.abs(whole.measured_deg - whole.measured_deg[0]) > _MOVES_DEG
-    at_first = any(fault.start_s < whole.time_s[np.argmax(moved)] + _TELLING_S for fault in mended)
+    first_s = whole.time_s[np.argmax(moved)] + _TELLING_S
+    mended_s = max((fault.end_s for fault in mended if fault.end_s and fault.start_s < first_s), default=np.nan)
     seen_deg_s = top_speed(whole, _FASTER_S) - _SPEED_NOISE_S * known.noise.still_deg
     was_faster = seen_deg_s > _FASTER * float(np.exp(fitted.theta[_RATE]))
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen
-    apart += _MENDED * at_first + _NEVER_FASTER * was_faster
+    apart += _MENDED * np.isfinite(mended_s) + _NEVER_FASTER * was_faster
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
     if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None
@@ -378,7 +394,7 @@ def _judged(
     slow_s = [fault.start_s for fault in story.faults if fault.kind == "slow" and fault.end_s is None]
     return _Part(
         between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, fitted_s, whole.period_s, is_whole,
-        min(slow_s, default=np.nan),
+        min(slow_s, default=np.nan), mended_s,
     )  # fmt: skip
 
 
