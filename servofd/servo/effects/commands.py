@@ -19,8 +19,9 @@ LARGEST_SPEED = partial(
 STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
 """Steps of converters from which a search starts: of 10 and 12 bits a turn, and round numbers."""
 _DELAYS_S = (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)
+"""Delays of commands from which a search starts."""
 _OFFSETS_S = (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2)
-"""Lags of commands, and of stamps, from which a search starts."""
+"""Lags of stamps from which a search starts."""
 Commands = tuple[FloatArray, FloatArray, FloatArray]
 """When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; each of shape (n,)."""
 
