@@ -5,13 +5,14 @@ from __future__ import annotations
 import datetime
 import itertools
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args, get_origin
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from servofd.aircraft.axes import MotionModel
 from servofd.aircraft.calibrated import CalibratedServo
@@ -426,7 +427,7 @@ def _sentence(detail: ErrorDetails) -> str:
     where = ".".join(path) or "the file"
     kind, message = detail["type"], detail["msg"].removeprefix("Value error, ")
     if kind == "extra_forbidden":
-        return f"{where}: unknown key; {_siblings(path)}"
+        return f"{where}: unknown key; {_siblings(detail['loc'])}"
     if kind == "missing":
         return f"{where}: this key is missing"
     if kind == "union_tag_not_found":
@@ -436,18 +437,27 @@ def _sentence(detail: ErrorDetails) -> str:
     return f"{where}: {message}{shown}" if not message.startswith(f"{where}") else message
 
 
-def _siblings(path: list[str]) -> str:
+def _siblings(loc: Sequence[str | int]) -> str:
     """Keys that exist where an unknown one stands."""
-    models: dict[int, type[BaseModel]] = {1: Aircraft, 3: Surface}
-    model = models.get(len(path))
-    if len(path) == 4 and path[2] in ("tolerance", "limits"):
-        model = Tolerance if path[2] == "tolerance" else Limits
-    if len(path) == 5 and path[2] == "swaps":
-        model = Swap
-    if len(path) == 2 and path[0] == "table":
-        model = Table
-    if len(path) == 3 and path[0] == "servos":
-        model = Servo
-    if model is None:
-        return "see the comments in configs/faser.toml"
-    return suggest("key", path[-1], model.model_fields).split("; ", 1)[-1].removeprefix("unknown key ")
+    kinds: list[Any] = [Aircraft]
+    for part in loc[:-1]:
+        kinds = [inner for kind in kinds for inner in _inside(kind, part)]
+    known = dict.fromkeys(name for kind in kinds for name in kind.model_fields)
+    return suggest("key", str(loc[-1]), known).split("; ", 1)[-1].removeprefix("unknown key ")
+
+
+def _inside(kind: Any, part: str | int) -> Iterable[Any]:  # noqa: ANN401 - a type, or several in one
+    """Types of what may stand at a key or a place of another; of several in one those of this unit."""
+    if get_origin(kind) in (dict, tuple):
+        return _kinds(get_args(kind)[get_origin(kind) is dict])
+    if part in kind.model_fields:
+        return _kinds(kind.model_fields[part].annotation)
+    return [kind] if part in get_args(kind.model_fields["unit"].annotation) else []
+
+
+def _kinds(kind: Any) -> Iterable[Any]:  # noqa: ANN401
+    """The types that may stand for one, each by itself."""
+    if get_origin(kind) is Annotated:
+        return _kinds(get_args(kind)[0])
+    inner = get_args(kind) if get_origin(kind) in (Union, UnionType) else ()
+    return [one for each in inner for one in _kinds(each) if one is not NoneType] or [kind]

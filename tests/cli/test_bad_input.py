@@ -120,6 +120,18 @@ CONFIGS = {
     "not toml": ("surfaces = [", "not valid TOML"),
     "empty": ("", "surfaces: at least one entry is needed"),
     "unknown key": ("[surfaces.elevator]\nservoo='x'\ncommand={channel='de',unit='deg'}", "did you mean servo?"),
+    "unknown key of its motion": (
+        "[motion]\nrate_hz=25.0\nreference_m_s=20.0\ndays=1\nflights=1\nhours=1.0\n"
+        "[motion.regime]\nairspeed_low_m_s=10.0\nairspeed_high_m_s=30.0\nthrottle_low=0.1\nlift_m_s2=20.0\n"
+        "lift_high_m_s2=20.0\n[motion.axes.roll]\nform='roll_rate'\ncorner_hz=1.0\ndelay_s=0.1\ngain=1.0\n"
+        "offset=0.0\nothers=[0.0,0.0,0.0,0.0]\nnoise_var=1.0\nexplained=0.9\n[[motion.axes.roll.spreads]]\n"
+        "window_s=5.0\nloss_var=0.01\ncross_us=0.0\noffset_var_us2=1.0",
+        "motion.regime.lift_m_s2: unknown key; did you mean lift_high_m_s2? known: airspeed_low_m_s",
+    ),
+    "unknown key of a channel": (
+        "[surfaces.elevator]\ncommand={channel='de',unit='us',slope_deg_per_us=0.1,trim_deg=1.0}",
+        "surfaces.elevator.command.trim_deg: unknown key; did you mean trim_us?",
+    ),
     "unknown servo": ("[surfaces.elevator]\nservo='hs999'\ncommand={channel='de',unit='deg'}", "unknown servo 'hs999'"),
     "no unit": ("[surfaces.elevator]\ncommand={channel='de'}", "unit"),
     "bad unit": ("[surfaces.elevator]\ncommand={channel='de',unit='inch'}", "'inch'"),
