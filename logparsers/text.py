@@ -263,8 +263,8 @@ class _Reading:
         counts = [line.count(self._mark) + 1 if line else 0 for line in lines]
         widths = np.array(counts)
         solid = np.flatnonzero(widths)
-        if solid.size and len(self._lines) == 1:
-            self._begin(block, [lines[k] for k in solid.tolist()], widths[solid])
+        if solid.size and not sum(map(len, self._lines)):
+            self._begin([lines[k] for k in solid.tolist()], widths[solid])
         if np.any(widths > len(self._names)):
             worst = int(np.argmax(widths > len(self._names)))
             raise UnreadableLog(
@@ -280,7 +280,7 @@ class _Reading:
         self._wholes.append(whole)
         self._line += len(lines)
 
-    def _begin(self, block: bytes, rows: list[bytes], widths: NDArray[np.intp]) -> None:
+    def _begin(self, rows: list[bytes], widths: NDArray[np.intp]) -> None:
         """See what the first rows tell: how fractions are written, and whether each ends with a delimiter.
 
         Some loggers end every row, but not the header, with one: that is one more column without a name. What ends the
@@ -289,7 +289,7 @@ class _Reading:
         if np.all(widths == len(self._names) + 1) and all(row.endswith(self._mark) for row in rows):
             self._names = (*self._names, "")
         self._needed = len(self._names) - (self._names[-1] == "" and len(self._names) > 1)
-        sample = block[:SAMPLE_BYTES]
+        sample = NEWLINE.join(rows)[:SAMPLE_BYTES]
         if self._mark != b"," and re.search(rb"\d,\d", sample) and not re.search(rb"\d\.\d", sample):
             self._decimal = b","
 

@@ -54,6 +54,12 @@ def test_one_table_in_many_spellings(content: str) -> None:
     assert log.damage == ()
 
 
+def test_rows_may_begin_after_any_number_of_blank_lines() -> None:
+    log = read("time_s;x\n" + "\n" * 600_000 + "0,0;1,5;\n0,5;2,5;\n")  # more than is read at once
+    np.testing.assert_array_equal(log["x"].time_s, [0.0, 0.5])
+    np.testing.assert_array_equal(log["x"].values, [1.5, 2.5])
+
+
 def test_units_come_from_the_names() -> None:
     names = ("fin_cmd_deg", "fin_pos_deg", "airspeed_m_s", "servo_voltage_v", "gyro_rad_s", "pulse_us", "mode", "s")
     log = read(writers.table({"time_s": [0.0, 1.0], **{name: [1, 2] for name in names}}))
