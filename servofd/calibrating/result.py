@@ -11,7 +11,7 @@ from servofd.aircraft.calibration import Calibration as Scale
 from servofd.aircraft.current import REGRESSORS, CalibratedCurrent
 from servofd.core.evidence import NOTHING_DETECTABLE, Detectable
 from servofd.core.statistics import Estimate
-from servofd.core.toml_text import toml_key, toml_lines, toml_value
+from servofd.core.toml_text import toml_comment, toml_key, toml_lines, toml_value
 from servofd.detection.seen import FALSE_ALARMS_PER_HOUR
 
 if TYPE_CHECKING:
@@ -88,8 +88,9 @@ def calibration_to_toml(calibration: Calibration) -> str:
     """Text of an aircraft file that `servofd audit -c` accepts, with intervals and provenance as comments."""
     aircraft = calibration.aircraft
     logs = {label: None for one in calibration.surfaces for label in one.flights}
+    told = toml_comment(", ".join(logs)) or "their currents"
     lines = [
-        f"# Calibrated by `servofd calibrate` from {', '.join(logs) or 'their currents'}: flights taken to be good.",
+        f"# Calibrated by `servofd calibrate` from {told}: flights taken to be good.",
         "# Numbers in square brackets behind a # are 95% intervals.",
         "",
         f"name = {toml_value(aircraft.name)}",
@@ -112,10 +113,10 @@ def _surface(calibration: Calibration, name: str, one: CalibratedSurface | None)
     if one is None:
         why = "judged by its current" if name in calibration.currents else "not calibrated"
         reason = calibration.kept.get(name, "no position" if name in calibration.currents else "not asked for")
-        lines += [f"# {why}: {reason}", *toml_lines(entry)]
+        lines += [f"# {why}: {toml_comment(reason)}", *toml_lines(entry)]
     else:
         lines += [f"# {effect}" for effect in one.effects]
-        lines += [f"# note: {note}" for note in (*one.notes, one.sharper) if note]
+        lines += [f"# note: {toml_comment(note)}" for note in (*one.notes, one.sharper) if note]
         comments = {
             "measured": "position in degrees of the command",
             "threshold_deg": "for `--threshold constant`",

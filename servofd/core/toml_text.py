@@ -52,6 +52,17 @@ def toml_key(name: str) -> str:
     return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else toml_value(name)
 
 
+def toml_comment(text: str) -> str:
+    r"""Text as a comment holds it: on one line, and without what acts.
+
+    Examples
+    --------
+    >>> toml_comment("flight\n1.bin")
+    'flight 1.bin'
+    """
+    return _ACTS.sub(_NO_CHARACTER, re.sub(r"[\x00-\x1f\s]+", " ", text)).strip()
+
+
 def toml_lines(table: Mapping[str, Any], comments: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """Entries of a table, one a line, with a comment behind those that have one; None is left out.
 

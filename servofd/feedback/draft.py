@@ -20,7 +20,7 @@ from servofd.aircraft.outputs import (
 )
 from servofd.aircraft.schema import Aircraft, Surface
 from servofd.core.errors import NoMeasurement
-from servofd.core.toml_text import toml_key, toml_lines, toml_value
+from servofd.core.toml_text import toml_comment, toml_key, toml_lines, toml_value
 from servofd.feedback.fitted import fitted_aircraft
 
 if TYPE_CHECKING:
@@ -201,8 +201,9 @@ def draft_to_toml(log: FlightLog, aircraft: Aircraft | None = None) -> str:
     """Text of an aircraft file with servos that were fitted to a log, which `servofd audit -c` accepts as it is."""
     aircraft = aircraft or draft_aircraft(log)
     heads = {pair.surface: _paired(pair) for pair in find_pairs(log)} if log.is_of_autopilot else {}
+    told = toml_comment(log.source.name)
     lines = [
-        f"# Drafted from {log.source.name}: each servo is fitted to a part of this one log, a starting point and no",
+        f"# Drafted from {told}: each servo is fitted to a part of this one log, a starting point and no",
         "# calibration. Check names and signs, and calibrate on flights that you know to be good: if a servo was",
         "# faulty throughout this log, its numbers are wrong.",
         *(_ON_BOARD if log.format in ("dataflash", "tlog") else ()),

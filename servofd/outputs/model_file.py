@@ -11,7 +11,7 @@ import numpy as np
 from logparsers.records import FlightLog
 from servofd.aircraft.schema import Aircraft
 from servofd.calibrating.levels import good_levels, levels_of
-from servofd.core.toml_text import toml_key, toml_lines
+from servofd.core.toml_text import toml_comment, toml_key, toml_lines
 from servofd.servo.catalogue import EffectTable, effects_named, table_of
 from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
@@ -59,12 +59,12 @@ def model_file(
         if one.surface not in kept:
             names, (before_deg, after_deg) = ", ".join(one.selection.final.names), one.held_out_deg
             lines += [
-                f"# Found by servofd explain in {_comment(source)}: {one.surface}: {names}.",
+                f"# Found by servofd explain in {toml_comment(source)}: {one.surface}: {names}.",
                 f"# Held-out error of {one.surface}: {before_deg:.4g} deg rms before, {after_deg:.4g} with this model.",
             ]
     if not is_better:
         return "", kept
-    lines = [*(f"# {surface}: as it was: {reason}." for surface, reason in kept.items()), *lines]
+    lines = [*(f"# {surface}: as it was: {toml_comment(reason)}." for surface, reason in kept.items()), *lines]
     return "\n".join(lines) + "\n\n" + "\n".join(_toml(document)).lstrip("\n") + "\n", kept
 
 
@@ -142,11 +142,11 @@ def servo_file(found: Identification, name: str, source: str) -> str:
         "free_play_deg": _interval(found, "dead_band_deg"),
     }
     lines = [
-        f"# Identified by servofd from {_comment(source)}, method {found.method}.",
+        f"# Identified by servofd from {toml_comment(source)}, method {found.method}.",
         "# Intervals in brackets hold the truth with a probability of 95 %.",
         f"# rms error {found.rms_deg:.4g} deg; bandwidth {linear.transfer.bandwidth_rad_s:.5g} rad/s "
         f"{_interval(found, 'bandwidth_rad_s')}".rstrip(),
-        *(f"# note: {_comment(note)}" for note in found.notes),
+        *(f"# note: {toml_comment(note)}" for note in found.notes),
         "",
         f"[servos.{toml_key(name)}]",
         *toml_lines(table, comments),
@@ -163,7 +163,3 @@ def _interval(found: Identification, name: str) -> str:
     if interval is None or not (math.isfinite(interval.low) and math.isfinite(interval.high)):
         return ""
     return f"[{interval.low:.5g}, {interval.high:.5g}]"
-
-
-def _comment(text: str) -> str:
-    return " ".join(text.split())
