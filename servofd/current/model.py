@@ -66,6 +66,8 @@ _FAR_SIGMAS, _MOST_SHARE = 4.0, 3.0
 most."""
 MOVES_DEG: Final = 2.0
 """A command that stays within less asks nothing of a servo."""
+_TURNS_DEG: Final = 3600.0
+"""No servo turns further: ten turns, as of a winch."""
 _ENDS_OF: Final = np.array([name.endswith(("_1", "_2")) for name in NAMES])
 _COSTS: Final = np.array([
     [float(name in costs) for name in NAMES] for costs in (("idle",), ("hold",), ("up", "down"), ("speed",))
@@ -215,6 +217,9 @@ def fit_current(
     reach = np.concatenate([np.zeros(0), *map(_between, parts)])
     if reach.size == 0 or float(np.ptp(reach)) < MOVES_DEG:
         raise CalibrationError(f"its command moves by less than {MOVES_DEG:g} deg: no current to learn from")
+    most_deg = max(float(np.ptp(part.motion.deflection_deg)) for part in parts)
+    if most_deg > _TURNS_DEG:
+        raise CalibrationError(f"its command turns it by {most_deg:.3g} deg: damage in the log, not a command")
     usual_v = float(np.median([usual_supply_v(part.context) for part in parts]))
     ends = float(np.quantile(reach, 0.002)), float(np.quantile(reach, 0.998))
     draft = _Seeing(ends, 0.0, 0.0, usual_v, usual_airspeed_m_s([part.context for part in parts]))

@@ -163,6 +163,16 @@ def test_bad_currents_end_in_one_line(tmp_path: Path, change: object, said: str)
     assert found["aileron"].status in ("no_data", "unknown")
 
 
+def test_a_command_that_is_damage_leaves_the_current_of_the_rest(tmp_path: Path) -> None:
+    path, rows = tmp_path / "flight.csv", flown(10, 10.0, seconds=40.0).csv("aileron").splitlines()
+    k = next(k for k in range(500, len(rows)) if rows[k].split(",")[1])
+    time_s, _, drawn_a = rows[k].split(",")
+    rows[k] = f"{time_s},1e29,{drawn_a}"
+    path.write_text("\n".join(rows) + "\n")
+    found = servofd.audit(path)["aileron"]
+    assert (found.status, found.feedback) == ("healthy", "current")
+
+
 def test_a_sensor_of_tenths_of_an_ampere_tells_as_well(tmp_path: Path) -> None:
     """Most of its readings are 0."""
     path, kinds, sensor = tmp_path / "flight.csv", [], Sensor(10.0, step_a=0.1, noise_a=0.02)
