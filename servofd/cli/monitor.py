@@ -105,11 +105,8 @@ def _replay(options: Options, aircraft: Mapping[int, Aircraft]) -> Session:
         session = Session(codec, aircraft, is_stream=is_stream, remote_log=remote)
         _alert_aside(options, session, signature, open_)
         outputs = Outputs(options, session, options.endpoint, open_)
-        now_s = 0.0
-        with contextlib.suppress(KeyboardInterrupt):
-            replay = partial(replay_telemetry, session, path) if is_stream else partial(replay_log, session, log)
-            now_s = replay(outputs, pace, options.duration)
-        outputs.events(session.finish(now_s))
+        replay = partial(replay_telemetry, session, path) if is_stream else partial(replay_log, session, log)
+        outputs.events(session.finish(replay(outputs, pace, options.duration)))
     return session
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -90,43 +91,45 @@ def watch_link(session: Session, receiver: Receiver, watcher: Watcher, duration_
 
 
 def replay_telemetry(session: Session, path: Path, watcher: Watcher, pace: Pace, duration_s: float) -> float:
-    """Replay a telemetry log; returns the arrival time of its last frame [s]."""
+    """Replay a telemetry log to its end or to Ctrl-C; returns the arrival time of the last frame [s]."""
     from logparsers.replay import replayed
 
     first_s = stepped_s = now_s = float("nan")
-    for now_s, frame in replayed(path):
-        if not now_s - first_s <= duration_s:
-            if np.isfinite(first_s):
-                break
-            first_s = stepped_s = now_s
-        events = session.take(now_s, frame)
-        is_due = pace.is_due(abs(now_s - stepped_s), session)
-        if is_due:
-            pace.wait(now_s)
-            stepped_s = now_s
-            events += session.step(now_s)
-        watcher.events(events)
-        if is_due:
-            watcher.tick(now_s)
+    with suppress(KeyboardInterrupt):
+        for now_s, frame in replayed(path):
+            if not now_s - first_s <= duration_s:
+                if np.isfinite(first_s):
+                    break
+                first_s = stepped_s = now_s
+            events = session.take(now_s, frame)
+            is_due = pace.is_due(abs(now_s - stepped_s), session)
+            if is_due:
+                pace.wait(now_s)
+                stepped_s = now_s
+                events += session.step(now_s)
+            watcher.events(events)
+            if is_due:
+                watcher.tick(now_s)
     return now_s
 
 
 def replay_log(session: Session, log: FlightLog, watcher: Watcher, pace: Pace, duration_s: float) -> float:
-    """Replay the channels of any log; returns its last time [s]."""
+    """Replay the channels of any log to its end or to Ctrl-C; returns the last time [s]."""
     (aircraft,) = session.aircraft.values()
     vehicle = Vehicle(0, aircraft, is_stream=False)
     session.vehicles[0] = vehicle
     now_s, stepped_s, start_s = 0.0, -np.inf, log.span_s[0] if log.span_s else 0.0
-    for now_s, samples in _steps(log, vehicle, pace.step_s):
-        if now_s - start_s > duration_s:
-            break
-        pace.wait(now_s)
-        vehicle.received_s = now_s
-        vehicle.give(samples)
-        if pace.is_due(now_s - stepped_s + _ROUNDING_S, session):
-            stepped_s = now_s
-            watcher.events(session.step(now_s))
-            watcher.tick(now_s)
+    with suppress(KeyboardInterrupt):
+        for now_s, samples in _steps(log, vehicle, pace.step_s):
+            if now_s - start_s > duration_s:
+                break
+            pace.wait(now_s)
+            vehicle.received_s = now_s
+            vehicle.give(samples)
+            if pace.is_due(now_s - stepped_s + _ROUNDING_S, session):
+                stepped_s = now_s
+                watcher.events(session.step(now_s))
+                watcher.tick(now_s)
     return now_s
 
 

@@ -18,11 +18,13 @@ import logparsers
 import servofd
 from logparsers.codec import Codec, Signature, signing_key
 from logparsers.replay import replayed
-from servofd.aircraft.schema import load_aircraft
+from servofd.aircraft.schema import load_aircraft, plain_aircraft
 from servofd.cli import main
 from servofd.detection.audit import audit_log
+from servofd.detection.event import Look
+from servofd.detection.monitor import SurfaceMonitor
 from servofd.feedback.draft import draft_to_toml
-from servofd.live.run import Pace, replay_telemetry
+from servofd.live.run import Pace, replay_log, replay_telemetry
 from servofd.live.session import Session, stamped
 from servofd.live.threads import ALLOWED
 from servofd.servo.faults import Bias, Stuck
@@ -31,7 +33,7 @@ from tests.live.relay import BadLink, relayed
 from tests.live.vehicles import DEADLINE_S, PLANE, flown, flying, free_port, plane_file, until
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from servofd.aircraft.schema import Aircraft
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from servofd.detection.stream import Piece
 
 SECONDS = 40.0
+KINDS = ("alarm", "named", "clear")
 FAULTS = {"elevator": Stuck(10.0), "rudder": Bias(18.0, bias_deg=3.0)}
 
 
@@ -69,10 +72,11 @@ def healthy() -> bytes:
 
 
 def heard(
-    frames: Iterable[tuple[float, bytes]], aircraft: Aircraft, codec: Codec | None = None
+    frames: Iterable[tuple[float, bytes]], aircraft: Aircraft, codec: Codec | None = None, *, aside: bool = False
 ) -> tuple[Session, list[Event]]:
     """Feed a session frame by frame."""
-    session, events, stepped_s, now_s = Session(codec or Codec(0, 191), {0: aircraft}), [], 0.0, 0.0
+    session, events = Session(codec or Codec(0, 191), {0: aircraft}, aside=aside), []
+    stepped_s, now_s = 0.0, 0.0
     for now_s, frame in frames:
         events += session.take(now_s, frame)
         if now_s - stepped_s > 0.1:
@@ -81,8 +85,28 @@ def heard(
     return session, events + session.finish(now_s)
 
 
+def of_a_late_bank(log: bytes, aircraft: Aircraft) -> list[Event]:
+    """Events where the bank answers at the end of the flight alone."""
+    looked, ended = SurfaceMonitor.look, threading.Event()
+
+    def frames() -> Iterator[tuple[float, bytes]]:
+        yield from replayed(log)
+        ended.set()
+
+    def look(monitor: SurfaceMonitor, until_s: float = np.inf) -> Look | None:
+        found = looked(monitor, until_s)
+        if found is None:
+            return None
+        find = found.find
+        return found._replace(find=lambda: (ended.wait(DEADLINE_S), find())[1])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SurfaceMonitor, "look", look)
+        return heard(frames(), aircraft, aside=True)[1]
+
+
 def brief(events: list[Event], *kinds: str) -> list[tuple[str, str, str]]:
-    return [(event.surface, event.event, event.kind) for event in events if event.event in kinds]
+    return [(event.surface, event.event, event.kind) for event in events if event.event in (kinds or KINDS)]
 
 
 def raised(session: Session) -> dict[str, list[tuple[str, float]]]:
@@ -259,6 +283,15 @@ def in_background(arguments: list[str]) -> tuple[threading.Thread, list[int]]:
     return thread, codes
 
 
+def test_no_alarm_over_a_threshold_waits_for_the_bank(aircraft: Aircraft) -> None:
+    log = telemetry_log(flown(duration_s=11.0, faults={"elevator": Stuck(6.0)}), PLANE)
+    early, late = heard(replayed(log), aircraft)[1], of_a_late_bank(log, aircraft)
+    assert brief(early) == brief(late) == [("elevator", "alarm", "unknown"), ("elevator", "named", "stuck")]
+    assert early[0].time_s < late[0].time_s < early[0].time_s + 1.0
+    assert abs(early[0].residual_deg) < early[0].threshold_deg
+    assert abs(late[0].residual_deg) > late[0].threshold_deg
+
+
 class TestOnSockets:
     @pytest.mark.slow
     def test_alarm_names_alerts_files_and_exit_code(self, config: Path, tmp_path: Path) -> None:
@@ -285,7 +318,11 @@ class TestOnSockets:
         (result,) = servofd.audit(str(tlog), load_aircraft(config))
         (verdict,) = (s for s in result.surfaces if s.surface == "elevator")
         assert verdict.faults[0].kind == "stuck"
-        assert alarm["time_s"] == verdict.faults[0].alarm_s
+        if abs(alarm["residual_deg"]) > alarm["threshold_deg"]:  # sooner than a busy machine had made its look
+            late = of_a_late_bank(tlog.read_bytes(), load_aircraft(config))
+            assert alarm["time_s"] == next(event.time_s for event in late if event.event == "alarm")
+        else:
+            assert alarm["time_s"] == verdict.faults[0].alarm_s
         assert [e["kind"] for e in events if e["event"] in ("alarm", "named")][-1] == "stuck"
         texts = [m.fields["text"] for m in listener.messages if m.name == "STATUSTEXT"]
         assert any(text.startswith("ELEVATOR stuck ") for text in texts)
@@ -372,6 +409,30 @@ def test_a_replay_evaluates_at_once_what_no_look_divides(log: bytes, aircraft: A
     kinds = ("alarm", "named", "clear")
     assert brief(counting.told + session.finish(now_s), *kinds) == brief(slowly, *kinds)
     assert counting.steps < 30
+
+
+@dataclass
+class Interrupting(Counting):
+    """Is interrupted after a few steps."""
+
+    def tick(self, now_s: float) -> None:
+        super().tick(now_s)
+        if self.steps == 5:
+            raise KeyboardInterrupt
+
+
+def test_a_replay_that_is_interrupted_ends_where_it_is(log: bytes, aircraft: Aircraft, tmp_path: Path) -> None:
+    path, watcher, session = tmp_path / "flight.tlog", Interrupting(), Session(Codec(0, 191), {0: aircraft})
+    path.write_bytes(log)
+    now_s = replay_telemetry(session, path, watcher, Pace(0.0), np.inf)
+    (vehicle,) = session.vehicles.values()
+    assert (watcher.steps, now_s) == (5, vehicle.received_s)
+    table, plain = logparsers.read("sample_logs/table_three_faults.csv"), plain_aircraft(["rudder"], "hs225bb-eq31")
+    session, watcher = Session(Codec(0, 191), {0: plain}, is_stream=False), Interrupting()
+    now_s = replay_log(session, table, watcher, Pace(0.0), np.inf)
+    (vehicle,) = session.vehicles.values()
+    assert (watcher.steps, now_s) == (5, vehicle.received_s)
+    assert now_s < table.ends_s[1] - 1.0
 
 
 @pytest.fixture(scope="module")
