@@ -305,7 +305,7 @@ class TestOnSockets:
         up = BadLink()
         with relayed(port, BadLink(), up) as relay:
             thread, codes = in_background([*arguments, *outputs, *target])
-            with flying(f"udpout:127.0.0.1:{relay}", flight, wait=False) as counted:
+            with flying(f"udpout:127.0.0.1:{relay}", flight, wait=False, message_hz=40.0) as counted:
                 until(lambda: listener.listen() is not None and counted, "the end of the flight")
             thread.join(DEADLINE_S)
         assert codes == [1]
