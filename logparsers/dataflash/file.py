@@ -174,7 +174,7 @@ class DataFlashFile(ABC):
     def suspect(self, name: str, instance: int | str | None = None) -> NDArray[np.bool_]:
         """Rows whose time stamp contradicts their neighbours, shape (n,): nothing in them can be trusted.
 
-        None if it would be most rows: then the message simply keeps another clock.
+        No row if that would be most of them: then the message simply keeps another clock.
         """
         if name not in self._suspect:
             mask = np.isin(self.offsets(name), self.clock.odd)
