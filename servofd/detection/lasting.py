@@ -1,0 +1,156 @@
+"""Servos that are slower, or move by less, since some instant and to the end of a flight: the whole of it shows that.
+
+A servo that has lost half of its speed follows calm commands almost as before: no window of seconds tells it from one
+whose model is a little wrong. What the model lacks is there from the beginning, though, and so is whatever it learnt
+from a part that was not sound; a change is not. With A and b the sums of products of the whitened sensitivities, and of
+these with the residual (n: of all parameters, over the whole flight; h: of a change, since an instant t),
+
+    z(t) = (b_h(t) - A_hn(t) M b_n) / sqrt(A_hh(t) - A_hn(t) M A_nh(t) + 1),    M = (A_nn + Sigma^-1)^-1,
+
+is the score of a change that sets in then and stays: of unit variance where the model is right, and half its square is
+what the change explains, in nats. Servos of one supply lose their speed at once, and add up what each explains.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from servofd.aircraft.priors import FITTED, NAMES
+from servofd.detection.changes import ROW, UNITS
+from servofd.detection.hypotheses import LOUD, Window, concluded, ranked
+from servofd.detection.verdict import Fault
+from servofd.estimate.family import PATTERNS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servofd.core.types import FloatArray
+    from servofd.detection.moving import Watched
+
+_WEAK, _LOSS = 0, 1
+"""Places of the changes that are looked for: half the torque, and travel that is lost."""
+_COLUMNS: Final = (FITTED + PATTERNS.index("weak"), NAMES.index("gain"))
+_SIGNS = np.array([1.0, -1.0])
+_GRID_S: Final = 1.0
+"""Time between two instants."""
+_SHORTEST_S: Final = 5.0
+"""Least time before and after an instant."""
+_LARGEST: Final = 6.0
+"""Standard deviations that one residual counts for: a jam is not slowness, however long it lasts."""
+_ALONE: Final = 20.0
+"""Score of either change that no sound servo reaches: 17.7 and 16.5 of 466 surfaces of 100 aircraft that were fitted to
+their log, 17.0 and 12.1 of 742 of 14 that were calibrated on another flight (even seeds of `benchmarks/strangers.py`).
+At half speed 50 of 56 of the latter pass it."""
+_TOGETHER_NATS: Final = 120.0
+"""What servos of one log have to explain together: of 28 flights of 14 of these aircraft healthy ones reach 56, those
+whose servos all lost half their speed 291 and more (`benchmarks/evidence.py`)."""
+_EACH: Final = 3.0
+"""Score of a servo that is one of them."""
+_WITHIN_S: Final = 2.0
+"""Time around the instant of all in which each shows it best."""
+
+
+class Lasting(NamedTuple):
+    """Scores of changes that last to the end, shape (g, 2), by the instants in which they set in [s], shape (g,)."""
+
+    since_s: FloatArray
+    scores: FloatArray
+
+    def is_slower_near(self, at_s: float) -> bool:
+        """Whether it shows at an instant [s] what servos of one supply show together."""
+        near = np.abs(self.since_s - at_s) <= _WITHIN_S
+        return bool(self.scores[near, _WEAK].max(initial=0.0) > _EACH)
+
+    def beyond_doubt_s(self) -> float:
+        """When a change set in that no sound servo shows [s]; infinite without one."""
+        best = self.scores.max(axis=1, initial=0.0)
+        return float(self.since_s[np.argmax(best)]) if best.max(initial=0.0) > _ALONE else np.inf
+
+
+NOTHING_LASTS: Final = Lasting(np.zeros(0), np.zeros((0, 2)))
+"""Of a flight that is too short, or of a servo that is not judged by it."""
+
+
+def lasting(flight: Watched) -> Lasting:
+    """How sure a servo has changed since each instant of a flight."""
+    time_s, rows = _whitened(flight)
+    if time_s.size < 2 or time_s[-1] - time_s[0] <= 2.0 * _SHORTEST_S:
+        return NOTHING_LASTS
+    others, left = rows[:, :FITTED], rows[:, -1]
+    scaled = flight.known.covariance / np.outer(UNITS[:FITTED], UNITS[:FITTED])
+    given = np.linalg.inv(others.T @ others + np.linalg.inv(scaled))
+    known = given @ (others.T @ left)
+    noise = max(float(np.mean((left - others @ known) ** 2)), 1.0)
+    since_s = np.arange(time_s[0] + _SHORTEST_S, time_s[-1] - _SHORTEST_S, _GRID_S)
+    first = np.searchsorted(time_s, since_s)
+    scores = np.zeros((since_s.size, len(_COLUMNS)))
+    for place, column in enumerate(_COLUMNS):
+        products = np.column_stack([others, rows[:, column], left]) * rows[:, [column]]
+        after = np.cumsum(products[::-1], axis=0)[::-1][first]
+        shared = after[:, :FITTED]
+        free = after[:, FITTED] - np.einsum("ij,jk,ik->i", shared, given, shared)
+        scores[:, place] = (after[:, -1] - shared @ known) / np.sqrt(noise * (np.maximum(free, 0.0) + 1.0))
+    return Lasting(since_s, _SIGNS * scores)
+
+
+def _whitened(flight: Watched) -> tuple[FloatArray, FloatArray]:
+    """Times of samples (k,), and their sensitivities and residual without the noise's colour, (k, parameters + 3)."""
+    judged = flight.judged & np.isfinite(flight.error_deg)
+    columns = np.column_stack([flight.slopes * UNITS, flight.error_deg])[judged] / flight.noise_deg[judged, None]
+    time_s, (first, second) = flight.record.time_s[judged], flight.noise.colour
+    rows = (columns[2:] - first * columns[1:-1] - second * columns[:-2]) / flight.noise.innovation
+    in_a_row = time_s[2:] - time_s[:-2] <= 2.0 * ROW * flight.record.period_s
+    rows[:, -1] = np.clip(rows[:, -1], -_LARGEST, _LARGEST)
+    return time_s[2:][in_a_row], rows[in_a_row]
+
+
+def slow_together(servos: Sequence[Lasting]) -> float:
+    """Since when most servos of a log are slower, by what they explain together [s]; infinite if they are not.
+
+    Examples
+    --------
+    >>> since_s = np.arange(5.0, 55.0)
+    >>> slower = np.where(np.abs(since_s - 30.0) < 2.0, 12.0, 0.0)
+    >>> one = Lasting(since_s, np.column_stack([slower, 0.0 * slower]))
+    >>> slow_together([one, one]), slow_together([one])
+    (29.0, inf)
+    """
+    known = [each for each in servos if each.since_s.size]
+    if len(known) < 2:
+        return np.inf
+    first_s, last_s = min(each.since_s[0] for each in known), max(each.since_s[-1] for each in known)
+    at_s = np.arange(first_s, last_s + _GRID_S, _GRID_S)
+    nats = np.zeros(at_s.size)
+    for each in known:
+        scores = np.interp(at_s, each.since_s, each.scores[:, _WEAK], left=0.0, right=0.0)
+        nats += 0.5 * np.sign(scores) * scores**2
+    best = int(np.argmax(nats))
+    members = sum(each.is_slower_near(at_s[best]) for each in known)
+    is_common = nats[best] > _TOGETHER_NATS and members >= max(len(known) / 2.0, 2.0)
+    return float(at_s[best]) if is_common else np.inf
+
+
+def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: float) -> tuple[Fault, ...]:
+    """The faults of a flight, with the change that only the whole of it shows.
+
+    Servos that are slower together, since `slow_s`, are at fault of that in place of all slowness that was seen since;
+    a change of one alone counts if it is beyond doubt and nothing else is at fault.
+    """
+    is_common = seen.is_slower_near(slow_s)
+    since_s = slow_s if is_common else seen.beyond_doubt_s()
+    if not np.isfinite(since_s) or (faults and not is_common):
+        return faults
+    end_s = float(flight.record.time_s[-1])
+    window = Window(flight, since_s, end_s + 1e-9)
+    guesses = ranked(window)
+    kind, probability, others, sizes = concluded(window, guesses, LOUD)
+    if is_common and kind != "slow":
+        slow = next(guess for guess in guesses if guess.kind == "slow")
+        kind, others, sizes = "slow", tuple(other for other in (kind, *others) if other != "slow")[:3], slow.parameters
+    same = [each for each in faults if each.kind == kind and each.start_s > since_s - _WITHIN_S]
+    alarm_s = min((each.alarm_s for each in same), default=end_s)
+    one = Fault(kind, since_s, alarm_s, None, dict(sizes), probability, others, named_s=end_s)
+    kept = [each for each in faults if each not in same]
+    return tuple(sorted((*kept, one), key=lambda each: each.start_s))
