@@ -40,13 +40,13 @@ _SHORTEST_S: Final = 5.0
 _LARGEST: Final = 6.0
 """Standard deviations that one residual counts for: a jam is not slowness, however long it lasts."""
 _ALONE: Final = 24.0
-"""Score of either change that no sound servo reaches, 1.4 times the largest: 17.7 and 16.5 of 466 surfaces of 100 aircraft
-that were fitted to their log, 17.0 and 12.1 of 742 of 14 that were calibrated on another flight (even seeds of
+"""Score of either change that no sound servo reaches, 1.4 times the largest: 17.7 and 16.5 of 466 surfaces of 100
+aircraft that were fitted to their log, 17.0 and 12.1 of 742 of 14 that were calibrated on another flight (even seeds of
 `benchmarks/strangers.py`). At half speed 46 of 56 of the latter are found with it, 25 without."""
 _TOGETHER_NATS: Final = 100.0
-"""What servos of one log have to explain together, without the one that explains most: 190 and more of 14 brisk flights
-whose servos all lost half their speed. Of the same aircraft 44 in sound flights, and 99 beside a servo that failed, each
-taken at its best instant (`benchmarks/evidence.py`, even seeds); 85 and 138 with those that were calibrated."""
+"""What servos of one log have to explain together, without the one that explains most: 190 and more in 14 brisk flights
+whose servos all lost half their speed. Of the same aircraft 44 in sound flights, and 99 beside a servo that failed,
+each taken at its best instant (`benchmarks/evidence.py`, even seeds); 85 and 138 with those that were calibrated."""
 _EACH: Final = 6.0
 """Score of a servo that is one of them: the least is 9.3 in those brisk flights. More than half of a log's are."""
 _WITHIN_S: Final = 2.0

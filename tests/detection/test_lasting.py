@@ -27,10 +27,9 @@ def calm(speeds: tuple[float, ...]) -> pd.DataFrame:
     columns: dict[str, FloatArray] = {"time_s": TIME_S}
     for k, speed in enumerate(speeds):
         rng = np.random.default_rng(k)
-        command_deg = sum(
-            rng.uniform(1.0, 2.0) * np.sin(2.0 * np.pi * hz * TIME_S + rng.uniform(0.0, 6.0))
-            for hz in (0.11, 0.23, 0.41, 0.83)
-        )
+        command_deg = np.zeros(TIME_S.size)
+        for hz in (0.11, 0.23, 0.41, 0.83):
+            command_deg += rng.uniform(1.0, 2.0) * np.sin(2.0 * np.pi * hz * TIME_S + rng.uniform(0.0, 6.0))
         sound_deg, slow_deg = (servo(share).simulate(TIME_S, command_deg, TIME_S) for share in (1.0, speed))
         moved_deg = np.where(TIME_S < SINCE_S, sound_deg, slow_deg)
         noise_deg = rng.normal(0.0, 0.1, TIME_S.size)
