@@ -29,10 +29,12 @@ if TYPE_CHECKING:
     from servofd.core.types import FloatArray
     from servofd.detection.moving import Watched
 
-_WEAK, _LOSS = 0, 1
-"""Places of the changes that are looked for: half the torque, and travel that is lost."""
-_COLUMNS: Final = (FITTED + PATTERNS.index("weak"), NAMES.index("gain"))
-_SIGNS = np.array([1.0, -1.0])
+_COLUMNS: Final = (
+    FITTED + PATTERNS.index("weak"), NAMES.index("gain"), FITTED + PATTERNS.index("play"), NAMES.index("bias_deg"),
+)  # fmt: skip
+"""Changes that are looked for: half the torque, travel that is lost, play, and an offset to either side."""
+_WEAK, _LOST, _OFFSET, _FAULTS = 0, 1, 3, slice(0, 2)
+"""Places of some, and of those that are a fault where the whole flight alone shows them."""
 _GRID_S: Final = 1.0
 """Time between two instants."""
 _SHORTEST_S: Final = 5.0
@@ -47,6 +49,8 @@ _TOGETHER_NATS: Final = 100.0
 """What servos of one log have to explain together, without the one that explains most: 190 and more in 14 brisk flights
 whose servos all lost half their speed. Of the same aircraft 44 in sound flights, and 99 beside a servo that failed,
 each taken at its best instant (`benchmarks/evidence.py`, even seeds); 85 and 138 with those that were calibrated."""
+_LITTLE: Final = 8.0
+"""Score below which no change is worth looking for."""
 _EACH: Final = 6.0
 """Score of a servo that is one of them: the least is 9.3 in those brisk flights. More than half of a log's are."""
 _WITHIN_S: Final = 2.0
@@ -54,7 +58,7 @@ _WITHIN_S: Final = 2.0
 
 
 class Lasting(NamedTuple):
-    """Scores of changes that last to the end, shape (g, 2), by the instants in which they set in [s], shape (g,)."""
+    """Scores of changes that last to the end, shape (g, 4), by the instants in which they set in [s], shape (g,)."""
 
     since_s: FloatArray
     scores: FloatArray
@@ -66,11 +70,15 @@ class Lasting(NamedTuple):
 
     def beyond_doubt_s(self) -> float:
         """When a change set in that no sound servo shows [s]; infinite without one."""
-        best = self.scores.max(axis=1, initial=0.0)
+        best = self.scores[:, _FAULTS].max(axis=1, initial=0.0)
         return float(self.since_s[np.argmax(best)]) if best.max(initial=0.0) > _ALONE else np.inf
 
+    def shows_none(self) -> bool:
+        """Whether the whole flight moves alike: no change explains much of it."""
+        return self.since_s.size > 0 and float(self.scores.max()) < _LITTLE
 
-NOTHING_LASTS: Final = Lasting(np.zeros(0), np.zeros((0, 2)))
+
+NOTHING_LASTS: Final = Lasting(np.zeros(0), np.zeros((0, len(_COLUMNS))))
 """Of a flight that is too short, or of a servo that is not judged by it."""
 
 
@@ -93,7 +101,8 @@ def lasting(flight: Watched) -> Lasting:
         shared = after[:, :FITTED]
         free = after[:, FITTED] - np.einsum("ij,jk,ik->i", shared, given, shared)
         scores[:, place] = (after[:, -1] - shared @ known) / np.sqrt(noise * (np.maximum(free, 0.0) + 1.0))
-    return Lasting(since_s, _SIGNS * scores)
+    scores[:, _LOST] *= -1.0
+    return Lasting(since_s, np.where(np.arange(len(_COLUMNS)) == _OFFSET, np.abs(scores), scores))
 
 
 def _whitened(flight: Watched) -> tuple[FloatArray, FloatArray]:
@@ -114,7 +123,7 @@ def slow_together(servos: Sequence[Lasting]) -> float:
     --------
     >>> since_s = np.arange(5.0, 55.0)
     >>> slower = np.where(np.abs(since_s - 30.0) < 2.0, 15.0, 0.0)
-    >>> one = Lasting(since_s, np.column_stack([slower, 0.0 * slower]))
+    >>> one = Lasting(since_s, np.outer(slower, [1.0, 0.0, 0.0, 0.0]))
     >>> slow_together([one, one]), slow_together([one])
     (29.0, inf)
     """
@@ -148,8 +157,13 @@ def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: f
     if is_common and kind != "slow":
         slow = next(guess for guess in guesses if guess.kind == "slow")
         kind, others, sizes = "slow", tuple(other for other in (kind, *others) if other != "slow")[:3], slow.parameters
-    same = [each for each in faults if each.kind == kind and each.start_s > since_s - _WITHIN_S]
+    same = [each for each in faults if abs(each.start_s - since_s) < _WITHIN_S or _is_part(each, kind, since_s)]
     alarm_s = min((each.alarm_s for each in same), default=end_s)
     one = Fault(kind, since_s, alarm_s, None, dict(sizes), probability, others, named_s=end_s)
     kept = [each for each in faults if each not in same]
     return tuple(sorted((*kept, one), key=lambda each: each.start_s))
+
+
+def _is_part(fault: Fault, kind: str, since_s: float) -> bool:
+    """Whether a fault is a moment of one of a kind that lasts since some time [s]."""
+    return fault.kind == kind and fault.start_s > since_s

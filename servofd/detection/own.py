@@ -153,6 +153,8 @@ class _Part:
     is_whole: bool
     lasting: Lasting
     """How sure it has changed since each instant of the whole log."""
+    explains_all: bool
+    """Whether it is like a sound servo, and no fault and no change is left in the log."""
     mended_s: float
     """When a fault that was there from its first motion on was over [s]; NaN without one."""
 
@@ -184,7 +186,7 @@ def own_servo(segment: Series, source: str = "the log", *, before_s: float = np.
                 start = fitted.theta if start is None else start
                 one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []
-        if count > 1 and found and _is_settled(_best(found), whole):
+        if found and (_is_settled(_best(found), whole) if count > 1 else found[0].explains_all):
             break
     if not found:
         return ModelOrigin(origin="none", explained_share=share)
@@ -351,13 +353,16 @@ def _judged(
     was_faster = seen_deg_s > _FASTER * float(np.exp(fitted.theta[_RATE]))
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen
     apart += _MENDED * np.isfinite(mended_s) + _NEVER_FASTER * was_faster
+    over_all = lasting(flight)
+    is_sound = not seen and apart < _SOUND_ENOUGH and fitted.held_out_rms_deg < _NOISE_DEG
+    explains_all = is_sound and over_all.shows_none()
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
     if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None
     fitted_s = np.concatenate([record.time_s[record.usable] for record in records])
     return _Part(
         between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, fitted_s, whole.period_s, is_whole,
-        lasting(flight), mended_s,
+        over_all, explains_all, mended_s,
     )  # fmt: skip
 
 
