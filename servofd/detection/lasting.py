@@ -26,7 +26,7 @@ from servofd.estimate.family import PATTERNS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servofd.core.types import FloatArray
+    from servofd.core.types import FloatArray, IntArray
     from servofd.detection.moving import Watched
 
 _COLUMNS: Final = (
@@ -35,8 +35,8 @@ _COLUMNS: Final = (
 """Changes that are looked for: half the torque, travel that is lost, play, and an offset to either side."""
 _WEAK, _LOST, _OFFSET, _FAULTS = 0, 1, 3, slice(0, 2)
 """Places of some, and of those that are a fault where the whole flight alone shows them."""
-_GRID_S: Final = 1.0
-"""Time between two instants."""
+_ROWS: Final = 65_536
+"""Samples that are worked on at a time: those of a day take more memory than there is."""
 _SHORTEST_S: Final = 5.0
 """Least time before and after an instant."""
 _LARGEST: Final = 6.0
@@ -53,6 +53,8 @@ _LITTLE: Final = 8.0
 """Score below which no change is worth looking for."""
 _EACH: Final = 6.0
 """Score of a servo that is one of them: the least is 9.3 in those brisk flights. More than half of a log's are."""
+_NAMED_S: Final = 120.0
+"""Time after a change by which it is named."""
 _WITHIN_S: Final = 2.0
 """Time around the instant of all in which each shows it best."""
 
@@ -83,37 +85,53 @@ NOTHING_LASTS: Final = Lasting(np.zeros(0), np.zeros((0, len(_COLUMNS))))
 
 
 def lasting(flight: Watched) -> Lasting:
-    """How sure a servo has changed since each instant of a flight."""
-    time_s, rows = _whitened(flight)
-    if time_s.size < 2 or time_s[-1] - time_s[0] <= 2.0 * _SHORTEST_S:
+    """How sure a servo has changed since each second of a flight."""
+    error_deg = flight.error_deg
+    judged = np.flatnonzero(flight.judged & np.isfinite(error_deg))
+    seconds = np.unique(np.floor(flight.record.time_s[judged]))
+    usual = np.zeros((FITTED + 1, FITTED + 1))
+    each, samples = np.zeros((seconds.size, len(_COLUMNS), FITTED + 2)), 0
+    for begin in range(0, judged.size, _ROWS):
+        time_s, rows = _whitened(flight, error_deg, judged[max(begin - 2, 0) : begin + _ROWS])
+        if not time_s.size:
+            continue
+        others, left = rows[:, :FITTED], rows[:, -1:]
+        plain = np.concatenate([others, left], axis=1)
+        usual += plain.T @ plain
+        samples += time_s.size
+        here, firsts = np.unique(np.searchsorted(seconds, np.floor(time_s)), return_index=True)
+        for place, column in enumerate(_COLUMNS):
+            change = rows[:, [column]]
+            products = np.concatenate([others, change, left], axis=1) * change
+            each[here, place] += np.add.reduceat(products, firsts, axis=0)
+    inside = (seconds >= seconds[:1] + _SHORTEST_S) & (seconds <= seconds[-1:] - _SHORTEST_S)
+    if not inside.any() or not samples:
         return NOTHING_LASTS
-    others, left = rows[:, :FITTED], rows[:, -1]
     scaled = flight.known.covariance / np.outer(UNITS[:FITTED], UNITS[:FITTED])
-    given = np.linalg.inv(others.T @ others + np.linalg.inv(scaled))
-    known = given @ (others.T @ left)
-    noise = max(float(np.mean((left - others @ known) ** 2)), 1.0)
-    since_s = np.arange(time_s[0] + _SHORTEST_S, time_s[-1] - _SHORTEST_S, _GRID_S)
-    first = np.searchsorted(time_s, since_s)
-    scores = np.zeros((since_s.size, len(_COLUMNS)))
-    for place, column in enumerate(_COLUMNS):
-        products = np.column_stack([others, rows[:, column], left]) * rows[:, [column]]
-        after = np.cumsum(products[::-1], axis=0)[::-1][first]
-        shared = after[:, :FITTED]
-        free = after[:, FITTED] - np.einsum("ij,jk,ik->i", shared, given, shared)
-        scores[:, place] = (after[:, -1] - shared @ known) / np.sqrt(noise * (np.maximum(free, 0.0) + 1.0))
+    given = np.linalg.inv(usual[:-1, :-1] + np.linalg.inv(scaled))
+    known = given @ usual[:-1, -1]
+    whole = np.append(-known, 1.0)
+    noise = max(float(whole @ usual @ whole) / samples, 1.0)
+    after = np.cumsum(each[::-1], axis=0)[::-1][inside]
+    shared, alone, errors = after[..., :FITTED], after[..., FITTED], after[..., -1]
+    free = np.maximum(alone - np.einsum("sci,ij,scj->sc", shared, given, shared), 0.0)
+    scores = (errors - shared @ known) / np.sqrt(noise * (free + 1.0))
     scores[:, _LOST] *= -1.0
-    return Lasting(since_s, np.where(np.arange(len(_COLUMNS)) == _OFFSET, np.abs(scores), scores))
+    scores[:, _OFFSET] = np.abs(scores[:, _OFFSET])
+    return Lasting(seconds[inside], scores)
 
 
-def _whitened(flight: Watched) -> tuple[FloatArray, FloatArray]:
-    """Times of samples (k,), and their sensitivities and residual without the noise's colour, (k, parameters + 3)."""
-    judged = flight.judged & np.isfinite(flight.error_deg)
-    columns = np.column_stack([flight.slopes * UNITS, flight.error_deg])[judged] / flight.noise_deg[judged, None]
-    time_s, (first, second) = flight.record.time_s[judged], flight.noise.colour
-    rows = (columns[2:] - first * columns[1:-1] - second * columns[:-2]) / flight.noise.innovation
+def _whitened(flight: Watched, error_deg: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Times of samples (k,), and their sensitivities and residual without the noise's colour, (k, parameters + 3).
+
+    `rows` are judged ones, in order; a sample counts that follows two others.
+    """
+    columns = np.column_stack([flight.slopes[rows] * UNITS, error_deg[rows]]) / flight.noise_deg[rows, None]
+    time_s, (first, second) = flight.record.time_s[rows], flight.noise.colour
+    left = (columns[2:] - first * columns[1:-1] - second * columns[:-2]) / flight.noise.innovation
     in_a_row = time_s[2:] - time_s[:-2] <= 2.0 * ROW * flight.record.period_s
-    rows[:, -1] = np.clip(rows[:, -1], -_LARGEST, _LARGEST)
-    return time_s[2:][in_a_row], rows[in_a_row]
+    left[:, -1] = np.clip(left[:, -1], -_LARGEST, _LARGEST)
+    return time_s[2:][in_a_row], left[in_a_row]
 
 
 def slow_together(servos: Sequence[Lasting]) -> float:
@@ -130,8 +148,7 @@ def slow_together(servos: Sequence[Lasting]) -> float:
     known = [each for each in servos if each.since_s.size]
     if len(known) < 2:
         return np.inf
-    first_s, last_s = min(each.since_s[0] for each in known), max(each.since_s[-1] for each in known)
-    at_s = np.arange(first_s, last_s + _GRID_S, _GRID_S)
+    at_s = np.unique(np.concatenate([each.since_s for each in known]))
     scores = np.stack([np.interp(at_s, each.since_s, each.scores[:, _WEAK], left=0.0, right=0.0) for each in known])
     nats = 0.5 * np.sign(scores) * scores**2
     others = nats.sum(axis=0) - nats.max(axis=0)
@@ -151,7 +168,7 @@ def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: f
     if not np.isfinite(since_s) or (faults and not is_common):
         return faults
     end_s = float(flight.record.time_s[-1])
-    window = Window(flight, since_s, end_s + 1e-9)
+    window = Window(flight, since_s, since_s + _NAMED_S)
     guesses = ranked(window)
     kind, probability, others, sizes = concluded(window, guesses, LOUD)
     if is_common and kind != "slow":
@@ -159,7 +176,7 @@ def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: f
         kind, others, sizes = "slow", tuple(other for other in (kind, *others) if other != "slow")[:3], slow.parameters
     same = [each for each in faults if abs(each.start_s - since_s) < _WITHIN_S or _is_part(each, kind, since_s)]
     alarm_s = min((each.alarm_s for each in same), default=end_s)
-    one = Fault(kind, since_s, alarm_s, None, dict(sizes), probability, others, named_s=end_s)
+    one = Fault(kind, since_s, alarm_s, None, dict(sizes), probability, others, named_s=float(window.time_s[-1]))
     kept = [each for each in faults if each not in same]
     return tuple(sorted((*kept, one), key=lambda each: each.start_s))
 
