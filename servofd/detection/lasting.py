@@ -19,8 +19,6 @@ import numpy as np
 
 from servofd.aircraft.priors import FITTED, NAMES
 from servofd.detection.changes import ROW, UNITS
-from servofd.detection.hypotheses import LOUD, Window, concluded, ranked
-from servofd.detection.verdict import Fault
 from servofd.estimate.family import PATTERNS
 
 if TYPE_CHECKING:
@@ -53,9 +51,7 @@ _LITTLE: Final = 8.0
 """Score below which no change is worth looking for."""
 _EACH: Final = 6.0
 """Score of a servo that is one of them: the least is 9.3 in those brisk flights. More than half of a log's are."""
-_NAMED_S: Final = 120.0
-"""Time after a change by which it is named."""
-_WITHIN_S: Final = 2.0
+WITHIN_S: Final = 2.0
 """Time around the instant of all in which each shows it best."""
 
 
@@ -67,7 +63,7 @@ class Lasting(NamedTuple):
 
     def is_slower_near(self, at_s: float) -> bool:
         """Whether it shows at an instant [s] what servos of one supply show together."""
-        near = np.abs(self.since_s - at_s) <= _WITHIN_S
+        near = np.abs(self.since_s - at_s) <= WITHIN_S
         return bool(self.scores[near, _WEAK].max(initial=0.0) > _EACH)
 
     def beyond_doubt_s(self) -> float:
@@ -155,32 +151,3 @@ def slow_together(servos: Sequence[Lasting]) -> float:
     best = int(np.argmax(others))
     members = sum(each.is_slower_near(at_s[best]) for each in known)
     return float(at_s[best]) if others[best] > _TOGETHER_NATS and 2 * members > len(known) else np.inf
-
-
-def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: float) -> tuple[Fault, ...]:
-    """The faults of a flight, with the change that only the whole of it shows.
-
-    Servos that are slower together, since `slow_s`, are at fault of that in place of all slowness that was seen since;
-    a change of one alone counts if it is beyond doubt and nothing else is at fault.
-    """
-    is_common = seen.is_slower_near(slow_s)
-    since_s = slow_s if is_common else seen.beyond_doubt_s()
-    if not np.isfinite(since_s) or (faults and not is_common):
-        return faults
-    end_s = float(flight.record.time_s[-1])
-    window = Window(flight, since_s, since_s + _NAMED_S)
-    guesses = ranked(window)
-    kind, probability, others, sizes = concluded(window, guesses, LOUD)
-    if is_common and kind != "slow":
-        slow = next(guess for guess in guesses if guess.kind == "slow")
-        kind, others, sizes = "slow", tuple(other for other in (kind, *others) if other != "slow")[:3], slow.parameters
-    same = [each for each in faults if abs(each.start_s - since_s) < _WITHIN_S or _is_part(each, kind, since_s)]
-    alarm_s = min((each.alarm_s for each in same), default=end_s)
-    one = Fault(kind, since_s, alarm_s, None, dict(sizes), probability, others, named_s=float(window.time_s[-1]))
-    kept = [each for each in faults if each not in same]
-    return tuple(sorted((*kept, one), key=lambda each: each.start_s))
-
-
-def _is_part(fault: Fault, kind: str, since_s: float) -> bool:
-    """Whether a fault is a moment of one of a kind that lasts since some time [s]."""
-    return fault.kind == kind and fault.start_s > since_s

@@ -16,8 +16,8 @@ from servofd.aircraft.pace import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOS
 from servofd.core.errors import ServofdError
 from servofd.detection.changes import detectable
 from servofd.detection.evidence import passing, too_short
-from servofd.detection.faults import as_raised, watched_segment
-from servofd.detection.lasting import NOTHING_LASTS, Lasting, changed, lasting
+from servofd.detection.faults import as_raised, changed, watched_segment
+from servofd.detection.lasting import NOTHING_LASTS, Lasting, lasting
 from servofd.detection.moving import Moving
 from servofd.detection.named import NamedMoving, found_of, with_hold
 from servofd.detection.probability import Noise
