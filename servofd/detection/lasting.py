@@ -139,15 +139,17 @@ def slow_together(servos: Sequence[Lasting]) -> float:
     >>> slower = np.where(np.abs(since_s - 30.0) < 2.0, 15.0, 0.0)
     >>> one = Lasting(since_s, np.outer(slower, [1.0, 0.0, 0.0, 0.0]))
     >>> slow_together([one, one]), slow_together([one])
-    (29.0, inf)
+    (30.0, inf)
     """
     known = [each for each in servos if each.since_s.size]
     if len(known) < 2:
         return np.inf
     at_s = np.unique(np.concatenate([each.since_s for each in known]))
-    scores = np.stack([np.interp(at_s, each.since_s, each.scores[:, _WEAK], left=0.0, right=0.0) for each in known])
+    around_s = at_s[:, None] + np.linspace(-WITHIN_S, WITHIN_S, 5)
+    near = (np.interp(around_s, each.since_s, each.scores[:, _WEAK], left=0.0, right=0.0) for each in known)
+    scores = np.stack([each.max(axis=1) for each in near])
     nats = 0.5 * np.sign(scores) * scores**2
     others = nats.sum(axis=0) - nats.max(axis=0)
-    best = int(np.argmax(others))
-    members = sum(each.is_slower_near(at_s[best]) for each in known)
-    return float(at_s[best]) if others[best] > _TOGETHER_NATS and 2 * members > len(known) else np.inf
+    since_s = float(np.mean(at_s[others == others.max()]))
+    members = sum(each.is_slower_near(since_s) for each in known)
+    return since_s if others.max() > _TOGETHER_NATS and 2 * members > len(known) else np.inf
