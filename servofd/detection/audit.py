@@ -27,6 +27,7 @@ from servofd.detection.evidence import (
     why_not_cleared,
 )
 from servofd.detection.known import crude_line, hardly_moved
+from servofd.detection.lasting import slow_together
 from servofd.detection.own import departed
 from servofd.detection.seen import Healthy, TooShortError, rarely_asked, too_few
 from servofd.detection.verdict import LogAudit, Statistics, SurfaceAudit, accusation, describe, two_digits
@@ -92,7 +93,7 @@ def audit_log(
 
     bus = bus_of(log, aircraft)
 
-    def one(name: str) -> SurfaceAudit:
+    def one(name: str, slow_since_s: float = np.inf) -> SurfaceAudit:
         expected = _is_expected(log, aircraft, name)
         surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
         try:
@@ -108,6 +109,7 @@ def audit_log(
                 threshold=threshold,
                 duration_s=log.duration_s,
                 expected=expected,
+                slow_since_s=slow_since_s,
             )
         progress(name)
         return verdict
@@ -115,6 +117,9 @@ def audit_log(
     # The kernel runs without the interpreter's lock.
     with ThreadPoolExecutor(max_workers=threads or os.cpu_count()) as pool:
         found = tuple(pool.map(one, chosen))
+        since_s = slow_together([each.lasting for each in found if each.lasting is not None])
+        if np.isfinite(since_s) and threshold_deg is None:
+            found = tuple(pool.map(partial(one, slow_since_s=since_s), chosen))
     # Whoever names a level wants to know what reaches it, whatever the reason is.
     judged, causes = with_common_causes(found, supplies(log, aircraft)) if threshold_deg is None else (found, ())
     return LogAudit(log, aircraft, judged, common_causes=causes)
@@ -128,10 +133,12 @@ def audit_segment(
     threshold_deg: float | None = None,
     threshold: ThresholdKind | None = None,
     expected: bool = True,
+    slow_since_s: float = np.inf,
 ) -> SurfaceAudit:
     """Judge one surface.
 
-    Threshold and its kind are those of the aircraft, unless others are asked for.
+    Threshold and its kind are those of the aircraft, unless others are asked for. `slow_since_s` is since when the
+    servos of the log are slower together, if they are.
     """
     name = segment.surface
     surface = judged_by(aircraft.surfaces[name], threshold_deg, threshold)
@@ -149,7 +156,7 @@ def audit_segment(
             return verdict(status="suspect", reason=f"{doubt}; {reason}", segment=segment, tried=tried)
         return verdict(status="unknown", reason=reason, segment=segment, tried=tried)
     try:
-        seen = healthy.beside(segment)
+        seen = healthy.beside(segment, slow_since_s)
     except (DesignError, TooShortError) as error:
         return verdict(status="unknown", reason=str(error), segment=segment)
     return _reported(verdict, seen, duration_s)
@@ -192,6 +199,7 @@ def _reported(verdict: Callable[..., SurfaceAudit], seen: Seen, duration_s: floa
         detectable=shown,
         judged_share=share,
         outline=outline(residuals.time_s, sizes_deg, threshold.level_deg),
+        lasting=seen.lasting,
     )
 
 

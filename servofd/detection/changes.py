@@ -84,7 +84,7 @@ loud. Where a residual counts for 3 sigma, that is 5.8; good flights at 10 Hz re
 even seed, nothing given)."""
 SQUARES = np.array([name.startswith(("energy", "left")) for name in STATISTICS])
 """Which statistics are mean squares."""
-_ROW: Final = 2.6
+ROW: Final = 2.6
 """Periods by which two residuals in a row may lie apart: two that came late, or one that was lost, between them."""
 _BLURRED: Final = 0.16
 """Share of its variance that a residual owes to the servo and its reading, below which it tells of lost commands: its
@@ -93,7 +93,7 @@ sigma is 2.5 times what all commands would leave. On the link of six failed elev
 _NOTICED: Final = 0.1
 """Share of a surface's travel below which no pilot notices that it is off."""
 _DELAY: Final = NAMES.index("delay_s")
-_UNITS = np.array([*(prior.between for prior in PRIORS), *(1.0 for _ in PATTERNS)])
+UNITS = np.array([*(prior.between for prior in PRIORS), *(1.0 for _ in PATTERNS)])
 
 
 class Tests(NamedTuple):
@@ -121,7 +121,7 @@ class Tests(NamedTuple):
     def of(cls, known: CalibratedServo, period_s: float, *, is_lossy: bool = False, missed_deg: float = 0.0) -> Tests:
         """From the noise of a healthy servo and its covariance between flights; lossy: most commands are lost."""
         noise = known.noise.at(period_s)
-        scaled = known.covariance / np.outer(_UNITS[:FITTED], _UNITS[:FITTED])
+        scaled = known.covariance / np.outer(UNITS[:FITTED], UNITS[:FITTED])
         first, second = noise.colour
         hz = np.arange(_FIRST_HZ, min(_LAST_HZ, 1.0 / period_s / 3.0) + 1e-9, _SPACING_HZ)
         turn = np.exp(-2j * np.pi * hz * period_s)
@@ -133,7 +133,7 @@ class Tests(NamedTuple):
         limits = thresholds_of(known)
         limits = np.where(SQUARES, np.minimum(limits, _MOST_SHARE * largest**2), limits)
         enough_deg = _NOTICED * (known.reach_deg[1] - known.reach_deg[0]) / float(limits[0])
-        row_s = max(_ROW * period_s, LONGEST_S) if is_lossy else 0.0
+        row_s = max(ROW * period_s, LONGEST_S) if is_lossy else 0.0
         return cls(colour, root, inverse, spectrum, period_s, missed_deg, limits, enough_deg, row_s)
 
 
@@ -183,8 +183,8 @@ def follow(
     grid_s, statistics = np.empty(room), np.zeros((room, _COLUMNS))
     sigma_deg, triple, sharp = np.empty(m), np.empty(m), np.empty(m, dtype=np.bool_)
     count = _follow(
-        *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, memory.room, _UNITS, tests.period_s,
-        tests.missed_deg, tests.enough_deg, tests.row_s or _ROW * tests.period_s, time_s, error_deg, slopes, noise_deg,
+        *tests[:4], memory.before, memory.runs, memory.sums, memory.ring, memory.room, UNITS, tests.period_s,
+        tests.missed_deg, tests.enough_deg, tests.row_s or ROW * tests.period_s, time_s, error_deg, slopes, noise_deg,
         lost_deg, sigma_deg, triple, sharp, grid_s, statistics,
     )  # fmt: skip
     return Tested(sigma_deg, triple, sharp, grid_s[:count], statistics[:count])
@@ -243,7 +243,7 @@ def _follow(  # noqa: C901, PLR0912, PLR0915 - one loop over time
         for k in range(width):
             z[k] = slopes[i, k] * units[k] / sigma
         z[width] = error_deg[i] / sigma
-        fresh = t - runs[1] > _ROW * period_s
+        fresh = t - runs[1] > ROW * period_s
         if fresh:
             runs[2] = 0.0
         u = error_deg[i] / total

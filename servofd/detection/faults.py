@@ -28,6 +28,7 @@ from servofd.detection.hypotheses import (
     unexplained_deg,
 )
 from servofd.detection.kinds import STANDS_STILL
+from servofd.detection.lasting import WITHIN_S
 from servofd.detection.moving import watched
 from servofd.detection.outages import LONGEST_S
 from servofd.detection.verdict import EVEN, Fault
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from servofd.aircraft.calibrated import CalibratedServo
     from servofd.aircraft.series import Series
     from servofd.core.types import FloatArray
+    from servofd.detection.lasting import Lasting
     from servofd.detection.moving import Moving, Watched
 
 _SETTLING_S: Final = 0.5
@@ -93,6 +95,8 @@ SAME_S: Final = 5.0
 """What is raised so soon after the end of a fault belongs to it."""
 
 
+_NAMED_S: Final = 120.0
+"""Time after a change by which it is named."""
 LOOKS_S: Final = (0.0, 0.25, 0.5, 1.0, 1.75)
 """After how long a monitor looks whether what windows raise is a fault,"""
 LOOKS_BACK_S: Final = 65.0
@@ -399,3 +403,32 @@ def watched_segment(
     at_once = moving is not None and moving.at_once
     record = Record.of(segment, known.supply_v, known.airspeed_m_s, at_once=at_once)
     return watched(known if has_airspeed else known.without_airspeed(), record, moving, noise_deg)
+
+
+def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: float) -> tuple[Fault, ...]:
+    """The faults of a flight, with the change that only the whole of it shows.
+
+    Servos that are slower together, since `slow_s`, are at fault of that in place of all slowness that was seen since;
+    a change of one alone counts if it is beyond doubt and nothing else is at fault.
+    """
+    is_common = seen.is_slower_near(slow_s)
+    since_s = slow_s if is_common else seen.beyond_doubt_s()
+    if not np.isfinite(since_s) or (faults and not is_common):
+        return faults
+    end_s = float(flight.record.time_s[-1])
+    window = Window(flight, since_s, since_s + _NAMED_S)
+    guesses = ranked(window)
+    kind, probability, others, sizes = concluded(window, guesses, LOUD)
+    if is_common and kind != "slow":
+        slow = next(guess for guess in guesses if guess.kind == "slow")
+        kind, others, sizes = "slow", tuple(other for other in (kind, *others) if other != "slow")[:3], slow.parameters
+    same = [each for each in faults if abs(each.start_s - since_s) < WITHIN_S or _is_part(each, kind, since_s)]
+    alarm_s = min((each.alarm_s for each in same), default=end_s)
+    one = Fault(kind, since_s, alarm_s, None, dict(sizes), probability, others, named_s=float(window.time_s[-1]))
+    kept = [each for each in faults if each not in same]
+    return tuple(sorted((*kept, one), key=lambda each: each.start_s))
+
+
+def _is_part(fault: Fault, kind: str, since_s: float) -> bool:
+    """Whether a fault is a moment of one of a kind that lasts since some time [s]."""
+    return fault.kind == kind and fault.start_s > since_s

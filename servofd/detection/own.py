@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -24,16 +24,18 @@ from servofd.detection.changes import FLOORS, MARGIN, SQUARES, STATISTICS
 from servofd.detection.faults import judged
 from servofd.detection.flights import busiest, cropped
 from servofd.detection.known import constant_deg, hardly_moved, known_servo, linear_servo, tolerance_of
+from servofd.detection.lasting import lasting
 from servofd.detection.moving import statistics_of, watched
 from servofd.estimate.fit import LEAST_DEG, fit, reach_of, top_speed
 from servofd.estimate.record import Record, usual_airspeed_m_s, usual_supply_v
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from servofd.aircraft.series import Series
     from servofd.core.tolerance import Tolerance
     from servofd.core.types import FloatArray
+    from servofd.detection.lasting import Lasting
     from servofd.estimate.fit import Fit
     from servofd.servo.library import Servo
 
@@ -80,12 +82,6 @@ _MOST_MISFIT: Final = 25.0
 """Squared standard deviations that one reading counts for, as where a fault is timed."""
 _WINDOW_S: Final = 5.0
 """What one stretch leaves unexplained is no better for the others that are at rest."""
-_AT_ONCE_S, _FEWEST_AT_ONCE = 1.0, 2
-"""Servos that become slow within so much of each other, and how many of them, half or more, have one cause: in 28
-healthy flights of even seed and in wind no part is slow to the end."""
-_SHOWN_BEFORE: Final = 10.0
-"""Nats by which a part has to explain better what was before: 80 to 90 in flights whose supply gave way, and up to 3
-where all became brisk at once, and quicker than their servos."""
 _CONTRADICT: Final = 4.0
 """Standard deviations between two parts of which one servo is no account."""
 _GAIN, _BIAS_DEG, _REST_DEG, _SLOWEST_DEG_S, _SPEED = 0.15, 2.0, 1.5, 60.0, 0.3
@@ -108,15 +104,6 @@ _LN_BANDWIDTH, _LN_DAMPING, _DEADBAND, _FRICTION, _PLAY, _RATE = (
 )
 
 
-class Slowed(NamedTuple):
-    """A servo that has lost speed."""
-
-    since_s: float
-    shown: float
-    """By how much better it explains what was before than what its surface alone shows [nats]."""
-    servo: OwnServo
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnServo:
     """The servo of one surface, as its log shows it."""
@@ -129,23 +116,16 @@ class OwnServo:
     threshold_deg: float
     """Constant threshold that the part stayed below, with a margin."""
     origin: ModelOrigin
-    slowed: tuple[Slowed, ...] = ()
-    """The same servo as parts of the log show it of which it is slow to the end."""
+    lasting: Lasting
+    """How sure it has changed since each instant of the log."""
 
     def with_own_scale(self) -> OwnServo:
         """The same servo for a command that is scaled and shifted until it has neither a gain nor an offset."""
-        gain, offset_deg = self.known.parameters["gain"], self.known.offset_deg
-        slowed = (each._replace(servo=each.servo._of_scale(gain, offset_deg)) for each in self.slowed)
-        return replace(self._of_scale(gain, offset_deg), slowed=tuple(slowed))
-
-    def _of_scale(self, gain: float, offset_deg: float) -> OwnServo:
-        """The same servo for so many times its command, and an offset."""
+        gain = self.known.parameters["gain"]
         scales = np.where(np.array(NAMES) == "gain", gain, 1.0)
-        own = self.known.parameters["gain"] / gain
-        bias_deg = self.known.offset_deg - own * offset_deg - self.known.middle_deg * (1.0 - own)
         known = self.known.model_copy(
             update={
-                "parameters": {**self.known.parameters, "gain": own, "bias_deg": bias_deg},
+                "parameters": {**self.known.parameters, "gain": 1.0, "bias_deg": 0.0},
                 "between": lower_triangle(self.known.covariance / np.outer(scales, scales)),
             }
         )
@@ -171,16 +151,18 @@ class _Part:
     """Times of the samples that were fitted, shape (n,)."""
     period_s: float
     is_whole: bool
-    slow_since_s: float
-    """Since when it is slow, to the end [s]; NaN where it is not."""
+    lasting: Lasting
+    """How sure it has changed since each instant of the whole log."""
+    explains_all: bool
+    """Whether it is like a sound servo, and no fault and no change is left in the log."""
     mended_s: float
     """When a fault that was there from its first motion on was over [s]; NaN without one."""
 
 
-def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigin:
+def own_servo(segment: Series, source: str = "the log", *, before_s: float = np.inf) -> OwnServo | ModelOrigin:
     """Return the servo that a log shows by itself; where it shows none, how well the best one explains it.
 
-    `source` names the log.
+    `source` names the log; what comes before a time [s] is the part that is sound, if that is known.
     """
     usual = usual_supply_v(segment.context), usual_airspeed_m_s([segment.context])
     segment = segment.coarser()
@@ -192,9 +174,8 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
     found: list[_Part] = []
     share: float | None = None
     start: FloatArray | None = None
-    for count in _PARTS:
-        before = _before_mended(segment, found) if count > 1 else ()
-        for between_s, part in itertools.chain(parts_of(segment, count), before):
+    for count in _PARTS if np.isinf(before_s) else _PARTS[1:2]:
+        for between_s, part in _parts(segment, count, found, before_s):
             records = _records(part, usual)
             if not records:
                 continue
@@ -205,38 +186,11 @@ def own_servo(segment: Series, source: str = "the log") -> OwnServo | ModelOrigi
                 start = fitted.theta if start is None else start
                 one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []
-        if count > 1 and found and _is_settled(_best(found), whole):
+        if found and (_is_settled(_best(found), whole) if count > 1 else found[0].explains_all):
             break
     if not found:
         return ModelOrigin(origin="none", explained_share=share)
-    best, sharpest = _best(found), _sharpest(found)
-    slowed = []
-    for each in found:
-        since_s = each.slow_since_s
-        shown = _unexplained(best, sharpest, since_s) - _unexplained(each, sharpest, since_s)
-        if np.isfinite(since_s) and (each is best or shown > _SHOWN_BEFORE):
-            slowed.append(Slowed(since_s, shown, _own(each, found, source)))
-    return replace(_own(best, found, source), slowed=tuple(slowed))
-
-
-def slow_at_once(servos: Sequence[OwnServo | ModelOrigin]) -> list[OwnServo | ModelOrigin]:
-    """Return the servos of one log; where most lost speed in one instant, as the parts show them that say so.
-
-    A part that was fitted behind that instant may explain its surface alone as well: it takes what is left for all it
-    had. It does not explain what was quicker before; and that several agree on the instant is no chance.
-    """
-    slowed = [one.slowed if isinstance(one, OwnServo) else () for one in servos]
-    known = sum(isinstance(one, OwnServo) for one in servos)
-    best: dict[int, Slowed] = {}
-    for at_s in sorted(each.since_s for those in slowed for each in those):
-        there = {}
-        for place, those in enumerate(slowed):
-            at_once = [each for each in those if 0.0 <= each.since_s - at_s <= _AT_ONCE_S]
-            if at_once:
-                there[place] = max(at_once, key=lambda each: each.shown)
-        if len(there) >= max(_FEWEST_AT_ONCE, known / 2) and len(there) > len(best):
-            best = there
-    return [best[place].servo if place in best else one for place, one in enumerate(servos)]
+    return _own(_best(found), found, source)
 
 
 def fitted_to(segment: Series) -> Fit | None:
@@ -280,10 +234,10 @@ def _sharpest(found: list[_Part]) -> _Part:
     return min(found, key=lambda each: float(np.nanmean(each.sigma_deg**2)))
 
 
-def _unexplained(part: _Part, sharpest: _Part, until_s: float = np.inf) -> float:
-    """What a part and its faults leave of the log until a time, over the sigma of the sharpest [nats]."""
+def _unexplained(part: _Part, sharpest: _Part) -> float:
+    """What a part and its faults leave of the log, over the sigma of the sharpest [nats]."""
     squares = np.minimum((part.left_deg / sharpest.sigma_deg) ** 2, _MOST_MISFIT)
-    known = np.isfinite(squares) & (part.time_s < until_s)
+    known = np.isfinite(squares)
     window = np.floor(part.time_s[known] / _WINDOW_S).astype(int)
     first = np.flatnonzero(np.diff(window, prepend=window[:1] - 1))
     count = np.diff(first, append=window.size)
@@ -330,6 +284,18 @@ def parts_of(segment: Series, count: int) -> Iterator[tuple[tuple[float, float],
     for from_s, to_s in parts if count <= _LARGE_PARTS else (parts[0], parts[-1]):
         if to_s - from_s >= _SHORTEST_S or count == 1:
             yield from _between(segment, from_s, to_s)
+
+
+def _parts(
+    segment: Series, count: int, found: list[_Part], before_s: float
+) -> Iterator[tuple[tuple[float, float], Series]]:
+    """Parts of a log that are tried when so many are: what comes before a time [s] alone, if that is known."""
+    if np.isfinite(before_s):
+        yield from _between(segment, float(segment.measured_s[0]), before_s)
+        return
+    yield from parts_of(segment, count)
+    if count > 1:
+        yield from _before_mended(segment, found)
 
 
 def _before_mended(segment: Series, found: list[_Part]) -> Iterator[tuple[tuple[float, float], Series]]:
@@ -387,14 +353,16 @@ def _judged(
     was_faster = seen_deg_s > _FASTER * float(np.exp(fitted.theta[_RATE]))
     apart = 0.5 * sum(each**2 for each in _deviations(fitted.theta).values()) + _EACH_FAULT * seen
     apart += _MENDED * np.isfinite(mended_s) + _NEVER_FASTER * was_faster
+    over_all = lasting(flight)
+    is_sound = not seen and apart < _SOUND_ENOUGH and fitted.held_out_rms_deg < _NOISE_DEG
+    explains_all = is_sound and over_all.shows_none()
     sigma_deg = np.where(flight.judged, flight.sigma_deg, np.nan)
     if np.nanmean(sigma_deg**2) > np.ptp(whole.measured_deg[flight.judged]) ** 2:  # a servo that could be anywhere
         return None
     fitted_s = np.concatenate([record.time_s[record.usable] for record in records])
-    slow_s = [fault.start_s for fault in story.faults if fault.kind == "slow" and fault.end_s is None]
     return _Part(
         between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, fitted_s, whole.period_s, is_whole,
-        min(slow_s, default=np.nan), mended_s,
+        over_all, explains_all, mended_s,
     )  # fmt: skip
 
 
@@ -444,6 +412,7 @@ def _own(part: _Part, others: list[_Part], source: str) -> OwnServo:
             explained_share=round(fitted.explained_share, 4),
             fitted_between_s=(round(from_s, 3), round(to_s, 3)),
         ),
+        part.lasting,
     )
 
 

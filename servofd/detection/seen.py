@@ -16,7 +16,8 @@ from servofd.aircraft.pace import SLOWEST_LEFT_HZ, SLOWEST_RATE_HZ, TOO_MANY_LOS
 from servofd.core.errors import ServofdError
 from servofd.detection.changes import detectable
 from servofd.detection.evidence import passing, too_short
-from servofd.detection.faults import as_raised, watched_segment
+from servofd.detection.faults import as_raised, changed, watched_segment
+from servofd.detection.lasting import NOTHING_LASTS, Lasting, lasting
 from servofd.detection.moving import Moving
 from servofd.detection.named import NamedMoving, found_of, with_hold
 from servofd.detection.probability import Noise
@@ -67,6 +68,8 @@ class Seen:
     """As what it moved, if it is healthy."""
     notes: tuple[str, ...] = ()
     """What a reader has to know beside the verdict."""
+    lasting: Lasting = NOTHING_LASTS
+    """How sure it has changed since each instant."""
     doubt: str = ""
     """What about its servo is like no sound one."""
     beyond: str = ""
@@ -222,8 +225,8 @@ class Healthy:
         moving = NamedMoving(self.surface, self.model, period_s, segment.context)
         return watched_segment(moving.known, segment, moving, noise_deg)
 
-    def beside(self, segment: Series) -> Seen:
-        """See a log beside it."""
+    def beside(self, segment: Series, slow_since_s: float = np.inf) -> Seen:
+        """See a log beside it; since when the servos of the log are slower together [s], if they are."""
         segment, hold = with_hold(self.model, segment) if self.known is None else (segment.coarser(), ())
         time_s, period_s, surface = segment.measured_s, segment.period_s, self.surface
         flight = self._watched(segment, period_s)
@@ -238,6 +241,8 @@ class Healthy:
             return found_of(self._watched(near, period_s), surface, asked=self.asked)
 
         found, doubt, level = as_raised(flight, found_of(flight, surface, asked=self.asked), look), "", None
+        over_all = lasting(flight) if self.known is not None else NOTHING_LASTS
+        found = found._replace(faults=changed(found.faults, over_all, flight, slow_since_s))
         if self.known is not None:
             doubt, (like, notes) = self.known.doubt, _as_in_good_flights(self.known, flight, segment, surface.model)
             if found.faults or found.suspicions:
@@ -248,7 +253,7 @@ class Healthy:
             if flight.alone and not surface.tells_small_faults:
                 generator = ResidualGenerator.fitting(self.model, period_s, surface.filter_pole_rad_s)
                 level = generator, surface.persistence
-        return Seen(segment, flight, found, judged_s, like, tuple(notes), doubt, beyond, level)
+        return Seen(segment, flight, found, judged_s, like, tuple(notes), over_all, doubt, beyond, level)
 
 
 def _as_in_good_flights(

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
     from servofd.core.statistics import Estimate
     from servofd.core.types import FloatArray
+    from servofd.detection.lasting import Lasting
     from servofd.detection.residual import Residuals, Threshold, ThresholdKind
 
 Level = Literal["suspect", "fault"]
@@ -150,6 +151,8 @@ class SurfaceAudit:
     """Share of the log for which this surface was judged."""
     outline: tuple[float | None, ...] = ()
     """Largest residual over its threshold in each of equal parts of the flight; None where nothing was judged."""
+    lasting: Lasting | None = None
+    """How sure its servo has changed since each instant."""
     tried: bool = True
     """False if it was not asked to move enough to show a jam."""
     current: CurrentAudit | None = None

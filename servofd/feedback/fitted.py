@@ -16,7 +16,8 @@ from servofd.core.evidence import ModelOrigin
 from servofd.detection.causes import before_it_fell
 from servofd.detection.flights import cropped
 from servofd.detection.known import Line, crude_line
-from servofd.detection.own import OwnServo, fitted_to, own_servo, parts_of, slow_at_once
+from servofd.detection.lasting import slow_together
+from servofd.detection.own import OwnServo, fitted_to, own_servo, parts_of
 from servofd.estimate.record import Record
 from servofd.servo.library import ORDINARY, Servo
 
@@ -60,13 +61,20 @@ def fitted_aircraft(
     surfaces, servos, bus = dict(aircraft.surfaces), dict(aircraft.servos), bus_of(log, aircraft)
     names = list(aircraft.surfaces if only is None else only)
     free = {name for name in names if is_draft and has_free_scale(surfaces[name])}
-    alone = at_once(lambda name: found_in(log, name, aircraft, bus, free_scale=name in free), names)
-    # That they lost speed in one instant, they tell together.
-    for name, found, servo in zip(names, alone, slow_at_once([one.servo for one in alone]), strict=True):
-        line, surface = found.line, surfaces[name]
+
+    def found(name: str, before_s: float = np.inf) -> Found:
+        return found_in(log, name, aircraft, bus, free_scale=name in free, before_s=before_s)
+
+    each = at_once(found, names)
+    since_s = slow_together([one.servo.lasting for one in each if isinstance(one.servo, OwnServo)])
+    if np.isfinite(since_s):  # what came before is sound
+        before = at_once(lambda name: found(name, since_s), names)
+        each = [one if isinstance(one.servo, OwnServo) else was for one, was in zip(before, each, strict=True)]
+    for name, one in zip(names, each, strict=True):
+        line, surface = one.line, surfaces[name]
         if is_draft:
             line, surface = Line(), with_line(surface, line)
-        surfaces[name], fitted = with_own_servo(surface, name, Found(line, servo))
+        surfaces[name], fitted = with_own_servo(surface, name, Found(line, one.servo))
         servos |= fitted
     return aircraft.model_copy(update={"surfaces": surfaces, "servos": servos})
 
@@ -103,9 +111,18 @@ def at_once(fitted: Callable[[Asked], Given], each: Sequence[Asked]) -> list[Giv
 
 
 def found_in(
-    log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks], *, free_scale: bool = False
+    log: FlightLog,
+    name: str,
+    aircraft: Aircraft,
+    bus: Mapping[str, Marks],
+    *,
+    free_scale: bool = False,
+    before_s: float = np.inf,
 ) -> Found:
-    """Servo of a surface as fitted to a log, with the scale of its command where that is not known."""
+    """Servo of a surface as fitted to a log, with the scale of its command where that is not known.
+
+    What comes before a time [s] is the part that is sound, if that is known.
+    """
     nothing = Found(Line(), ModelOrigin(origin="none"))
     try:
         segment = cut(log, name, aircraft, bus)
@@ -116,11 +133,11 @@ def found_in(
         return nothing
     line = _line_of(segment, is_free=free_scale)
     if line is None or not free_scale:
-        own = own_servo(segment, log.source.name)
+        own = own_servo(segment, log.source.name, before_s=before_s)
         share = own.origin.explained_share if isinstance(own, OwnServo) else 0.0
         if line is None or _is_usual(line) or (share or 0.0) >= line.correlation**2:
             return Found(Line(), own)
-    own = own_servo(segment.with_commands(line.gain, line.offset_deg), log.source.name)
+    own = own_servo(segment.with_commands(line.gain, line.offset_deg), log.source.name, before_s=before_s)
     if not isinstance(own, OwnServo):
         return Found(Line(), own)
     if free_scale:
@@ -128,7 +145,7 @@ def found_in(
         return Found(Line(gain * line.gain, gain * line.offset_deg + offset_deg), own.with_own_scale())
     what = "sign" if line.gain < 0.0 else "scale"
     doubt = f"its position is {line.gain:.2f}x the command throughout: check the {what} of the calibration"
-    return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt}), slowed=()))
+    return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt})))
 
 
 def good_line(
