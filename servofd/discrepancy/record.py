@@ -17,8 +17,8 @@ from servofd.estimate.record import Commands, commands_at_servo
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
 from servofd.servo.motion import machine_of, received
-from servofd.servo.physics import Physics, Plant, loose_shares
-from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.physics import Physics, loose_shares
+from servofd.servo.servo_model import ServoModel
 
 _DOUBTFUL = 1.45
 """Times the usual interval, from which on a lost command may hide among time stamps that jitter."""
@@ -110,7 +110,8 @@ _FARTHEST_DEG = 1e6
 class Record:
     """One surface over one log."""
 
-    plant: Plant
+    model: ServoModel
+    """As the servo is known."""
     commands: Commands
     """As they leave for the servo; the delay comes on top."""
     time_s: FloatArray
@@ -175,7 +176,6 @@ def record_of(
     """Prepare a segment for comparison."""
     segment = segment.at(~segment.repeats)
     time_s, measured_deg = segment.measured_s, segment.measured_deg
-    plant = plant_of(model)
     hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
     seen = np.isfinite(measured_deg)
     slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
@@ -200,7 +200,7 @@ def record_of(
     logged = {name: values(time_s) for name, values in columns.items() if name in context.logged}
     pushed = Context(load_s=context.load_s, load=context.load) if np.ptp(context.pushed(time_s)) > 0.0 else None
     return Record(
-        plant,
+        model.explainable(),
         commands,
         time_s,
         measured_deg,
@@ -378,7 +378,7 @@ def _starts(record: Record) -> tuple[IntArray, BoolArray, FloatArray]:
 def _moved_from(record: Record, physics: Physics, finer: float, start_deg: FloatArray) -> FloatArray:
     """Positions of each run from rest at a place (r,) [deg]; all runs are one journey of the stepper, shape (n,)."""
     first, anew, _ = _starts(record)
-    machine = machine_of(record.plant.transfer, (physics,), finer)
+    machine = machine_of(record.model.transfer, (physics,), finer)
     measured_deg = np.empty(record.time_s.size)
     measured_deg[first] = start_deg
     # What holds a servo until its first command comes can only have been an earlier one; the run before sent none.

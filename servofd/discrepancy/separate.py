@@ -172,7 +172,7 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
         record,
         commands=Commands(time_s, command_deg, np.zeros(time_s.size)),
         time_s=time_s,
-        measured_deg=np.full(time_s.size, record.plant.dc_gain * command_deg[0]),
+        measured_deg=np.full(time_s.size, record.model.transfer.dc_gain * command_deg[0]),
         counts=time_s > _SETTLING_S,
         block=np.zeros(time_s.size, dtype=np.int64),
         fold=np.zeros(time_s.size, dtype=np.int64),

@@ -133,7 +133,7 @@ def explain_logs(
             continue
         found.append(one)
         if is_unnamed and one.record.side is None:  # with the poles that were found, for an audit
-            poles = scaled(one.record.plant.transfer, one.selection.final.physics.scales)
+            poles = scaled(one.record.model.transfer, one.selection.final.physics.scales)
             fitted = {"numerator": poles.numerator, "denominator": poles.denominator, "source": "servofd explain"}
             servo_found = Servo.model_validate(UNKNOWN_SERVO.model_dump() | fitted | {"delay_s": 0.0})
             explained = _with_unknown_servo(explained, name, servo_found)
