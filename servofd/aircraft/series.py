@@ -297,8 +297,7 @@ def is_unsettled(
 ) -> BoolArray:
     """Whether instants are so early that what moved the servo before is not known, of shape (n,)."""
     begun_s = max(float(commands[0][0]), float(measured_s[0]))
-    early: BoolArray = at_s < settled_from_s(begun_s, commands, measured_s, measured_deg)
-    return early
+    return at_s < settled_from_s(begun_s, commands, measured_s, measured_deg)
 
 
 def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, Marks]:
@@ -441,8 +440,7 @@ def _without_torque(log: FlightLog, name: str, time_s: FloatArray) -> BoolArray:
         channel = log[each]
         known = np.isfinite(channel.values)
         if known.any():
-            off: BoolArray = latest(channel.time_s[known], channel.values[known], time_s) <= 0.0
-            return off
+            return latest(channel.time_s[known], channel.values[known], time_s) <= 0.0
     return np.zeros(time_s.size, dtype=bool)
 
 

@@ -376,8 +376,7 @@ def _between(axis: AxisModel, value: float, variance: float) -> Estimate:
 def _is_known_in(found: Sizes, spread: Spread) -> BoolArray:
     """Windows in which lambda is known to less than +-0.3."""
     variance = np.where(found.known, found.covariance[0, 0], np.inf) + spread.loss_var
-    is_known: BoolArray = Z_95 * np.sqrt(variance) < KNOWN_WITHIN
-    return is_known
+    return Z_95 * np.sqrt(variance) < KNOWN_WITHIN
 
 
 def _known(axis: AxisModel, inputs: Inputs, members: int) -> tuple[BoolArray, FloatArray]:

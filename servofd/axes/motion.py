@@ -162,8 +162,7 @@ def cell_means(grid_s: FloatArray, time_s: FloatArray, values: FloatArray, *, he
     slope = 0.0 if held else (values[place + 1] - values[place]) / spans[place]
     area = areas[place] + values[place] * ahead + slope * ahead**2 / 2.0
     area += np.where(edges < time_s[0], values[0], values[-1]) * (edges - inside)
-    means: FloatArray = np.diff(area) / step_s
-    return means
+    return np.diff(area) / step_s
 
 
 SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {

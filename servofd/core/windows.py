@@ -278,8 +278,7 @@ def distance(away: Sizes, faulty: int | None = 0) -> FloatArray:
     (array([13.,  4.]), array([13., 13.]))
     """
     others, given, variance = _conditional(away, faulty)
-    squares: FloatArray = np.fmax(others + np.maximum(given, 0.0) ** 2 / variance, 0.0)
-    return squares
+    return np.fmax(others + np.maximum(given, 0.0) ** 2 / variance, 0.0)
 
 
 def least(away: Sizes, level: float, faulty: int = 0) -> FloatArray:

@@ -251,8 +251,7 @@ def _speeds(record: Record) -> FloatArray:
     step_s, step_deg = np.diff(time_s[places], axis=0), np.diff(measured_deg[places], axis=0)
     known = (step_s < _LONGEST_S).all(axis=0)
     first, second = step_deg[:, known] / step_s[:, known]
-    speeds: FloatArray = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
-    return speeds
+    return np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
 
 
 def top_speed(record: Record, seconds: float) -> float:
@@ -331,8 +330,7 @@ class _Flights:
         with np.errstate(over="ignore", invalid="ignore"):
             reading_deg, slopes, _ = predicted(np.frombuffer(theta), self.whole, self.reach_deg)
         inside = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[1]
-        found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
-        return found
+        return (-slopes * inside[:, None])[self.whole.usable]
 
     def sigma(self, theta: FloatArray) -> FloatArray:
         """Standard deviation of the noise that a servo leaves, in the usable rows (n,) [deg]."""
@@ -354,8 +352,7 @@ def _rough_sigma(flights: _Flights, theta: FloatArray) -> FloatArray:
     """Standard deviation of each usable sample, as the errors of a servo that is only near tell it [deg]."""
     error, speed = flights.left(theta)
     spread = max(MAD_TO_SIGMA * float(np.median(np.abs(error - np.median(error)))), 0.03)
-    sigma: FloatArray = np.sqrt(spread**2 + (0.01 * speed) ** 2)
-    return sigma
+    return np.sqrt(spread**2 + (0.01 * speed) ** 2)
 
 
 def _finished(flights: _Flights, best: Solution, others: Sequence[Solution]) -> Fit:

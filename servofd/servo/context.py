@@ -70,8 +70,7 @@ class Context:
 
     def pressure_pa(self, at_s: FloatArray) -> FloatArray:
         """Dynamic pressure [Pa], shape (n,): held before the first and after the last sample; 0 if never logged."""
-        pressure_pa: FloatArray = 0.5 * AIR_KG_M3 * _between(self.airspeed_s, self.airspeed_m_s, at_s, 0.0) ** 2
-        return pressure_pa
+        return 0.5 * AIR_KG_M3 * _between(self.airspeed_s, self.airspeed_m_s, at_s, 0.0) ** 2
 
     def supply_v(self, at_s: FloatArray) -> FloatArray:
         """Supply of the servo [V], shape (n,), likewise; infinite, which limits no speed, if never logged."""

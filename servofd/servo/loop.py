@@ -143,8 +143,7 @@ def _as_known(denominator: tuple[float, ...]) -> _Poles:
 def _monic(order: int, poles: _Poles) -> FloatArray:
     """Characteristic polynomial of one to three poles."""
     slow, total, product = poles
-    monic: FloatArray = np.array([1.0, slow + total, slow * total + product, slow * product][: order + 1])
-    return monic
+    return np.array([1.0, slow + total, slow * total + product, slow * product][: order + 1])
 
 
 def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
@@ -165,8 +164,7 @@ def _damped(monic: FloatArray, scale: float) -> FloatArray:
     pair = np.argsort(np.abs(roots))[-2:]
     rest = np.delete(roots, pair)
     quadratic = np.array([1.0, -scale * roots[pair].sum().real, np.prod(roots[pair]).real])
-    damped: FloatArray = np.polymul(np.poly(rest).real, quadratic)
-    return damped
+    return np.polymul(np.poly(rest).real, quadratic)
 
 
 @lru_cache(maxsize=512)  # of many runs each asks for the same

@@ -18,6 +18,7 @@ from servofd.servo.motion import Motion
 from servofd.servo.physics import Physics, rate_fields
 from servofd.servo.transfer import TransferFunction
 
+
 @dataclass(frozen=True, slots=True)
 class ServoModel:
     """What a command does to a surface.

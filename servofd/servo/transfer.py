@@ -106,8 +106,7 @@ class TransferFunction:
             return _pair(*self.denominator)
         roots = np.roots(self.denominator).astype(complex)
         order = np.lexsort((roots.imag, np.abs(roots), roots.imag != 0.0))
-        poles: ComplexArray = roots[order]
-        return poles
+        return roots[order]
 
     @property
     def dc_gain(self) -> float:
@@ -147,8 +146,7 @@ class TransferFunction:
 
     def at(self, s: ComplexArray) -> ComplexArray:
         """Evaluate at complex frequencies `s` [rad/s], any shape."""
-        values: ComplexArray = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
-        return values
+        return np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
 
     @functools.lru_cache(maxsize=512)  # noqa: B019 - a residual asks three times, a fit for its grid once a surface
     def modes(self) -> Modes:

@@ -87,8 +87,7 @@ class Output:
         x = np.asarray(self.arm_deg(deflection_deg)) / self.travel_deg
         middle_us = 0.5 * (self.min_us + self.max_us) if self.is_range else float(self.trim_us)
         half_us = np.where(x > 0.0, self.max_us - middle_us, middle_us - self.min_us)
-        pulse_us: IntArray = np.rint(middle_us + x * half_us).astype(np.int64)
-        return pulse_us
+        return np.rint(middle_us + x * half_us).astype(np.int64)
 
     def deflection_deg(self, pulse_us: IntArray) -> FloatArray:
         """Deflection that a pulse asks for [deg], of the same shape: the inverse, without cutting."""

@@ -112,8 +112,7 @@ def stalled_a(time_s: FloatArray, asked_deg: FloatArray, measured_deg: FloatArra
     back = np.maximum(np.searchsorted(time_s, time_s - _PUSHES_S + 1e-9) - 1, 0)
     # A servo that is on its way is nearer somewhere within that time.
     lately_deg = np.minimum(np.minimum(away_deg, away_deg[back]), away_deg[(back + np.arange(time_s.size)) // 2])
-    drawn_a: FloatArray = _STALLED_A * np.clip((lately_deg - _NEAR_DEG) / _ALL_DEG, 0.0, 1.0)
-    return drawn_a
+    return _STALLED_A * np.clip((lately_deg - _NEAR_DEG) / _ALL_DEG, 0.0, 1.0)
 
 
 def servo_state(

@@ -180,8 +180,7 @@ def _without_outliers(value: FloatArray, deviation: FloatArray) -> FloatArray:
     middle: FloatArray = median_filter(value, size=5, mode="nearest")
     away = value - middle
     sigma = np.sqrt(deviation**2 + (MAD_TO_SIGMA * float(np.median(np.abs(away)))) ** 2)
-    clipped: FloatArray = middle + np.clip(away, -_CLIPPED * sigma, _CLIPPED * sigma)
-    return clipped
+    return middle + np.clip(away, -_CLIPPED * sigma, _CLIPPED * sigma)
 
 
 def _local_scatter(value: FloatArray, deviation: FloatArray) -> float:
