@@ -24,7 +24,6 @@ from servofd.estimate.fit import residual
 from servofd.estimate.record import (
     FINE_S,
     LONGEST_S,
-    Commands,
     load_at,
     loads,
     new_memory,
@@ -34,6 +33,7 @@ from servofd.estimate.record import (
     unknown_deg,
 )
 from servofd.servo.context import NO_CONTEXT
+from servofd.servo.effects.commands import Commands
 
 if TYPE_CHECKING:
     from collections.abc import Callable

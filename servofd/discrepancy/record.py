@@ -13,10 +13,11 @@ from servofd.aircraft.pace import rhythm
 from servofd.aircraft.series import Series
 from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.known import A_TYPE, Known
-from servofd.estimate.record import Commands, commands_at_servo
+from servofd.estimate.record import commands_at_servo
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
-from servofd.servo.motion import machine_of, received
+from servofd.servo.effects.commands import Commands
+from servofd.servo.motion import NOTHING_AROUND, around_servo, machine_of, received
 from servofd.servo.physics import Physics, loose_shares
 from servofd.servo.servo_model import ServoModel
 
@@ -394,15 +395,11 @@ def _moved_from(record: Record, physics: Physics, finer: float, start_deg: Float
     moved_deg = machine.run(
         machine.new_state(), Commands(*map(np.concatenate, zip(*pieces, strict=True))), record.time_s,
         anew=anew, measured_deg=measured_deg,
-        around=_around(record, physics.load_late_s) if physics.needs else _NOTHING_LOGGED,
+        around=_around(record, physics.load_late_s) if physics.needs else NOTHING_AROUND,
     )[0][:, 0]  # fmt: skip
     # A load that pushes harder the further it has pushed runs away from a motor at its limit.
     bounded: FloatArray = np.fmax(np.fmin(moved_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
     return bounded
-
-
-_NOTHING_LOGGED = np.zeros((0, 5))
-"""Surroundings of a servo, in a simulation that does not depend on them."""
 
 
 @lru_cache(maxsize=256)
@@ -410,15 +407,13 @@ def _around(record: Record, late_s: float) -> FloatArray:
     """What was logged beside the servo, as the stepper takes it."""
     if record.runs:
         return np.concatenate([_around(each, late_s) for each in record.runs])
-    count = record.time_s.size
-    columns = (
-        record.logged.get("airspeed_m_s", np.zeros(count)),
-        record.logged.get("servo_voltage_v", np.full(count, np.inf)),
-        np.ones(count),
-        record.logged.get("servo_current_a", np.zeros(count)),
-        np.zeros(count) if record.pushed is None else record.pushed.pushed(record.time_s, late_s),
+    return around_servo(
+        record.time_s.size,
+        pressure_pa=record.logged.get("airspeed_m_s", 0.0),
+        supply_v=record.logged.get("servo_voltage_v", np.inf),
+        current_a=record.logged.get("servo_current_a", 0.0),
+        load=0.0 if record.pushed is None else record.pushed.pushed(record.time_s, late_s),
     )
-    return np.column_stack(columns)
 
 
 def _moved(record: Record, physics: Physics, finer: float) -> FloatArray:

@@ -12,10 +12,9 @@ from servofd.core.types import FloatArray
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import Record, liveliest, only, simulate
-from servofd.estimate.record import Commands
 from servofd.servo.catalogue import installed
 from servofd.servo.effect import Effect, Slot
-from servofd.servo.effects.commands import CommandSteps, Delay, PwmFrame
+from servofd.servo.effects.commands import Commands, CommandSteps, Delay, PwmFrame
 from servofd.servo.effects.own import SlowDynamics
 from servofd.servo.effects.sensor import Quantization, SensorLag
 from servofd.servo.effects.shaft import ExternalLoad, TiltedLoad

@@ -13,7 +13,7 @@ from servofd.core.types import FloatArray
 from servofd.discrepancy.record import Record, simulate
 from servofd.discrepancy.search import LIMITS, STEPS_OF_TWO_SIZES
 from servofd.discrepancy.select import Selection
-from servofd.estimate.record import Commands
+from servofd.servo.effects.commands import Commands
 
 _RATE_HZ, _DURATION_S = 100.0, 24.0
 """Rate [Hz] and length [s] of a manoeuvre."""

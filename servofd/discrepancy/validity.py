@@ -14,8 +14,8 @@ from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
 from servofd.core.types import BoolArray, FloatArray
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
 from servofd.discrepancy.record import SLOWEST_EXPLAINED_HZ, Record, simulate
-from servofd.estimate.record import Commands
 from servofd.identification.records import DRIFT_SHARE, drift_deg
+from servofd.servo.effects.commands import Commands
 from servofd.servo.physics import Physics
 
 _SHORTEST_RECORD_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0

@@ -15,7 +15,7 @@ from servofd.core.fitting import Problem, Solution
 from servofd.core.fitting import fit as minimum
 from servofd.core.statistics import MAD_TO_SIGMA, Estimate
 from servofd.estimate.family import bent, middle_of, new_state, sensitivities, simulated, variants
-from servofd.estimate.record import joined
+from servofd.estimate.record import DELAY, LN_BANDWIDTH, LN_DAMPING, joined
 from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ _VALUES = np.array([prior.value for prior in PRIORS])
 _SIGMAS = np.array([prior.sigma for prior in PRIORS])
 WIDTHS: Final = {"deadband_deg": 1.0, "friction_deg": 2.0, "play_deg": 1.0}
 """How much of a change of direction each takes, in times its size."""
-_WIDTHS = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
-_LN_BANDWIDTH, _LN_DAMPING, _DELAY = (NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "delay_s"))
+EACH_WIDTH = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
 _SIZES = [NAMES.index(name) for name in (*WIDTHS, "hinge_deg")]
 """Numbers that can stand for each other."""
 _OTHER_POLES: Final = 0.03
@@ -136,9 +135,9 @@ def bandwidth(theta: FloatArray) -> tuple[float, dict[str, float]]:
 
     Of two poles, omega^2 / (s^2 + 2 zeta omega s + omega^2), it is omega sqrt(a + sqrt(a^2 + 1)), a = 1 - 2 zeta^2.
     """
-    damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[_LN_DAMPING]))
+    damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[LN_DAMPING]))
     root = float(np.hypot(damped, 1.0))
-    value = float(theta[_LN_BANDWIDTH]) + 0.5 * float(np.log(damped + root))
+    value = float(theta[LN_BANDWIDTH]) + 0.5 * float(np.log(damped + root))
     return value, {"ln_bandwidth": 1.0, "ln_damping": (damped - 1.0) / root}
 
 
@@ -178,7 +177,7 @@ class Fit:
     @property
     def delay_s(self) -> Estimate:
         """Transport delay [s], or less: a third pole, which these servos have not, passes for a part of it."""
-        value, low, high = Estimate.of(float(self.theta[_DELAY]), float(np.sqrt(self.scatter[_DELAY, _DELAY])))
+        value, low, high = Estimate.of(float(self.theta[DELAY]), float(np.sqrt(self.scatter[DELAY, DELAY])))
         by_pole_s = _THIRD_POLE / self.bandwidth_rad_s.value
         return Estimate(value, max(value - float(np.hypot(value - low, by_pole_s)), 0.0), high)
 
@@ -221,7 +220,7 @@ def fit(
 def _delayed(records: Sequence[Record], reach_deg: tuple[float, float], is_alone: bool) -> FloatArray:
     """Where a descent begins of which nothing is known: near the delay that explains some of the records best."""
     some = _Flights(records[:: max(len(records) // _SOME, 1)], reach_deg)
-    begins = [np.where(np.arange(_VALUES.size) == _DELAY, delay_s, _VALUES) for delay_s in _DELAYS_S]
+    begins = [np.where(np.arange(_VALUES.size) == DELAY, delay_s, _VALUES) for delay_s in _DELAYS_S]
     problem = some.problem(_rough_sigma(some, begins[0]))
     tried = [minimum(problem, each, steps=_FIRST_STEPS, close=_CLOSE) for each in begins]
     if is_alone:

@@ -70,11 +70,7 @@ def prepared(segment: Series, servo: int = 0) -> Run:
         rest_deg = first_deg
     begin_s = min(float(segment.command_s[0]), float(measured_s[0])) - _FAR_AWAY_S
     return Run(
-        servo,
-        np.append(begin_s, segment.command_s),
-        np.append(rest_deg, segment.command_deg),
-        measured_s,
-        measured_deg,
+        servo, np.append(begin_s, segment.command_s), np.append(rest_deg, segment.command_deg), measured_s, measured_deg
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,26 +78,6 @@ class TransferFunction:
         for name, leading in (("numerator", self.numerator[0]), ("denominator", self.denominator[0])):
             if leading and not largest / _LARGEST_RATIO < abs(leading):
                 raise DesignError(f"{name}: the first coefficient, {leading:g}, is nothing beside {largest:g}")
-
-    @classmethod
-    def from_control(cls, system: Any) -> TransferFunction:  # noqa: ANN401 - python-control is untyped
-        """Take a single-input single-output system of python-control; its delay must be given apart."""
-        import control
-
-        transfer = control.tf(system)
-        return cls(tuple(transfer.num[0][0]), tuple(transfer.den[0][0]))
-
-    def to_control(self) -> Any:  # noqa: ANN401 - python-control is untyped
-        """Return the same system for python-control.
-
-        Examples
-        --------
-        >>> float(TransferFunction((2.0,), (1.0, 4.0)).to_control().dcgain())
-        0.5
-        """
-        import control
-
-        return control.tf(list(self.numerator), list(self.denominator))
 
     @property
     def poles_rad_s(self) -> ComplexArray:

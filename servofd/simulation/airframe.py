@@ -20,7 +20,7 @@ from logparsers.dataflash.encode import encode
 from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.types import FloatArray
-from servofd.servo.context import AIR_KG_M3
+from servofd.servo.context import pressure_pa
 from servofd.simulation.ardupilot import banner, output_parameters
 from servofd.simulation.dataflash_writer import pulses, rows, words
 from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
@@ -267,8 +267,8 @@ def airframe_log(flight: AirframeFlight) -> bytes:
     sent = dict(zip(flight.surfaces, flight.pulses_us.T, strict=True))
     p, q, r = np.radians(flight.rates_deg_s)
     ax, ay, az = flight.accelerations_m_s2
-    pressure_pa = 0.5 * AIR_KG_M3 * flight.airspeed_m_s**2
-    pitot = {"Airspeed": flight.airspeed_m_s, "DiffPress": pressure_pa, "RawPress": pressure_pa}
+    pushed_pa = pressure_pa(flight.airspeed_m_s)
+    pitot = {"Airspeed": flight.airspeed_m_s, "DiffPress": pushed_pa, "RawPress": pushed_pa}
     return encode(
         [
             *words(stamps[:1], airframe_parameters(flight), banner(_VERSION)),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from logparsers.dataflash.encode import Message, encode
 from servofd.aircraft.schema import Aircraft
 from servofd.core.types import IntArray
-from servofd.servo.context import AIR_KG_M3
+from servofd.servo.context import pressure_pa
 from servofd.simulation.ardupilot import banner, parameters, reporting
 from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
@@ -158,8 +158,8 @@ def _air(flight: SimulatedFlight) -> list[Message]:
     """Context, seldom."""
     at_s = flight.time_s[sparse(flight.time_s, _CONTEXT_HZ)]
     air = surroundings(at_s, flight.seed)
-    stamps, pressure_pa = microseconds(at_s), 0.5 * AIR_KG_M3 * air.airspeed_m_s**2
-    pitot = {"Airspeed": air.airspeed_m_s, "DiffPress": pressure_pa, "RawPress": pressure_pa + 2.0}
+    stamps, pushed_pa = microseconds(at_s), pressure_pa(air.airspeed_m_s)
+    pitot = {"Airspeed": air.airspeed_m_s, "DiffPress": pushed_pa, "RawPress": pushed_pa + 2.0}
     turned = {"Roll": air.roll_deg, "Pitch": air.pitch_deg, "DesYaw": air.yaw_deg, "Yaw": air.yaw_deg}
     return [
         rows("ARSP", stamps, **pitot, Temp=18.5, Offset=2.0, U=1, H=1, Hp=1),
