@@ -40,6 +40,7 @@ _SLOW_EXAMPLES = {
     "servofd.results.audits.compare",
     "servofd.results.audits.fleet",
     "servofd.results.models.explain",
+    "servofd.servo.transfer.TransferFunction.to_control",
     "servofd.wear.trend.trend_logs",
 }
 """Examples in docstrings that fit, search or start processes: as slow as the tests that do."""

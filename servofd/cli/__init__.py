@@ -86,8 +86,7 @@ def _function_of(verb: str) -> Callable[[Options], int]:
     if verb == "help":
         return _show_help
     module = import_module(f"servofd.cli.{WAYS[verb][0] if verb in _WITHIN else verb}")
-    found: Callable[[Options], int] = getattr(module, f"run_{verb}" if verb in _WITHIN else "run")
-    return found
+    return getattr(module, f"run_{verb}" if verb in _WITHIN else "run")
 
 
 def parsed(words: Sequence[str]) -> Options:

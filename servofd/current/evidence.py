@@ -154,8 +154,7 @@ class Evidence:
 
     def _left(self, draws_a: FloatArray) -> FloatArray:
         """What is left of a current beyond that at rest [A]."""
-        left: FloatArray = self.weight * (np.arcsinh(draws_a / self.still_a) - np.arcsinh(self.good_a / self.still_a))
-        return left
+        return self.weight * (np.arcsinh(draws_a / self.still_a) - np.arcsinh(self.good_a / self.still_a))
 
     @cached_property
     def error(self) -> FloatArray:

@@ -179,15 +179,13 @@ def passing(
         """The most that an alarm would see of these, for each onset."""
         ending = in_a_row(values, persistence)[persistence - 1 :]
         row = np.append(ending, np.zeros(persistence))[: values.size]
-        seen: FloatArray = np.maximum.accumulate(row[::-1])[::-1][onsets]
-        return seen
+        return np.maximum.accumulate(row[::-1])[::-1][onsets]
 
     def needed(error_deg: FloatArray, sign: float) -> FloatArray:
         """Size that a fault of each onset needs, if it adds this error for each unit of its size."""
         unit_deg = sign * added(error_deg)
         room_deg = level_deg - np.sign(unit_deg) * residual_deg
-        sizes: FloatArray = 1.0 / np.maximum(most(unit_deg / np.maximum(room_deg, _LEAST_ROOM_DEG)), _LEAST_GAIN)
-        return sizes
+        return 1.0 / np.maximum(most(unit_deg / np.maximum(room_deg, _LEAST_ROOM_DEG)), _LEAST_GAIN)
 
     def shows(error_deg: FloatArray) -> bool:
         """Whether 19 of 20 onsets of this very error raise an alarm."""

@@ -395,8 +395,7 @@ class Fitter:
         result[unseen, unseen] = np.inf
         neutral = self.record.model.physics
         sizes = [min(p.away(float(v), neutral), abs(v)) for p, v in zip(fit.parameters, fit.values, strict=True)]
-        covariance: FloatArray = result + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
-        return covariance
+        return result + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
 
     def _numbers(self, effects: tuple[type[Effect], ...], start: Physics) -> list[_Number]:
         """The servo's own numbers first, but for those that an effect fits; then those of the effects."""

@@ -158,8 +158,7 @@ class Record:
     def untouched(self) -> BoolArray:
         """Samples that no search looks at; none of a record that is too short, or at rest."""
         enough = self.side is None and int(self.counts.sum()) >= _FEWEST_FOR_THREE
-        untouched: BoolArray = self.counts & (self.fold == 2) & enough
-        return untouched
+        return self.counts & (self.fold == 2) & enough
 
     @property
     def searched(self) -> Record:
@@ -167,13 +166,7 @@ class Record:
         return replace(self, counts=self.counts & ~self.untouched)
 
 
-def record_of(
-    segment: Series,
-    model: ServoModel,
-    *,
-    at_rest: bool = False,
-    known: Known = A_TYPE,
-) -> Record:
+def record_of(segment: Series, model: ServoModel, *, at_rest: bool = False, known: Known = A_TYPE) -> Record:
     """Prepare a segment for comparison."""
     segment = segment.at(~segment.repeats)
     time_s, measured_deg = segment.measured_s, segment.measured_deg
@@ -220,8 +213,7 @@ def _has_command(command_s: FloatArray, hole_s: float, time_s: FloatArray) -> Bo
     step_s = np.append(np.diff(command_s), 0.0)
     holds_s = np.where(step_s > hole_s, min(hole_s, float(np.median(step_s))), hole_s)
     last = np.searchsorted(command_s, time_s, side="right") - 1
-    known: BoolArray = (last >= 0) & (time_s - command_s[last] <= holds_s[last])
-    return known
+    return (last >= 0) & (time_s - command_s[last] <= holds_s[last])
 
 
 def joined(records: Sequence[Record]) -> Record:
@@ -344,8 +336,7 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
         tight = physics._replace(**dict.fromkeys(loose_shares(), 0.0))
-        lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
-        return lying_deg
+        return simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
     if not record.runs or physics.run_slope == 0.0:
         return _moved(record, at_run(physics, record.conditions), finer)
     moved_deg = np.empty(record.time_s.size)
@@ -398,8 +389,7 @@ def _moved_from(record: Record, physics: Physics, finer: float, start_deg: Float
         around=_around(record, physics.load_late_s) if physics.needs else NOTHING_AROUND,
     )[0][:, 0]  # fmt: skip
     # A load that pushes harder the further it has pushed runs away from a motor at its limit.
-    bounded: FloatArray = np.fmax(np.fmin(moved_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
-    return bounded
+    return np.fmax(np.fmin(moved_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
 
 
 @lru_cache(maxsize=256)

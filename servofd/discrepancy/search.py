@@ -150,8 +150,7 @@ def _grid(shortest_s: float, longest_s: float, window_s: float, apart_s: float) 
 def _phases(period_s: float, step_s: float) -> list[float]:
     """Evenly over a period, as shares of it."""
     count = int(np.ceil(period_s / step_s))
-    phases: list[float] = ((np.arange(count) + 0.5) / count).tolist()
-    return phases
+    return ((np.arange(count) + 0.5) / count).tolist()
 
 
 def _around(
@@ -436,5 +435,4 @@ def _steps(commands: Commands, end_s: float) -> FloatArray | None:
     stands = lasts_s > _HOLDS_S
     if float(lasts_s[stands].sum()) < _MOSTLY * float(lasts_s.sum()):
         return None
-    sizes_deg: FloatArray = np.abs(np.diff(levels_deg[stands]))
-    return sizes_deg
+    return np.abs(np.diff(levels_deg[stands]))

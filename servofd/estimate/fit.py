@@ -359,7 +359,9 @@ def _finished(flights: _Flights, best: Solution, others: Sequence[Solution]) -> 
     records, theta = flights.records, best.x
     error, speed = flights.left(theta)
     noise = _noise(error, speed, records)
-    kappa, sigma = _colour_length(noise), noise.sigma_deg(speed)
+    sigma, (first, second) = noise.sigma_deg(speed), noise.colour
+    # How many samples of coloured noise tell as much as one of white noise.
+    kappa = float(np.clip(noise.innovation**2 / (1.0 - first - second) ** 2, 1.0, 50.0))
     alike = kappa + _SHARE * best.misfit
     near = np.array([theta, *(each.x for each in others if each.misfit - best.misfit < _NEAR * alike)])
     # With the noise that it left, and a prior that is content with it.
@@ -410,12 +412,6 @@ def _unseen_speed(fitted: Solution) -> float:
     noise = fitted.problem.noise
     worse = noise.misfit(fitted.problem.residual(faster)) - noise.misfit(fitted.error)
     return _FASTER**2 / max(worse, 1e-9)
-
-
-def _colour_length(noise: Noise) -> float:
-    """How many samples of coloured noise tell as much as one of white noise."""
-    first, second = noise.colour
-    return float(np.clip(noise.innovation**2 / (1.0 - first - second) ** 2, 1.0, 50.0))
 
 
 def _noise(error: FloatArray, speed: FloatArray, records: Sequence[Record]) -> Noise:

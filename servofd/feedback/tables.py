@@ -44,8 +44,7 @@ def log_file(log: Any) -> LogFile:  # noqa: ANN401 - whatever a user has
     if isinstance(log, io.TextIOBase):
         return _named(log.read().encode(), str(getattr(log, "name", "text")))
     if hasattr(log, "read") and not is_table(log):  # a table may have a column of that name
-        file: LogFile = log
-        return file
+        return log
     table = frame_of(log)
     return _named(with_clock(table).to_csv(index=False).encode(), "dict" if isinstance(log, Mapping) else "DataFrame")
 
@@ -173,8 +172,7 @@ def _seconds(clock: pd.Series[Any]) -> pd.Series[Any] | None:
         except (ValueError, TypeError):
             return None
     elapsed: Any = clock - clock.iloc[0] if clock.dtype.kind == "M" and clock.size else clock
-    seconds: pd.Series[Any] = elapsed / pd.Timedelta(1, "s") if clock.size else clock.astype(float)
-    return seconds
+    return elapsed / pd.Timedelta(1, "s") if clock.size else clock.astype(float)
 
 
 def _is_time(dtype: object) -> bool:

@@ -340,8 +340,7 @@ def as_flown_before(motion: Motion, flies: BoolArray) -> BoolArray:
             slowest, least = _SLOWER * np.quantile(speed[past], 0.02), np.quantile(throttle[past], 0.1) - _IDLER
             now = slice(begin, begin + _REGIME_S)
             inside[now] = (speed[now] >= slowest) & (throttle[now] >= least)
-    usable: BoolArray = flies & inside[second]
-    return usable
+    return flies & inside[second]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -401,8 +400,7 @@ class Compared:
     @property
     def judged(self) -> BoolArray:
         """Seconds with a window that ends there."""
-        judged: BoolArray = np.any([one.known for one in self.found], axis=0)
-        return judged
+        return np.any([one.known for one in self.found], axis=0)
 
     def shown_loss(self, look: Look) -> float:
         """Loss that half of the judged seconds would have shown."""

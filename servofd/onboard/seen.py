@@ -36,8 +36,7 @@ class Seen:
     def crossed_s(self) -> FloatArray:
         """When the residual went over its threshold [s], of shape (k,)."""
         over = np.abs(self.residual_deg) >= self.threshold_deg
-        crossed: FloatArray = self.time_s[over & ~np.concatenate([[False], over[:-1]])]
-        return crossed
+        return self.time_s[over & ~np.concatenate([[False], over[:-1]])]
 
 
 def seen_on_board(log: FlightLog) -> tuple[Seen, ...]:

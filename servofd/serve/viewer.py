@@ -71,8 +71,7 @@ def _fetched(address: str) -> bytes | None:
     while True:
         try:
             with urllib.request.urlopen(address, timeout=_PATIENCE_S) as answer:  # noqa: S310 - this machine's own
-                content: bytes = answer.read()
-                return content
+                return answer.read()
         except OSError:
             if time.monotonic() > deadline:
                 return None

@@ -5,12 +5,12 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from servofd.core.errors import DesignError
-from servofd.core.types import ComplexArray
+from servofd.core.types import ComplexArray, FloatArray
 
 BANDWIDTH_DROP_DB = 3.0
 """Below dc. Exactly 3.00 dB reproduces the bandwidth column of thesis Fig. 3.10; 3.0103 dB does not."""
@@ -21,6 +21,8 @@ _SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e5
 """A day, and 10 us: no servo needs the one to move, or swings within the other; to follow it would take as long."""
 _ROUND_OFF = 2.2e-16
 """Relative spacing of numbers in double precision."""
+_WHOLE_SAMPLE = 1e-9
+"""Share of a sample below which a delay is whole samples."""
 _LARGEST_CANCELLATION = 1e9
 """Sum of the modes' weights; times round-off it is the error of the simulation, relative to the deflection."""
 
@@ -78,6 +80,26 @@ class TransferFunction:
         for name, leading in (("numerator", self.numerator[0]), ("denominator", self.denominator[0])):
             if leading and not largest / _LARGEST_RATIO < abs(leading):
                 raise DesignError(f"{name}: the first coefficient, {leading:g}, is nothing beside {largest:g}")
+
+    @classmethod
+    def from_control(cls, system: Any) -> TransferFunction:  # noqa: ANN401 - python-control is untyped
+        """Take a single-input single-output system of python-control; its delay must be given apart."""
+        import control
+
+        transfer = control.tf(system)
+        return cls(tuple(transfer.num[0][0]), tuple(transfer.den[0][0]))
+
+    def to_control(self) -> Any:  # noqa: ANN401 - python-control is untyped
+        """Return the same system for python-control.
+
+        Examples
+        --------
+        >>> float(TransferFunction((2.0,), (1.0, 4.0)).to_control().dcgain())
+        0.5
+        """
+        import control
+
+        return control.tf(list(self.numerator), list(self.denominator))
 
     @property
     def poles_rad_s(self) -> ComplexArray:
@@ -158,6 +180,39 @@ class TransferFunction:
         if not sum(map(abs, shares)) <= _LARGEST_CANCELLATION:
             raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
         return Modes(-upper, np.where(upper.imag > 0.0, -2.0, -1.0) * np.array(shares))
+
+    def sampled(self, delay_s: float, sample_time_s: float) -> tuple[FloatArray, FloatArray]:
+        """Numerator and denominator in z⁻¹ of the exact response to a held and delayed command, on samples."""
+        whole, fraction_s = split_delay(delay_s, sample_time_s)
+        modes = self.modes()
+        poles, residues = -modes.decay_rad_s, modes.weight * modes.decay_rad_s
+        pairs = poles.imag > 0.0
+        residues = np.where(pairs, residues / 2.0, residues)
+        poles = np.concatenate([poles, poles[pairs].conj()])
+        residues = np.concatenate([residues, residues[pairs].conj()])
+        factors = np.exp(poles * sample_time_s)
+        early = np.expm1(poles * (sample_time_s - fraction_s)) / poles
+        late = np.exp(poles * (sample_time_s - fraction_s)) * np.expm1(poles * fraction_s) / poles
+        b = np.zeros(whole + poles.size + 2)
+        for i in range(poles.size):
+            term = residues[i] * np.convolve([0.0, early[i], late[i]], product_of(np.delete(factors, i)))
+            b[whole:] += np.real(term)
+        return b, np.real(product_of(factors))
+
+
+def split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
+    """Whole samples of a delay, and the rest [s]."""
+    samples = delay_s / sample_time_s
+    whole = int(np.floor(samples + _WHOLE_SAMPLE))
+    return whole, max(0.0, samples - whole) * sample_time_s
+
+
+def product_of(factors: ComplexArray) -> ComplexArray:
+    """Coefficients of the product of (1 - f z⁻¹)."""
+    coefficients = np.ones(1, dtype=complex)
+    for factor in factors:
+        coefficients = np.convolve(coefficients, [1.0, -factor])
+    return coefficients
 
 
 def _pair(square: float, linear: float, constant: float) -> ComplexArray:

@@ -17,6 +17,7 @@ from servofd.simulation.ardupilot import reporting
 from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US, Output
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
+from servofd.simulation.telemetry_writer import ARRAY_SIZE
 
 Columns = dict[str, NDArray[Any]]
 
@@ -24,8 +25,8 @@ _RELEASE: Final = 0x010F00FF
 """Version 1.15.0, a release, as PX4 packs it into four bytes."""
 _MOTOR_1 = 101
 """Function of the first motor (PX4, PWM_MAIN_FUNCn)."""
-_DEBUG_SLOTS, _OUTPUT_SLOTS = 58, 16
-"""Numbers of a debug_array, and outputs of actuator_outputs."""
+_OUTPUT_SLOTS = 16
+"""Outputs of actuator_outputs."""
 _TYPE_OF: Final = {name: kind for kind, name in PX4_TYPES.items()}
 """CA_SV_CSk_TYPE by what it turns."""
 
@@ -53,7 +54,7 @@ def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
         )
     stamps = microseconds(flight.time_s).astype(np.uint64)
     control = np.full((stamps.size, PX4_MOST_SERVOS), np.nan, np.float32)
-    data = np.full((stamps.size, _DEBUG_SLOTS), np.nan, np.float32)
+    data = np.full((stamps.size, ARRAY_SIZE), np.nan, np.float32)
     for k, output in enumerate(flight.outputs):
         control[:, k] = flight.command_deg[:, k] / output.travel_deg
     for k, output in measured:

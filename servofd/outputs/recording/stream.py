@@ -29,8 +29,7 @@ def microseconds(time_s: FloatArray) -> IntArray:
 
 def seconds(time_us: IntArray) -> FloatArray:
     """Microseconds to seconds: the same number that a log's own microseconds give."""
-    converted: FloatArray = np.asarray(time_us) / 1e6
-    return converted
+    return np.asarray(time_us) / 1e6
 
 
 CHUNK_ROWS = 65_536
@@ -61,8 +60,7 @@ def surface_place(surface: str, *parts: str) -> str:
     ('/surfaces/elevator/residual', '/surfaces/a\\/b', '/surfaces/aU\\+005C')
     """
     # Rerun takes a backslash at the end of a name, which it writes twice, for an escape of what follows.
-    path: str = rr.new_entity_path(["surfaces", shown(surface).replace("\\", "U+005C"), *parts])
-    return path
+    return rr.new_entity_path(["surfaces", shown(surface).replace("\\", "U+005C"), *parts])
 
 
 def colours(names: Sequence[str], opacity: float = 1.0) -> NDArray[np.uint32]:
