@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from servofd.aircraft.calibration import Calibration, PulseCalibration
-from servofd.aircraft.outputs import FULL_TRAVEL_DEG, SURFACE_FUNCTIONS
+from servofd.aircraft.outputs import FULL_TRAVEL_DEG, HALF_TRAVEL_US, SURFACE_FUNCTIONS
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray, IntArray
@@ -24,7 +24,7 @@ THROTTLE_FUNCTION: Final = 70
 THROTTLE_US: Final = 1620
 """What it is sent, all the time [us]."""
 
-_HALF_RANGE_US: Final = 500
+_HALF_RANGE_US: Final = round(HALF_TRAVEL_US)
 """Pulse width from trim to either end [us]."""
 _FUNCTION_OF: Final = {name: function for function, name in reversed(SURFACE_FUNCTIONS.items())}
 """SERVOn_FUNCTION by what it turns; of two the smaller."""
