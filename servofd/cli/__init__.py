@@ -86,7 +86,8 @@ def _function_of(verb: str) -> Callable[[Options], int]:
     if verb == "help":
         return _show_help
     module = import_module(f"servofd.cli.{WAYS[verb][0] if verb in _WITHIN else verb}")
-    return getattr(module, f"run_{verb}" if verb in _WITHIN else "run")
+    found: Callable[[Options], int] = getattr(module, f"run_{verb}" if verb in _WITHIN else "run")
+    return found
 
 
 def parsed(words: Sequence[str]) -> Options:

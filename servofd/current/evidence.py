@@ -154,7 +154,8 @@ class Evidence:
 
     def _left(self, draws_a: FloatArray) -> FloatArray:
         """What is left of a current beyond that at rest [A]."""
-        return self.weight * (np.arcsinh(draws_a / self.still_a) - np.arcsinh(self.good_a / self.still_a))
+        left: FloatArray = self.weight * (np.arcsinh(draws_a / self.still_a) - np.arcsinh(self.good_a / self.still_a))
+        return left
 
     @cached_property
     def error(self) -> FloatArray:

@@ -145,7 +145,8 @@ class Motion:
     def is_known(self, at_s: FloatArray) -> BoolArray:
         """Whether commands tell the motion at some times."""
         place = np.clip(((at_s - self.time_s[0]) / _GRID_S).astype(int), 0, self.time_s.size - 1)
-        return self.known[place] & (at_s >= self.time_s[0])
+        known: BoolArray = self.known[place] & (at_s >= self.time_s[0])
+        return known
 
 
 def averaged(values: FloatArray, width_s: float) -> FloatArray:
@@ -155,7 +156,8 @@ def averaged(values: FloatArray, width_s: float) -> FloatArray:
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     last = np.arange(1, len(values) + 1)
     first = np.maximum(last - round(width_s / _GRID_S), 0)
-    return (sums[last] - sums[first]) / (last - first)[:, None]
+    mean: FloatArray = (sums[last] - sums[first]) / (last - first)[:, None]
+    return mean
 
 
 def terms(

@@ -432,7 +432,8 @@ def exceeded(limits: FloatArray, before: FloatArray, statistics: FloatArray) -> 
     """
     ratios = np.concatenate([before[None], statistics])[:, 1:] / limits[1:]
     twice = np.minimum(ratios[1:], ratios[:-1])
-    return np.maximum(twice, ratios[1:] / _AT_ONCE).max(axis=1, initial=0.0)
+    worst: FloatArray = np.maximum(twice, ratios[1:] / _AT_ONCE).max(axis=1, initial=0.0)
+    return worst
 
 
 def first_over(

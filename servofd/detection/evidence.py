@@ -179,7 +179,8 @@ def passing(
         """The most that an alarm would see of these, for each onset."""
         ending = in_a_row(values, persistence)[persistence - 1 :]
         row = np.append(ending, np.zeros(persistence))[: values.size]
-        return np.maximum.accumulate(row[::-1])[::-1][onsets]
+        seen: FloatArray = np.maximum.accumulate(row[::-1])[::-1][onsets]
+        return seen
 
     def needed(error_deg: FloatArray, sign: float) -> FloatArray:
         """Size that a fault of each onset needs, if it adds this error for each unit of its size."""

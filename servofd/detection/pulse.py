@@ -78,7 +78,8 @@ class PulseFilter:
         """Correlation of the residual with itself under white measurement noise, shape (lags,), from lag 0."""
         h = self.impulse_response()
         rho = np.array([h[: h.size - i] @ h[i:] for i in range(lags)])
-        return rho / rho[0]
+        scaled: FloatArray = rho / rho[0]
+        return scaled
 
     def fault_step(self, samples: int, command: int = 0) -> FloatArray:
         """Residual after a constant fault of 1 deg on a command, from the sample at which it sets in."""

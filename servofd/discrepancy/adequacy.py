@@ -127,7 +127,8 @@ def _quiet(record: Record) -> BoolArray:
         windows = np.lib.stride_tricks.sliding_window_view(np.pad(command, (width, 0), mode="edge"), width + 1)
         quiet.append(np.ptp(windows, axis=1))
     swing = np.concatenate(quiet)
-    return swing <= _QUIET * np.quantile(swing, 0.9)
+    quieter: BoolArray = swing <= _QUIET * np.quantile(swing, 0.9)
+    return quieter
 
 
 def _at_rest(record: Record, error_deg: FloatArray, quiet: BoolArray) -> tuple[float, float, float]:

@@ -158,7 +158,8 @@ class Record:
     def untouched(self) -> BoolArray:
         """Samples that no search looks at; none of a record that is too short, or at rest."""
         enough = self.side is None and int(self.counts.sum()) >= _FEWEST_FOR_THREE
-        return self.counts & (self.fold == 2) & enough
+        untouched: BoolArray = self.counts & (self.fold == 2) & enough
+        return untouched
 
     @property
     def searched(self) -> Record:

@@ -150,7 +150,8 @@ def _grid(shortest_s: float, longest_s: float, window_s: float, apart_s: float) 
 def _phases(period_s: float, step_s: float) -> list[float]:
     """Evenly over a period, as shares of it."""
     count = int(np.ceil(period_s / step_s))
-    return ((np.arange(count) + 0.5) / count).tolist()
+    phases: list[float] = ((np.arange(count) + 0.5) / count).tolist()
+    return phases
 
 
 def _around(

@@ -58,7 +58,10 @@ def _chirp(sizes_deg: tuple[float, ...], low_hz: float, high_hz: float) -> Calla
         part = np.minimum((t / length_s).astype(int), len(sizes_deg) - 1)
         local_s = t - part * length_s
         growth = np.log(high_hz / low_hz) / length_s
-        return np.array(sizes_deg)[part] * np.sin(2.0 * np.pi * low_hz * (np.exp(growth * local_s) - 1.0) / growth)
+        swept: FloatArray = np.array(sizes_deg)[part] * np.sin(
+            2.0 * np.pi * low_hz * (np.exp(growth * local_s) - 1.0) / growth
+        )
+        return swept
 
     return command
 

@@ -44,7 +44,8 @@ def log_file(log: Any) -> LogFile:  # noqa: ANN401 - whatever a user has
     if isinstance(log, io.TextIOBase):
         return _named(log.read().encode(), str(getattr(log, "name", "text")))
     if hasattr(log, "read") and not is_table(log):  # a table may have a column of that name
-        return log
+        file: LogFile = log
+        return file
     table = frame_of(log)
     return _named(with_clock(table).to_csv(index=False).encode(), "dict" if isinstance(log, Mapping) else "DataFrame")
 

@@ -340,7 +340,8 @@ def as_flown_before(motion: Motion, flies: BoolArray) -> BoolArray:
             slowest, least = _SLOWER * np.quantile(speed[past], 0.02), np.quantile(throttle[past], 0.1) - _IDLER
             now = slice(begin, begin + _REGIME_S)
             inside[now] = (speed[now] >= slowest) & (throttle[now] >= least)
-    return flies & inside[second]
+    usable: BoolArray = flies & inside[second]
+    return usable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -400,7 +401,8 @@ class Compared:
     @property
     def judged(self) -> BoolArray:
         """Seconds with a window that ends there."""
-        return np.any([one.known for one in self.found], axis=0)
+        judged: BoolArray = np.any([one.known for one in self.found], axis=0)
+        return judged
 
     def shown_loss(self, look: Look) -> float:
         """Loss that half of the judged seconds would have shown."""

@@ -36,7 +36,8 @@ class Seen:
     def crossed_s(self) -> FloatArray:
         """When the residual went over its threshold [s], of shape (k,)."""
         over = np.abs(self.residual_deg) >= self.threshold_deg
-        return self.time_s[over & ~np.concatenate([[False], over[:-1]])]
+        crossed: FloatArray = self.time_s[over & ~np.concatenate([[False], over[:-1]])]
+        return crossed
 
 
 def seen_on_board(log: FlightLog) -> tuple[Seen, ...]:

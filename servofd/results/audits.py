@@ -157,7 +157,8 @@ class Audit(Shown, LogAudit):
 
     def series(self, name: str) -> pd.DataFrame:
         """Numbers of one surface or axis over time (`AuditedSurface.series`, `AuditedAxis.series`)."""
-        return self[name].series()
+        found: pd.DataFrame = self[name].series()
+        return found
 
     def plot(self, name: str | None = None, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Figure of one surface or axis; of the worst surface that could be judged if none is named."""
@@ -167,7 +168,8 @@ class Audit(Shown, LogAudit):
             if not drawn:
                 raise NoMeasurement(f"there is nothing to draw: {self.sentence}")
             worst = min(drawn, key=lambda one: LEAST_CLEARED.index(one.status))
-        return (worst if name is None else self[name]).plot(ax)
+        figure: Figure = (worst if name is None else self[name]).plot(ax)
+        return figure
 
     def _rows(self) -> list[dict[str, Any]]:
         return [_row(one) for one in self.surfaces] + [

@@ -71,7 +71,8 @@ def _fetched(address: str) -> bytes | None:
     while True:
         try:
             with urllib.request.urlopen(address, timeout=_PATIENCE_S) as answer:  # noqa: S310 - this machine's own
-                return answer.read()
+                content: bytes = answer.read()
+                return content
         except OSError:
             if time.monotonic() > deadline:
                 return None

@@ -60,7 +60,8 @@ def surface_place(surface: str, *parts: str) -> str:
     ('/surfaces/elevator/residual', '/surfaces/a\\/b', '/surfaces/aU\\+005C')
     """
     # Rerun takes a backslash at the end of a name, which it writes twice, for an escape of what follows.
-    return rr.new_entity_path(["surfaces", shown(surface).replace("\\", "U+005C"), *parts])
+    path: str = rr.new_entity_path(["surfaces", shown(surface).replace("\\", "U+005C"), *parts])
+    return path
 
 
 def colours(names: Sequence[str], opacity: float = 1.0) -> NDArray[np.uint32]:
