@@ -11,6 +11,7 @@ import numpy as np
 
 from servofd.aircraft.pace import rhythm
 from servofd.aircraft.series import Series
+from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.known import A_TYPE, Known
 from servofd.estimate.record import commands_at_servo
@@ -179,8 +180,7 @@ def record_of(segment: Series, model: ServoModel, *, at_rest: bool = False, know
     for times in (time_s[seen], segment.command_s):
         starts_s += times[1:][np.diff(times) > hole_s].tolist()
     begin = np.sort(np.array(starts_s))
-    last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
-    counts = seen & (time_s - last >= start_s) & _has_command(segment.command_s, hole_s, time_s)
+    counts = seen & (time_s - latest(begin, begin, time_s) >= start_s) & _has_command(segment.command_s, hole_s, time_s)
     if not at_rest:
         counts &= segment.counts
     if segment.command_period_s is None:

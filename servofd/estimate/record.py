@@ -20,7 +20,7 @@ import numpy as np
 from servofd.aircraft.pace import NO_RHYTHM, Rhythm, gap_s, rhythm
 from servofd.aircraft.priors import NAMES
 from servofd.aircraft.series import Series, settled_from_s
-from servofd.core.series import latest, subdivided
+from servofd.core.series import latest, rms, subdivided
 from servofd.core.types import BoolArray, FloatArray
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
 from servofd.servo.context import Context, pressure_pa
@@ -333,7 +333,7 @@ def fastest_m_s(contexts: Sequence[Context]) -> float:
 
 def usual_airspeed_m_s(contexts: Sequence[Context]) -> float:
     """Root mean square of the airspeed, median of the flights that logged it [m/s]; 0 if none did."""
-    rms_m_s = [float(np.sqrt(np.mean(context.airspeed_m_s**2))) for context in contexts if context.airspeed_s.size]
+    rms_m_s = [rms(context.airspeed_m_s) for context in contexts if context.airspeed_s.size]
     return float(np.median(rms_m_s)) if rms_m_s else 0.0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import DesignError, IdentificationError
 from servofd.core.fitting import Noise, Problem, Solution, fit
+from servofd.core.series import rms
 from servofd.core.statistics import LEAST_DIVISOR, Estimate, correlation_factor
 from servofd.core.types import ComplexArray, FloatArray
 from servofd.identification.records import Run
@@ -181,7 +182,7 @@ class MotionFit:
     @property
     def rms_deg(self) -> float:
         """Root mean square of all errors [deg]."""
-        return float(np.sqrt(np.mean(np.concatenate(self.errors_deg) ** 2)))
+        return rms(np.concatenate(self.errors_deg))
 
     @property
     def count(self) -> int:
