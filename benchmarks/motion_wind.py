@@ -69,9 +69,9 @@ def flights_of(folder: Path) -> list[Wind]:
         motion = replace(motion_of_autopilot(log), day=name)
         faults = tuple(_fault(row) for row in rows if row["name"] == name and row["surface"])
         shares = {
-            share.output.number: share
+            output.number: (output, weight)
             for parts in airframe_of(outputs_of(log.parameters)).commands.values()
-            for share in parts
+            for output, weight in parts
         }
         shows: list[float] = []
         offsets: list[float | None] = []
@@ -80,11 +80,11 @@ def flights_of(folder: Path) -> list[Wind]:
             offsets.append(None)
             if fault.angle_deg is None or fault.kind != "stuck":
                 continue
-            share = shares[fault.outputs[0]]
+            output, weight = shares[fault.outputs[0]]
             pulses = log[pulse_channel(log.channels, fault.outputs[0])]
             asked_deg = DEG_PER_US * (pulses.values - 1500.0)
-            stands_us = fault.angle_deg / DEG_PER_US + 1500.0 - share.output.trim_us
-            offsets[-1] = share.weight * share.output.sign * stands_us
+            stands_us = fault.angle_deg / DEG_PER_US + 1500.0 - output.trim_us
+            offsets[-1] = weight * output.sign * stands_us
             away = (np.abs(asked_deg - fault.angle_deg) > SHOWS_DEG) & (pulses.time_s > fault.onset_s)
             length = round(SHOWS_S / float(np.median(np.diff(pulses.time_s))))
             steady = np.flatnonzero(np.convolve(away, np.ones(length), "full")[: away.size] >= length)

@@ -12,15 +12,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 from pymavlink.dialects.v20 import all as version_2
 
-from logparsers.protocol import (
-    CHECK_BYTES,
-    HEADER_1,
-    HEADER_2,
-    MARKER_1,
-    MARKER_2,
-    SIGNED,
-    frame_bytes,
-)
+from logparsers.protocol import CHECK_BYTES, HEADER_1, HEADER_2, MARKER_1, MARKER_2, SIGNED, frame_bytes
 
 _SIGNING_EPOCH_S: Final = 1_420_070_400
 """1 January 2015 in seconds since 1970, from which signatures count time (MAVLink 2, message signing)."""

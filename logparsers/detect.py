@@ -141,9 +141,7 @@ FORMATS = (
     Format("SQLite database, as ROS 2 bags are", _begins(rb"SQLite format 3\0"), f"export its topics to {A_TABLE}"),
     Format("Betaflight blackbox log", _begins(rb"H Product:Blackbox"), "it has no servo positions; log those"),
     Format(
-        "DJI flight record",
-        _begins(rb".{16}BUILD|.{0,505}DJI_LOG"),
-        f"export it with a DJI log converter to {A_TABLE}",
+        "DJI flight record", _begins(rb".{16}BUILD|.{0,505}DJI_LOG"), f"export it with a DJI log converter to {A_TABLE}"
     ),
     Format("web page", _is_document(rb"<!doctype html|<html|<head"), "download the log itself, not the page around it"),
     Format("pointer of Git LFS", _begins(rb"version https://git-lfs"), "fetch the log itself with git lfs pull"),

@@ -211,11 +211,7 @@ def _text(raw: bytes) -> str:
 
 
 def with_units(
-    layout: Layout,
-    unit_ids: str,
-    multiplier_ids: str,
-    units: Mapping[str, str],
-    multipliers: Mapping[str, float],
+    layout: Layout, unit_ids: str, multiplier_ids: str, units: Mapping[str, str], multipliers: Mapping[str, float]
 ) -> Layout:
     """Give the columns the units of a FMTU record.
 

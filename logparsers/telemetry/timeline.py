@@ -232,13 +232,7 @@ def build_timeline(stamp_s: ArrayLike, arrival_s: ArrayLike, positions: ArrayLik
 
 
 def place(
-    counter: ArrayLike,
-    tick_s: float,
-    *,
-    bits: int,
-    arrival_s: ArrayLike,
-    positions: ArrayLike,
-    timeline: Timeline,
+    counter: ArrayLike, tick_s: float, *, bits: int, arrival_s: ArrayLike, positions: ArrayLike, timeline: Timeline
 ) -> FloatArray:
     """Put the stamped messages of one stream on the timeline.
 

@@ -73,13 +73,11 @@ class _Channel(Entry):
 
     @property
     def _slope(self) -> float | None:
-        slope: float | None = getattr(self, self.slope_key) if self.slope_key else self.unit_deg
-        return slope
+        return getattr(self, self.slope_key) if self.slope_key else self.unit_deg
 
     def _convert(self, values: FloatArray) -> FloatArray:
         if self._cubic is not None:
-            bent: FloatArray = self.sign * np.polyval(np.array(self._cubic[::-1]), values)
-            return bent
+            return self.sign * np.polyval(np.array(self._cubic[::-1]), values)
         line: FloatArray = self.sign * (self._slope or 0.0) * (values - getattr(self, self.trim_key))
         return line
 
@@ -114,8 +112,7 @@ class RadianCalibration(_Channel):
     trim_rad: Finite = 0.0
 
     def _restore(self, deflection_deg: FloatArray) -> FloatArray:
-        logged: FloatArray = self.sign * np.radians(deflection_deg) + self.trim_rad
-        return logged
+        return self.sign * np.radians(deflection_deg) + self.trim_rad
 
 
 class PulseCalibration(_Channel):
@@ -179,8 +176,7 @@ class RadianOrCountCalibration(_Channel):
         finite = values[np.isfinite(values)]
         if finite.size and np.median(np.abs(finite)) > _LARGEST_ANGLE_RAD:
             return super()._convert(values)
-        deflection: FloatArray = self.sign * np.degrees(values)
-        return deflection
+        return self.sign * np.degrees(values)
 
     def _restore(self, deflection_deg: FloatArray) -> FloatArray:
         # A converter gives whole numbers.

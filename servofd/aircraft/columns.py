@@ -49,7 +49,9 @@ def aircraft_of_columns(columns: Mapping[str, str]) -> Aircraft:
         elif meaning == "run":
             layout["run"] = column
         elif part := _PART.fullmatch(meaning):
-            surfaces.setdefault(part["surface"], {})[part["what"]] = _calibration(column, part["unit"])
+            scale = {"trim_us": _NEUTRAL_US, "slope_deg_per_us": _SLOPE_DEG_PER_US} if part["unit"] == "us" else {}
+            parts = surfaces.setdefault(part["surface"], {})
+            parts[part["what"]] = {"channel": column, "unit": part["unit"], **scale}
         else:
             raise ConfigError(f"columns: {column!r} is {meaning!r}, which is none of {_FORMS}")
     for name, parts in surfaces.items():
@@ -77,8 +79,3 @@ def check_columns(columns: Mapping[str, str], known: list[str]) -> None:
     for name in columns:
         if name not in known:
             raise ConfigError(f"columns: {suggest('column', name, known)}")
-
-
-def _calibration(column: str, unit: str) -> dict[str, Any]:
-    scale = {"trim_us": _NEUTRAL_US, "slope_deg_per_us": _SLOPE_DEG_PER_US} if unit == "us" else {}
-    return {"channel": column, "unit": unit, **scale}

@@ -261,8 +261,7 @@ def marked(rows: Rows, *, final: bool = True) -> tuple[Marks, int]:
 def is_young(age_s: ArrayLike, repeats: ArrayLike) -> BoolArray:
     """Whether values that repeat for so long [s], in so many rows, may be a late bus's or a logger's."""
     age_s, repeats = np.asarray(age_s), np.asarray(repeats)
-    young: BoolArray = (age_s < WAIT_S - TINY_DEG) | ((repeats <= _ROWS_WAITED) & (age_s < _SLOW_WAIT_S - TINY_DEG))
-    return young
+    return (age_s < WAIT_S - TINY_DEG) | ((repeats <= _ROWS_WAITED) & (age_s < _SLOW_WAIT_S - TINY_DEG))
 
 
 def _repeats(rows: Rows, why: Marks) -> int:
@@ -336,8 +335,7 @@ def _is_clear(rows: Rows, firsts: IntArray, lasts: IntArray, which: IntArray) ->
     fresh = firsts[np.maximum(which - 1, 0)]
     rougher = _unsteadiness(rows, fresh, begin, last, out, out + 1) / _unsteadiness(rows, fresh, begin, out, out + 1)
     stands_out = np.abs(deg[out] - deg[last]) > _CLEAR * _bend_deg(deg[firsts], which)
-    is_clear: BoolArray = (rougher >= _MUCH_ROUGHER) | (stands_out & (rougher >= _ROUGHER))
-    return is_clear
+    return (rougher >= _MUCH_ROUGHER) | (stands_out & (rougher >= _ROUGHER))
 
 
 def _unsteadiness(rows: Rows, *path: IntArray | int) -> FloatArray:

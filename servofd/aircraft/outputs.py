@@ -79,6 +79,10 @@ _OF_PX4 = (
 )
 PX4_TYPES = dict(enumerate(_OF_PX4.split(), start=1))
 """PX4's CA_SV_CSk_TYPE of surfaces."""
+PX4_MOST_SERVOS: Final = 8
+"""Surfaces that PX4's control allocation knows at most (CA_SV_CSk), and controls of the topic actuator_servos."""
+PX4_FIRST_SERVO: Final = 201
+"""PWM_MAIN_FUNCn or PWM_AUX_FUNCn of the first surface."""
 
 FULL_TRAVEL_DEG: Final = 45.0
 """ArduPilot scales angle outputs to +-4500 centidegrees at SERVOn_MIN and _MAX; what that turns, neither it nor a log

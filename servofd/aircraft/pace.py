@@ -15,7 +15,7 @@ _FEWEST_STEPS, _SHORTEST, _WHOLE = 20, 10.0, 1.5
 WARM_UP_S, WARM_UP_STEPS = 10.0, 100
 """A monitor in flight learns the pace of a stream from so many intervals, or from as many as there are by then [s]."""
 SAME_PACE, _STEPS_FOR_PACE = 1.5, 10_000
-"""Ratio of two paces that are the same, and intervals that tell the usual one of a long log."""
+"""Ratio of two paces that are the same, and intervals that tell the usual one, or the period, of a long log."""
 
 SLOWEST_RATE_HZ = 8.0
 """Feedback of nominally 10 Hz, whose pace jitters, is judged; below, samples are further apart than a servo takes for
@@ -30,8 +30,6 @@ _GAP_PERIODS = 2.5
 """Median periods beyond which a command is missing."""
 _SHORTEST_GAP_S = 0.05
 """No gap is shorter than this [s]."""
-_RHYTHM = 101
-"""Commands that tell their rhythm: those that a monitor waits for."""
 _RARELY = 0.98
 """Intervals between commands of which fewer than one in fifty is longer are the rhythm, and no gap."""
 _LOST_SAMPLE = (1.5, 1.75)
@@ -40,8 +38,6 @@ _LOW_QUANTILE, _TRIANGLE = 5.0, 1.0 - 0.1**0.5
 """Two uniform jitters make a triangular one; its lower 5 % lie beyond this share of its half width."""
 _FEW_INTERVALS = 1.25
 """A quantile of a hundred intervals scatters by a tenth."""
-_INTERVALS_FOR_PERIOD = 10_000
-"""Intervals between commands from which the period is found at most."""
 _FEWEST_COMMANDS = 3
 """Commands that have a period."""
 _MOST_KEPT = 60.0
@@ -139,7 +135,7 @@ def rhythm(command_s: FloatArray) -> Rhythm:
     if command_s.size < _FEWEST_COMMANDS:
         return NO_RHYTHM
     some_s = pace_steps(command_s)
-    some_s = some_s[:: 1 + some_s.size // _INTERVALS_FOR_PERIOD]
+    some_s = some_s[:: 1 + some_s.size // _STEPS_FOR_PACE]
     low_s, quarter_s, period_s, upper_s = np.percentile(some_s, [_LOW_QUANTILE, 25.0, 50.0, _MOST_KEPT]).tolist()
     most = _UNEVEN_SPREAD if low_s > _AT_ONCE * period_s else _REGULAR_SPREAD
     if upper_s - quarter_s > most * period_s:
@@ -151,7 +147,7 @@ def rhythm(command_s: FloatArray) -> Rhythm:
 
 def gap_s(command_s: FloatArray) -> float:
     """Longest time between commands that is no gap [s]."""
-    steps_s = np.diff(command_s[:_RHYTHM])
+    steps_s = np.diff(command_s[: WARM_UP_STEPS + 1])
     if not steps_s.size:
         return _SHORTEST_GAP_S
     usual_s = max(_GAP_PERIODS * float(np.median(steps_s)), 1.2 * float(np.quantile(steps_s, _RARELY)))

@@ -26,7 +26,7 @@ from servofd.servo.catalogue import EffectTable, effects_installed
 from servofd.servo.effects.linkage import PositionLimit
 from servofd.servo.library import Positive, Servo, find_servo, library
 from servofd.servo.physics import Physics
-from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.servo_model import ServoModel
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -329,7 +329,7 @@ class Aircraft(Entry):
             model += PositionLimit(*entry.position_limit_deg)
         if not entry.effects:
             return model
-        return model.with_physics(effects_installed(plant_of(model).neutral, entry.effects))
+        return model.with_physics(effects_installed(model.explainable().physics, entry.effects))
 
 
 _OF_THE_SERVO = (

@@ -16,16 +16,7 @@ import numpy as np
 from logparsers.errors import MissingChannel
 from logparsers.mavlink import dialect
 from logparsers.records import Channel, FlightLog, own
-from servofd.aircraft.marks import (
-    LAST_WITH_VALUE,
-    NO_OTHERS,
-    Rows,
-    Why,
-    is_mostly_echo,
-    marked,
-    refresh_of,
-    unanswered,
-)
+from servofd.aircraft.marks import LAST_WITH_VALUE, NO_OTHERS, Rows, Why, is_mostly_echo, marked, refresh_of, unanswered
 from servofd.aircraft.pace import OUTAGE_S, WARM_UP_STEPS, link_period_s, pace_steps
 from servofd.aircraft.watch import Bus, New
 from servofd.core.errors import NoMeasurement
@@ -297,8 +288,7 @@ def is_unsettled(
 ) -> BoolArray:
     """Whether instants are so early that what moved the servo before is not known, of shape (n,)."""
     begun_s = max(float(commands[0][0]), float(measured_s[0]))
-    early: BoolArray = at_s < settled_from_s(begun_s, commands, measured_s, measured_deg)
-    return early
+    return at_s < settled_from_s(begun_s, commands, measured_s, measured_deg)
 
 
 def bus_of(log: FlightLog, aircraft: Aircraft) -> dict[str, Marks]:
@@ -441,8 +431,7 @@ def _without_torque(log: FlightLog, name: str, time_s: FloatArray) -> BoolArray:
         channel = log[each]
         known = np.isfinite(channel.values)
         if known.any():
-            off: BoolArray = latest(channel.time_s[known], channel.values[known], time_s) <= 0.0
-            return off
+            return latest(channel.time_s[known], channel.values[known], time_s) <= 0.0
     return np.zeros(time_s.size, dtype=bool)
 
 
@@ -479,15 +468,15 @@ def signal_of(log: FlightLog, sources: Mapping[str, float]) -> tuple[FloatArray,
     return np.zeros(0), np.zeros(0)
 
 
-_FLIES_M_S, _OF_USUAL, _CLIMBS_S = 5.0, 0.5, 5.0
-"""An aircraft has taken off once it is faster than half of its usual airspeed, of what is faster than this [m/s], and
-stays so for so long [s]: slower than it can fly, faster than gusts on the ground."""
+FLIES_M_S, _OF_USUAL, _CLIMBS_S = 5.0, 0.5, 5.0
+"""An aircraft may fly that is faster than this [m/s], and has taken off once it is faster than half of its usual
+airspeed, of what is, and stays so for so long [s]: slower than it can fly, faster than gusts on the ground."""
 
 
 def take_off_s(log: FlightLog) -> float | None:
     """When an aircraft took off, by its airspeed [s]; None if the log does not tell, or begins in the air."""
     time_s, airspeed_m_s = signal_of(log, SURROUNDINGS["airspeed_m_s"])
-    moving = airspeed_m_s > _FLIES_M_S
+    moving = airspeed_m_s > FLIES_M_S
     if not moving.any():
         return None
     fast = airspeed_m_s > _OF_USUAL * float(np.median(airspeed_m_s[moving]))

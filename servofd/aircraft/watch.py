@@ -24,7 +24,7 @@ from servofd.aircraft.marks import (
     refresh_of,
     standing,
 )
-from servofd.core.series import latest
+from servofd.core.series import latest, stretches
 from servofd.core.types import FloatArray, Marks
 
 if TYPE_CHECKING:
@@ -94,11 +94,9 @@ class Bus:
         who, time_s, moved_deg, asked_deg, other = (each[order] for each in unsorted)
         changed_s, stands = last_change_s(self._memory), np.zeros(time_s.size, dtype=np.int8)
         standing(self._memory, who, time_s, moved_deg, asked_deg, other, stands)
-        stood = np.flatnonzero(stands)
-        runs = np.split(stood, np.flatnonzero(np.diff(stood) > 1) + 1) if stood.size else []
         self.stood_s = [
-            (float(time_s[: run[0]][moved_deg[: run[0]] != 0.0].max(initial=changed_s)), float(time_s[run[-1]]))
-            for run in runs
+            (float(time_s[:first][moved_deg[:first] != 0.0].max(initial=changed_s)), float(time_s[end - 1]))
+            for first, end in stretches(stands != 0)
         ]
         if is_all:
             changed = np.maximum.accumulate(np.where(moved_deg > 0.0, np.arange(time_s.size), -1))

@@ -369,15 +369,13 @@ def _failed(event: AxisEvent) -> bool:
 
 
 def _between(axis: AxisModel, value: float, variance: float) -> Estimate:
-    half = axis.widening * Z_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
-    return Estimate(float(value), float(value - half), float(value + half))
+    return Estimate.of(value, axis.widening * math.sqrt(variance) if variance >= 0.0 else math.nan)
 
 
 def _is_known_in(found: Sizes, spread: Spread) -> BoolArray:
     """Windows in which lambda is known to less than +-0.3."""
     variance = np.where(found.known, found.covariance[0, 0], np.inf) + spread.loss_var
-    is_known: BoolArray = Z_95 * np.sqrt(variance) < KNOWN_WITHIN
-    return is_known
+    return Z_95 * np.sqrt(variance) < KNOWN_WITHIN
 
 
 def _known(axis: AxisModel, inputs: Inputs, members: int) -> tuple[BoolArray, FloatArray]:
@@ -449,7 +447,9 @@ def _with_causes(
             strengths = {axis: 0.0}
             for other, rivals in drafts.items():
                 for rival in rivals.events if other != axis else ():
-                    if not rival.from_start and rival.known_s > event.start_s and _overlap(rival, event):
+                    # One was still going on when the other was reported.
+                    meet = rival.alarm_s <= (event.end_s or math.inf) and event.alarm_s <= (rival.end_s or math.inf)
+                    if meet and not rival.from_start and rival.known_s > event.start_s:
                         first_s = min(rival.alarm_s, event.alarm_s)
                         strengths[axis] = max(strengths[axis], strength(axis, event, first_s))
                         strengths[other] = max(strengths.get(other, 0.0), strength(other, rival, first_s))
@@ -457,11 +457,6 @@ def _with_causes(
             judged.append(event if event.from_start or strongest == axis else replace(event, cause=strongest))
         found[axis] = tuple(judged)
     return found
-
-
-def _overlap(one: AxisEvent, other: AxisEvent) -> bool:
-    """Whether one was still going on when the other was reported."""
-    return one.alarm_s <= (other.end_s or math.inf) and other.alarm_s <= (one.end_s or math.inf)
 
 
 def _accused(name: str, axis: AxisModel, worst: AxisEvent, differing: list[str]) -> AxisStatus:

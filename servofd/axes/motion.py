@@ -11,7 +11,7 @@ import numpy as np
 
 from logparsers.records import FlightLog
 from servofd.aircraft.outputs import WITHOUT_SURFACES, LoggedOutput, named_outputs, outputs_of, pulse_channel
-from servofd.aircraft.series import signal_of
+from servofd.aircraft.series import FLIES_M_S, signal_of
 from servofd.core.errors import NoMeasurement
 from servofd.core.types import BoolArray, FloatArray
 
@@ -162,8 +162,7 @@ def cell_means(grid_s: FloatArray, time_s: FloatArray, values: FloatArray, *, he
     slope = 0.0 if held else (values[place + 1] - values[place]) / spans[place]
     area = areas[place] + values[place] * ahead + slope * ahead**2 / 2.0
     area += np.where(edges < time_s[0], values[0], values[-1]) * (edges - inside)
-    means: FloatArray = np.diff(area) / step_s
-    return means
+    return np.diff(area) / step_s
 
 
 SHARES: Mapping[int, tuple[tuple[str, float], ...]] = {
@@ -186,22 +185,15 @@ AXIS_OF = {"roll": "roll", "pitch": "pitch", "yaw": "side"}
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
-    """What one output adds to the command of an axis."""
-
-    output: LoggedOutput
-    weight: float
-
-
-@dataclass(frozen=True, slots=True)
 class Airframe:
     """Outputs by what they serve.
 
-    `commands`: for ``"roll"``, ``"pitch"``, ``"yaw"``; none of a multirotor. `throttles`, `lift_motors`: engines that
-    pull forward, and motors that lift. `members`: surfaces of each axis; one that serves two axes stands in both.
+    `commands`: for ``"roll"``, ``"pitch"``, ``"yaw"`` each output and what it adds; none of a multirotor. `throttles`,
+    `lift_motors`: engines that pull forward, and motors that lift. `members`: surfaces of each axis; one that serves
+    two axes stands in both.
     """
 
-    commands: Mapping[str, tuple[Share, ...]]
+    commands: Mapping[str, tuple[tuple[LoggedOutput, float], ...]]
     throttles: tuple[LoggedOutput, ...]
     lift_motors: tuple[LoggedOutput, ...]
     members: Mapping[str, tuple[str, ...]]
@@ -216,9 +208,7 @@ def airframe_of(outputs: Mapping[int, LoggedOutput]) -> Airframe:
     surfaces = sorted({output.number for parts in served.values() for output, _ in parts})
     names = named_outputs(outputs, surfaces)
     return Airframe(
-        commands={
-            axis: tuple(Share(output, sign / len(parts)) for output, sign in parts) for axis, parts in served.items()
-        },
+        commands={axis: tuple((output, sign / len(parts)) for output, sign in parts) for axis, parts in served.items()},
         throttles=tuple(output for output in outputs.values() if output.function in _THROTTLES),
         lift_motors=tuple(output for output in outputs.values() if output.function in LIFT_MOTORS),
         members={AXIS_OF[axis]: tuple(names[output.number] for output, _ in parts) for axis, parts in served.items()}
@@ -233,8 +223,6 @@ _IDLE_SHARE = 0.05
 """Share of the throttle below which a motor does not lift."""
 _STANDS_M_S = 1.0
 """Ground speed below which an aircraft that is no copter stands on the ground, as GPS measures it [m/s]."""
-FLIES_M_S = 5.0
-"""Airspeed above which an aircraft may fly [m/s]."""
 GPS = "GPS and wind"
 """Source of an airspeed that is there though the aircraft stands still."""
 _MEASURES_M_S = 1.0
@@ -274,7 +262,7 @@ def motion_of_autopilot(
     if not airframe.commands:
         raise NoMeasurement(_no_surfaces(log, airframe))
     pulses = {number: series_of(log, pulse_channel(log.channels, number)) for number in outputs}
-    needed = {share.output.number for parts in airframe.commands.values() for share in parts}
+    needed = {output.number for parts in airframe.commands.values() for output, _ in parts}
     silent = sorted(number for number in needed if pulses[number] is None)
     if silent:
         raise NoMeasurement(f"{log.label}: no commands of output {silent[0]} (RCOU or SERVO_OUTPUT_RAW)")
@@ -294,10 +282,15 @@ def motion_of_autopilot(
             return np.zeros(grid_s.size) if series is None else series.on(grid_s, held=True)
 
         commands = {
-            axis: np.sum([p.weight * p.output.sign * (of_output(p.output) - p.output.trim_us) for p in parts], axis=0)
+            axis: np.sum([weight * one.sign * (of_output(one) - one.trim_us) for one, weight in parts], axis=0)
             for axis, parts in airframe.commands.items()
         }
-        return commands, _throttle(airframe, of_output, grid_s), _lifting(airframe, of_output, grid_s)
+        pulling = [_share(output, of_output(output)) for output in airframe.throttles]
+        throttle = np.mean(pulling, axis=0) if pulling else np.zeros(grid_s.size)
+        lifting = np.zeros(grid_s.size, dtype=bool)  # of a VTOL aircraft, which surfaces do not fly alone then
+        for output in airframe.lift_motors:
+            lifting |= _share(output, of_output(output)) > _IDLE_SHARE
+        return commands, throttle, lifting
 
     return on_one_grid(
         log,
@@ -438,22 +431,9 @@ def through_the_wind(log: FlightLog, names: Sequence[str]) -> Series | None:
     return Series(parts[0].time_s, np.where(stands, 0.0, through_m_s))
 
 
-def _throttle(airframe: Airframe, of_output: Callable[[LoggedOutput], FloatArray], grid_s: FloatArray) -> FloatArray:
-    shares = [_share(output, of_output(output)) for output in airframe.throttles]
-    return np.mean(shares, axis=0) if shares else np.zeros(grid_s.size)
-
-
 def _share(output: LoggedOutput, pulses_us: FloatArray) -> FloatArray:
     share = (pulses_us - output.min_us) / max(output.max_us - output.min_us, 1.0)
     return np.clip(1.0 - share if output.reversed else share, 0.0, 1.0)
-
-
-def _lifting(airframe: Airframe, of_output: Callable[[LoggedOutput], FloatArray], grid_s: FloatArray) -> BoolArray:
-    """Where a motor of a VTOL aircraft lifts: surfaces do not fly it alone then."""
-    lifting = np.zeros(grid_s.size, dtype=bool)
-    for output in airframe.lift_motors:
-        lifting |= _share(output, of_output(output)) > _IDLE_SHARE
-    return lifting
 
 
 _COMMANDS = {
@@ -467,7 +447,7 @@ _MEMBERS = {
     "side": ("rudder",),
     "thrust": ("engine",),
 }
-_AIRSPEEDS = (("airspeed_m_s", "sensor"), ("airspeed_est_m_s", "GPS and wind"), ("airspeed_pitot_m_s", "sensor"))
+_AIRSPEEDS = (("airspeed_m_s", "sensor"), ("airspeed_est_m_s", GPS), ("airspeed_pitot_m_s", "sensor"))
 
 
 def motion_of_table(log: FlightLog, rate_hz: float | None = None) -> Motion:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logparsers.records import FlightLog
-from servofd.aircraft.outputs import HALF_TRAVEL_US, PX4_TYPES, WITHOUT_SURFACES
+from servofd.aircraft.outputs import HALF_TRAVEL_US, PX4_FIRST_SERVO, PX4_MOST_SERVOS, PX4_TYPES, WITHOUT_SURFACES
 from servofd.axes.motion import (
     ALL_NEEDED,
     AXIS_OF,
@@ -28,8 +28,6 @@ from servofd.core.errors import NoMeasurement
 from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray
 
-_MOST_SERVOS = 8
-"""Surfaces that PX4's control allocation knows at most (CA_SV_CSk)."""
 _AXES = {"roll": "R", "pitch": "P", "yaw": "Y"}
 _THROTTLE_CONTROL = 3
 """Place of the throttle among the controls of actuator_controls."""
@@ -40,8 +38,6 @@ _AGAINST = {"roll": "left", "yaw": "right"}
 """Side whose surface turns the aircraft the other way."""
 _FORWARD = 4
 """vehicle_vtol_state of a VTOL that flies as a fixed wing."""
-_FIRST_SERVO_FUNCTION = 201
-"""PWM_MAIN_FUNCk or PWM_AUX_FUNCk of the first surface."""
 _PWM_OUTPUTS = [f"PWM_{bank}_{{}}{k}" for bank in ("MAIN", "AUX") for k in range(1, 17)]
 """Parameters of the 16 outputs that a bank has at most; the braces hold FUNC, MIN, MAX or REV."""
 
@@ -62,7 +58,7 @@ class Control(Series):
 
 def controls_of(log: FlightLog) -> tuple[Control, ...]:
     """Surfaces of the control allocation; of a log from before it (PX4 1.13), the commands of the axes."""
-    kinds = [int(log.parameters.get(f"CA_SV_CS{k}_TYPE", 0.0)) for k in range(_MOST_SERVOS)]
+    kinds = [int(log.parameters.get(f"CA_SV_CS{k}_TYPE", 0.0)) for k in range(PX4_MOST_SERVOS)]
     found = []
     for k, kind in enumerate(kinds):
         series = series_of(log, f"actuator_servos[0].control[{k}]")
@@ -92,7 +88,7 @@ def _shares(word: str) -> dict[str, float]:
 
 def _span_us(log: FlightLog, k: int) -> float:
     for output in _PWM_OUTPUTS:
-        if log.parameters.get(output.format("FUNC")) == _FIRST_SERVO_FUNCTION + k:
+        if log.parameters.get(output.format("FUNC")) == PX4_FIRST_SERVO + k:
             most, least = log.parameters.get(output.format("MAX")), log.parameters.get(output.format("MIN"))
             if most is not None and least is not None:
                 return most - least
@@ -125,7 +121,7 @@ def motion_of_px4(log: FlightLog, rate_hz: float | None = None) -> Motion:
         return commands, pulled, _lifted(log, grid_s)
 
     surfaces = {AXIS_OF[axis]: tuple(one.name for one in parts) for axis, parts in served.items()}
-    if not any(log.parameters.get(f"CA_SV_CS{k}_TYPE") for k in range(_MOST_SERVOS)):
+    if not any(log.parameters.get(f"CA_SV_CS{k}_TYPE") for k in range(PX4_MOST_SERVOS)):
         surfaces = dict.fromkeys(surfaces, ())  # mixers made the outputs of it
     return on_one_grid(
         log,

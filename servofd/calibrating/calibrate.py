@@ -36,10 +36,8 @@ from servofd.detection.known import (
     tolerance_of,
 )
 from servofd.detection.moving import watched
-from servofd.estimate.family import PRESSURE_PA
-from servofd.estimate.fit import WIDTHS, Fit, fit
-from servofd.estimate.record import Record, fastest_m_s, usual_airspeed_m_s, usual_supply_v
-from servofd.servo.context import AIR_KG_M3
+from servofd.estimate.fit import EACH_WIDTH, WIDTHS, Fit, fit
+from servofd.estimate.record import Record, fastest_m_s, load_at, usual_airspeed_m_s, usual_supply_v
 
 _FAST_M_S: Final = 25.0
 """Airspeed for which the deflection under air load is given [m/s]."""
@@ -113,12 +111,10 @@ def calibrate_surface(flights: Sequence[Flight], aircraft: Aircraft) -> Calibrat
 
 def _scaled(theta: FloatArray) -> FloatArray:
     """The same servo with a reading in degrees of the command."""
-    gain = theta[0]
-    out = theta.copy()
-    out[0], out[1] = 1.0, 0.0
-    out[5] -= np.log(gain)
-    for place in (6, 7, 8, 10, 11, 12):
-        out[place] /= gain
+    gain, out = theta[0], theta.copy()
+    out[[NAMES.index(name) for name in ("gain", "bias_deg")]] = 1.0, 0.0
+    out[NAMES.index("ln_rate")] -= np.log(gain)
+    out[[name.endswith("_deg") for name in NAMES]] /= gain
     return out
 
 
@@ -144,22 +140,17 @@ def _effects(fitted: Fit, records: Sequence[Record], estimates: Mapping[str, Est
         least_deg = 0.5 * estimates[widest].value * WIDTHS[widest]
         may_be = (key for key in _RESTING if key != widest and estimates[key].high * WIDTHS[key] > least_deg)
         others = " or ".join(_RESTING[key] for key in may_be)
-        found = {resting(widest) + (f", which may be {others}" if others else ""): _sure_together(fitted)}
+        # Width of all three together over the half of its interval.
+        together = float(EACH_WIDTH @ fitted.theta / (Z_95 * np.sqrt(EACH_WIDTH @ fitted.scatter @ EACH_WIDTH)))
+        found = {resting(widest) + (f", which may be {others}" if others else ""): together}
     reach = max(abs(fitted.reach_deg[0]), abs(fitted.reach_deg[1]))
-    pressure = 0.5 * AIR_KG_M3 * _FAST_M_S**2 / PRESSURE_PA
-    gives = pressure * (abs(estimates["hinge"].value) * reach + abs(estimates["hinge_deg"].value))
+    gives = load_at(_FAST_M_S) * (abs(estimates["hinge"].value) * reach + abs(estimates["hinge_deg"].value))
     found[f"gives way {gives:.2g} deg at {reach:.0f} deg and {_FAST_M_S:g} m/s"] = sure("hinge", "hinge_deg")
     bend = max(abs(estimates[each].value) for each in ("bend2_deg", "bend3_deg"))
     found[f"reading bent by {bend:.2g} deg"] = sure("bend2_deg", "bend3_deg")
     for key in set(estimates) - set(_IN_WORDS):
         found[f"{key.replace('_', ' ')} {estimates[key].value:.2g}"] = sure(key)
     return tuple(text for text, ratio in sorted(found.items(), key=lambda each: -each[1]) if ratio > 1.0)
-
-
-def _sure_together(fitted: Fit) -> float:
-    """Width of dead band, friction and play together over the half of its interval."""
-    widths = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
-    return float(widths @ fitted.theta / (Z_95 * np.sqrt(widths @ fitted.scatter @ widths)))
 
 
 def _shown(estimate: Estimate, *, least: bool) -> str:
@@ -240,8 +231,6 @@ def calibrate_aircraft(
         if reason:
             kept[name] = reason
     wanted = [name for name in aircraft.surfaces if name not in kept]
-    if not wanted:
-        raise CalibrationError("; ".join(f"{name}: {reason}" for name, reason in kept.items()))
 
     def one(name: str) -> CalibratedSurface | CalibrationError:
         try:

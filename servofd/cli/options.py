@@ -453,7 +453,7 @@ _GROUPS: dict[str, dict[Callable[[_Parser], None], tuple[str, str, str]]] = {
             "show the manual of a verb",
             "Shows the options of a verb, or the list of verbs, with a pager where stdout is a terminal.",
             "help audit",
-        ),
+        )
     },
 }
 """In the order in which the help shows them: what declares a verb's options; its help, description and example."""
@@ -516,10 +516,7 @@ class _WholeParser(_Parser):
 
 def build_parser() -> argparse.ArgumentParser:
     """All verbs and their options."""
-    parser = _WholeParser(
-        prog="servofd",
-        description="Tells which servo of an aircraft is lying, from its flight log.",
-    )
+    parser = _WholeParser(prog="servofd", description="Tells which servo of an aircraft is lying, from its flight log.")
     parser.add_argument("--version", action="version", version=f"servofd {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", parser_class=_Parser)
     for group in _GROUPS.values():

@@ -75,15 +75,13 @@ class Noise:
         if self.group is None:
             return np.array([float(square.mean())])
         sums = np.bincount(self.group, weights=square, minlength=self.kappa.size)
-        squares: FloatArray = sums / self.count(error.size)
-        return squares
+        return sums / self.count(error.size)
 
     def count(self, samples: int) -> FloatArray:
         """Samples of each group, shape (g,), of so many in all."""
         if self.group is None:
             return np.array([float(samples)])
-        count: FloatArray = np.maximum(np.bincount(self.group, minlength=self.kappa.size), 1).astype(np.float64)
-        return count
+        return np.maximum(np.bincount(self.group, minlength=self.kappa.size), 1).astype(np.float64)
 
     def misfit(self, error: FloatArray) -> float:
         """First sum of the misfit."""
@@ -122,8 +120,7 @@ class Problem:
 
     def curvature(self, weighted: FloatArray, slopes: FloatArray) -> FloatArray:
         """Half of the second derivatives of the misfit, shape (k, k), by those of the errors (n, k), also weighted."""
-        curvature: FloatArray = weighted.T @ slopes + np.diag(np.square(self.prior) * np.ones(self.low.size))
-        return curvature
+        return weighted.T @ slopes + np.diag(np.square(self.prior) * np.ones(self.low.size))
 
     def misfit(self, x: FloatArray, error: FloatArray) -> float:
         """Misfit of some numbers, which leave some errors."""

@@ -15,8 +15,7 @@ def latest(known_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatAr
     >>> latest(np.array([1.0, 2.0]), np.array([5.0, 6.0]), np.array([0.0, 1.5, 2.0]))
     array([5., 5., 6.])
     """
-    held: FloatArray = values[np.maximum(np.searchsorted(known_s, at_s, side="right") - 1, 0)]
-    return held
+    return values[np.maximum(np.searchsorted(known_s, at_s, side="right") - 1, 0)]
 
 
 def subdivided(time_s: FloatArray, values: FloatArray, pieces: IntArray) -> tuple[FloatArray, FloatArray]:

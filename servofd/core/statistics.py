@@ -1,4 +1,4 @@
-"""What all fits share: estimates with intervals, a robust line, and errors that are correlated."""
+"""What all fits share: estimates with intervals, and errors that are correlated."""
 
 from __future__ import annotations
 
@@ -40,34 +40,6 @@ class Estimate(NamedTuple):
     def deviation(self) -> float:
         """Standard deviation."""
         return (self.high - self.low) / (2.0 * Z_95)
-
-
-def line(
-    x: FloatArray, y: FloatArray, *, near: tuple[float, float] = (1e-6, 0.1), rounds: int = 8
-) -> tuple[float, float]:
-    """Slope and offset of y over x by small absolute deviations.
-
-    Least squares, reweighted a few times; deviations within `near` (in the unit of y, and as a share of the mean one)
-    count alike.
-
-    Examples
-    --------
-    >>> x = np.arange(100.0)
-    >>> slope, offset = line(x, np.where(x < 90, 2.0 * x + 1.0, 0.0))
-    >>> round(slope, 1)
-    2.0
-    """
-    weight = np.full(x.size, 1.0)
-    slope, offset = 1.0, 0.0
-    for _ in range(rounds):
-        total = weight.sum()
-        centre_x, centre_y = float(weight @ x) / total, float(weight @ y) / total
-        weighted = weight * (x - centre_x)
-        slope = float(weighted @ (y - centre_y)) / max(float(weighted @ (x - centre_x)), 1e-12)
-        offset = centre_y - slope * centre_x
-        deviation = np.abs(y - slope * x - offset)
-        weight = 1.0 / (deviation + near[0] + near[1] * float(deviation.mean()))
-    return slope, offset
 
 
 def correlation_factor(errors: Sequence[FloatArray], lags: int) -> float:

@@ -278,19 +278,18 @@ def distance(away: Sizes, faulty: int | None = 0) -> FloatArray:
     (array([13.,  4.]), array([13., 13.]))
     """
     others, given, variance = _conditional(away, faulty)
-    squares: FloatArray = np.fmax(others + np.maximum(given, 0.0) ** 2 / variance, 0.0)
-    return squares
+    return np.fmax(others + np.maximum(given, 0.0) ** 2 / variance, 0.0)
 
 
-def least(away: Sizes, level: float, faulty: int = 0) -> FloatArray:
-    """More of the size `faulty` that would lift J to a level, shape (n,); inf where no window tells.
+def least(away: Sizes, level: float) -> FloatArray:
+    """More of the first size that would lift J to a level, shape (n,); inf where no window tells.
 
     Examples
     --------
     >>> float(least(Sizes(np.zeros((1, 1)), np.full((1, 1, 1), 0.25)), 4.0)[0])
     1.0
     """
-    others, given, variance = _conditional(away, faulty)
+    others, given, variance = _conditional(away, 0)
     missing = np.maximum(level - others, 0.0)
     more = np.where(missing == 0.0, 0.0, np.maximum(np.sqrt(missing * variance) - given, 0.0))
     return np.asarray(np.nan_to_num(more, nan=np.inf))

@@ -186,8 +186,7 @@ def passing(
         """Size that a fault of each onset needs, if it adds this error for each unit of its size."""
         unit_deg = sign * added(error_deg)
         room_deg = level_deg - np.sign(unit_deg) * residual_deg
-        sizes: FloatArray = 1.0 / np.maximum(most(unit_deg / np.maximum(room_deg, _LEAST_ROOM_DEG)), _LEAST_GAIN)
-        return sizes
+        return 1.0 / np.maximum(most(unit_deg / np.maximum(room_deg, _LEAST_ROOM_DEG)), _LEAST_GAIN)
 
     def shows(error_deg: FloatArray) -> bool:
         """Whether 19 of 20 onsets of this very error raise an alarm."""

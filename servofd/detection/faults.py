@@ -425,6 +425,8 @@ def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: f
     same = [each for each in faults if abs(each.start_s - since_s) < WITHIN_S or _is_part(each, kind, since_s)]
     alarm_s = min((each.alarm_s for each in same), default=end_s)
     one = Fault(kind, since_s, alarm_s, None, dict(sizes), probability, others, named_s=float(window.time_s[-1]))
+    if not is_common and _weighed(one, LOUD, is_far=True).kind == "healthy":
+        return faults
     kept = [each for each in faults if each not in same]
     return tuple(sorted((*kept, one), key=lambda each: each.start_s))
 

@@ -206,8 +206,7 @@ class Window:
         """Rows over the noise's sigma, without its colour; shape (k, ...) of used rows."""
         scaled = values[self.used] / (self.sigma_deg[self.used, None] if values.ndim > 1 else self.sigma_deg[self.used])
         first, second = self.noise.colour
-        out: FloatArray = (scaled[2:] - first * scaled[1:-1] - second * scaled[:-2]) / self.noise.innovation
-        return out
+        return (scaled[2:] - first * scaled[1:-1] - second * scaled[:-2]) / self.noise.innovation
 
     def reduced(
         self, error_deg: FloatArray, slopes: FloatArray, free: FloatArray | None = None
@@ -397,10 +396,7 @@ def _oscillating(window: Window, error_deg: FloatArray, slopes: FloatArray) -> I
         cost, found, covariance = window.reduced(left_deg, columns, waves)
         size = float(np.hypot(*found[FITTED:]))
         deviation = float(np.sqrt(np.trace(covariance[FITTED:, FITTED:]) / 2.0))
-        parameters = {
-            "amplitude_deg": Estimate.of(size, deviation),
-            "frequency_hz": Estimate.of(middle, 0.1 / span_s),
-        }
+        parameters = {"amplitude_deg": Estimate.of(size, deviation), "frequency_hz": Estimate.of(middle, 0.1 / span_s)}
         swinging.append(Guess("oscillation", cost, 3, parameters, window.theta))
     yield min(swinging, key=lambda guess: sum(guess.cost))
 

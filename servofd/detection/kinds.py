@@ -155,10 +155,7 @@ _ROWS: Final = (
         "intermittent",
         "a contact that comes and goes",
         ("comes and goes: holds still for {outage_s:.1f} s at a time, and obeys again", "comes and goes"),
-        (
-            "COMES AND GOES {when} (holds still for {outage_s:.1f} s at a time)",
-            "COMES AND GOES {when}",
-        ),
+        ("COMES AND GOES {when} (holds still for {outage_s:.1f} s at a time)", "COMES AND GOES {when}"),
         "For moments the surface holds still, then obeys again: a loose plug, a broken strand in a wire, or a bus that "
         "drops its commands.",
         "move it while you bend its wires and press on its plugs",
@@ -189,10 +186,7 @@ _ROWS: Final = (
         "oscillation",
         "oscillating",
         ("oscillates by ±{amplitude_deg:.1f} deg at {frequency_hz:.2f} Hz", "oscillates"),
-        (
-            "OSCILLATES {when} (±{amplitude_deg:.1f} deg at {frequency_hz:.1f} Hz)",
-            "OSCILLATES {when}",
-        ),
+        ("OSCILLATES {when} (±{amplitude_deg:.1f} deg at {frequency_hz:.1f} Hz)", "OSCILLATES {when}"),
         "The surface swings on top of what was asked: a worn feedback potentiometer, play that the air excites, or "
         "a loop inside the servo that is about to become unstable.",
         "hold it at several deflections and listen for buzzing",
@@ -204,10 +198,7 @@ _ROWS: Final = (
         "deadband",
         "a dead band",
         ("dead band, stiction or play of {width_deg:.1f} deg", "dead band, stiction or play"),
-        (
-            "IGNORES SMALL COMMANDS {when} (play or dead band of {width_deg:.1f} deg)",
-            "IGNORES SMALL COMMANDS {when}",
-        ),
+        ("IGNORES SMALL COMMANDS {when} (play or dead band of {width_deg:.1f} deg)", "IGNORES SMALL COMMANDS {when}"),
         "Small commands have no effect: worn gears, play in the linkage, or friction.",
         "move it in steps of 0.5 deg and look for steps it does not follow",
         "fly on, check it on the ground",

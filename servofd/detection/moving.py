@@ -102,16 +102,10 @@ class Moving:
 
     def noise_deg(self, moved: Moved, measured_deg: FloatArray) -> FloatArray:  # noqa: ARG002 - known from good flights
         """Standard deviation of the noise of the positions (m,), as known at each instant [deg]."""
-        sigma_deg: FloatArray = self._noise.sigma_deg(peaks(moved.speed_deg_s, moved.time_s, self._peak))
-        return sigma_deg
+        return self._noise.sigma_deg(peaks(moved.speed_deg_s, moved.time_s, self._peak))
 
     def shown(
-        self,
-        moved: Moved,
-        measured_deg: FloatArray,
-        judged: BoolArray,
-        tested: Tested,
-        noise_deg: FloatArray,
+        self, moved: Moved, measured_deg: FloatArray, judged: BoolArray, tested: Tested, noise_deg: FloatArray
     ) -> Shown:
         """The error of the prediction, and the level that three in a row would have to pass; shape (m,) each."""
         error_deg, _ = residual(measured_deg, moved.reading_deg, self.known.reach_deg)
@@ -135,8 +129,7 @@ class Moving:
         repeats = np.where(since >= 0, rows - since, rows + 1 + self._repeats)
         if rows.size:
             self._last_deg, self._repeats = float(measured_deg[-1]), int(repeats[-1])
-        held: BoolArray = (repeats >= 2) & (repeats <= _MOST_HELD)
-        return held
+        return (repeats >= 2) & (repeats <= _MOST_HELD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,6 +34,7 @@ from servofd.detection.wiring import wiring_problem
 from servofd.estimate.fit import fit
 from servofd.estimate.record import Record
 from servofd.servo.context import NO_CONTEXT
+from servofd.servo.effects.commands import Commands
 from servofd.servo.loops import compiled, play
 from servofd.servo.motion import Motion, started_anew
 from servofd.servo.physics import rate_fields
@@ -326,7 +327,7 @@ class Moves:
         if apart["deadband_deg"] > 0.0 and command_deg.size:  # before the servo, whatever its order is
             rest_deg = (start_deg - physics.bias_deg) / (physics.gain * physics.command_gain)
             command_deg, slope_deg_s = play(command_deg, apart["deadband_deg"], rest_deg), 0.0 * slope_deg_s
-        late = command_s + self.model.delay_s + apart["delay_s"], command_deg, slope_deg_s
+        late = Commands(command_s, command_deg, slope_deg_s).later(self.model.delay_s + apart["delay_s"])
         starts_deg = np.append(start_deg, record.start_deg[rows][1:])
         return started_anew(servo, late, time_s, np.nan_to_num(starts_deg), np.isfinite(starts_deg))
 

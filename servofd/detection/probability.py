@@ -11,7 +11,6 @@ import numpy as np
 
 from logparsers.units import S_PER_HOUR
 from servofd.core.errors import DesignError
-from servofd.core.numeric import root
 
 if TYPE_CHECKING:
     from servofd.core.types import FloatArray
@@ -25,6 +24,8 @@ _LOWEST_Z = 1.0
 """The rate falls with the threshold from here on: for white noise it is largest at 0.67, for any other below that."""
 _HIGHEST_Z = 37.0
 """Beyond it the density of a Gaussian is no longer a normal floating-point number."""
+_HALVINGS = 45
+"""Of the range between both, after which a threshold is right to 1e-12."""
 _SURE_Z = 2.3263478740408408
 """Standard deviations that a Gaussian stays above with a probability of 99 %."""
 
@@ -107,14 +108,11 @@ class Noise:
                 f"{rate_per_hour:g} false alarms per hour: no threshold gives this rate; choose one between "
                 f"{least:.1g} and {most:.2g}"
             )
-
-        # Rates span hundreds of powers of ten: only their logarithm is near a straight line.
-        def logarithm(rate: float) -> float:
-            return float(np.log(max(rate, np.finfo(float).tiny)))
-
-        wanted = logarithm(rate_per_hour)
-        level = root(lambda level: logarithm(unit.false_alarms_per_hour(level)) - wanted, _LOWEST_Z, _HIGHEST_Z)
-        return abs(self.mean_deg) + self.sigma_deg * level
+        low, high = _LOWEST_Z, _HIGHEST_Z
+        for _ in range(_HALVINGS):
+            level = 0.5 * (low + high)
+            low, high = (level, high) if unit.false_alarms_per_hour(level) > rate_per_hour else (low, level)
+        return abs(self.mean_deg) + self.sigma_deg * high
 
 
 def crossings(residual_deg: FloatArray, threshold_deg: float) -> int:

@@ -19,7 +19,7 @@ import numpy as np
 
 from servofd.core.errors import DesignError
 from servofd.detection.nullspace import checked_pole_rad_s, common_denominator
-from servofd.servo.transfer import TransferFunction
+from servofd.servo.transfer import TransferFunction, product_of, split_delay
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,8 +33,6 @@ LARGEST_NOISE_GAIN = 0.5
 """Noise gain that the fastest pole which is taken may have."""
 _USELESS_NOISE_GAIN = 5.0
 """Noise gain above which no filter is of use."""
-_WHOLE_SAMPLE = 1e-9
-"""Share of a sample below which a delay is whole samples."""
 _MOST_SAMPLES = 2e7
 """Of an impulse response, 160 MB: the slowest preferred pole at a million samples a second has 18 million."""
 
@@ -74,8 +72,7 @@ class PulseFilter:
         ladder = np.ones(k.size)
         for i in range(1, multiplicity):
             ladder *= (k + i) / i
-        response: FloatArray = self.g * np.convolve(self.a, ladder * decay**k)
-        return response
+        return self.g * np.convolve(self.a, ladder * decay**k)
 
     def autocorrelation(self, lags: int) -> FloatArray:
         """Correlation of the residual with itself under white measurement noise, shape (lags,), from lag 0."""
@@ -88,8 +85,7 @@ class PulseFilter:
         """Residual after a constant fault of 1 deg on a command, from the sample at which it sets in."""
         from scipy.signal import lfilter
 
-        step: FloatArray = lfilter(self.g * self.b[command], self.md, np.ones(samples))
-        return step
+        return lfilter(self.g * self.b[command], self.md, np.ones(samples))
 
     def residual(self, measured_deg: FloatArray, *command_deg: FloatArray) -> FloatArray:
         """Residual of uniform samples [deg], shape (n,), starting from rest at the first commands."""
@@ -114,24 +110,6 @@ class PulseFilter:
             gain = np.polyval(self.a[::-1], inverse) * response - np.polyval(b[::-1], inverse)
             worst = max(worst, float(np.max(np.abs(self.g * gain / np.polyval(self.md[::-1], inverse)))))
         return worst
-
-
-def pulse_polynomials(
-    transfer: TransferFunction, delay_s: float, sample_time_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Exact sampled response of a servo to a held and delayed command (modified z-transform)."""
-    whole, fraction_s = _split_delay(delay_s, sample_time_s)
-    poles, residues = _residues(transfer)
-    factors = np.exp(poles * sample_time_s)
-    early = np.expm1(poles * (sample_time_s - fraction_s)) / poles
-    late = np.exp(poles * (sample_time_s - fraction_s)) * np.expm1(poles * fraction_s) / poles
-    a = np.real(_product(factors))
-    b = np.zeros(whole + poles.size + 2)
-    for i in range(poles.size):
-        others = _product(np.delete(factors, i))
-        term = residues[i] * np.convolve([0.0, early[i], late[i]], others)
-        b[whole:] += np.real(term)
-    return b, a
 
 
 def design_pulse_filter(
@@ -174,7 +152,7 @@ def design_pulse_filter(
     delays = (delay_s,) * len(entries) if isinstance(delay_s, float | int) else tuple(delay_s)
     denominator, numerators = common_denominator(entries)
     polynomials = [
-        pulse_polynomials(TransferFunction(tuple(numerator), tuple(denominator)), delay, sample_time_s)
+        TransferFunction(tuple(numerator), tuple(denominator)).sampled(delay, sample_time_s)
         for numerator, delay in zip(numerators, delays, strict=True)
     ]
     b, a = tuple(pair[0] for pair in polynomials), polynomials[0][1]
@@ -182,7 +160,7 @@ def design_pulse_filter(
     if not gains.any():
         raise DesignError("no command moves this output at zero frequency, so no fault gain can be set")
     smallest = gains[np.argmin(np.where(gains == 0.0, np.inf, np.abs(gains)))]
-    md = np.real(_product(np.full(a.size, np.exp(-pole * sample_time_s), dtype=complex)))
+    md = np.real(product_of(np.full(a.size, np.exp(-pole * sample_time_s), dtype=complex)))
     # From the factors, not from the sum of md: that would lose ten digits at high sample rates.
     g = float(-np.expm1(-pole * sample_time_s)) ** a.size / float(smallest)
     return PulseFilter(b, a, md, g, pole, sample_time_s, entries, delays)
@@ -207,37 +185,13 @@ def fastest_pole_rad_s(transfer: TransferFunction, sample_time_s: float) -> floa
     return PREFERRED_POLES_RAD_S[-1]
 
 
-def _split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
-    """Whole samples and the rest [s]."""
-    samples = delay_s / sample_time_s
-    whole = int(np.floor(samples + _WHOLE_SAMPLE))
-    return whole, max(0.0, samples - whole) * sample_time_s
-
-
-def _residues(transfer: TransferFunction) -> tuple[ComplexArray, ComplexArray]:
-    """All poles, and the residue at each."""
-    modes = transfer.modes()
-    poles, residues = -modes.decay_rad_s, modes.weight * modes.decay_rad_s
-    pairs = poles.imag > 0.0
-    residues = np.where(pairs, residues / 2.0, residues)
-    return np.concatenate([poles, poles[pairs].conj()]), np.concatenate([residues, residues[pairs].conj()])
-
-
-def _product(factors: ComplexArray) -> ComplexArray:
-    """Coefficients of the product of (1 - f z⁻¹)."""
-    coefficients = np.ones(1, dtype=complex)
-    for factor in factors:
-        coefficients = np.convolve(coefficients, [1.0, -factor])
-    return coefficients
-
-
 def _frequency_response(
     transfer: TransferFunction, delay_s: float, sample_time_s: float, z: ComplexArray
 ) -> ComplexArray:
     """Sampled response from a state-space model and matrix exponentials, for `PulseFilter.leakage`."""
     from scipy.linalg import expm
 
-    whole, fraction_s = _split_delay(delay_s, sample_time_s)
+    whole, fraction_s = split_delay(delay_s, sample_time_s)
     order = len(transfer.denominator) - 1
     lead = transfer.denominator[0]
     # Controllable canonical form, with the held command as one more state.
@@ -254,5 +208,4 @@ def _frequency_response(
     states = np.linalg.solve(
         z[:, None, None] * np.eye(order) - phi, (new[None, :] + old[None, :] / z[:, None])[:, :, None]
     )
-    response: ComplexArray = (states[:, :, 0] @ c) * z ** (-whole)
-    return response
+    return (states[:, :, 0] @ c) * z ** (-whole)

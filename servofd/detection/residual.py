@@ -147,8 +147,7 @@ class ResidualGenerator:
     def run(self, segment: Series) -> Residuals:
         """Residual of a whole segment."""
         model, record = self.model, Record.of(segment, at_once=True)
-        command_s, command_deg, slope_deg_s = record.commands
-        received = command_s + model.delay_s, command_deg, slope_deg_s
+        received = record.commands.later(model.delay_s)
         begins, start_deg = np.isfinite(record.start_deg), np.nan_to_num(record.start_deg)
         simulated_deg = started_anew(model.servo(segment.context), received, record.time_s, start_deg, begins)
         anew = begins.astype(np.int8)

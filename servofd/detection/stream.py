@@ -21,19 +21,9 @@ from servofd.detection.moving import Asked
 from servofd.detection.residual import Residuals, Threshold
 from servofd.estimate.family import LONGEST_PAUSE_S
 from servofd.estimate.fit import residual
-from servofd.estimate.record import (
-    FINE_S,
-    LONGEST_S,
-    Commands,
-    load_at,
-    loads,
-    new_memory,
-    powers,
-    put_back,
-    starts,
-    unknown_deg,
-)
+from servofd.estimate.record import FINE_S, LONGEST_S, load_at, loads, new_memory, powers, put_back, starts, unknown_deg
 from servofd.servo.context import NO_CONTEXT
+from servofd.servo.effects.commands import Commands
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -103,7 +103,7 @@ class Elsewhere:
 def judged_elsewhere(path: str, segment: Series, model: ServoModel, physics: Physics) -> Elsewhere:
     """Errors of the servo as it was known, and with the effects that were found in another flight."""
     record = record_of(segment, model)
-    before, after = (record.measured_deg - simulate(record, each) for each in (record.plant.neutral, physics))
+    before, after = (record.measured_deg - simulate(record, each) for each in (record.model.physics, physics))
     floor_deg = noise_floor_deg(record, after)
     before_deg, after_deg = rms(before[record.counts]), rms(after[record.counts])
     return Elsewhere(path, before_deg, after_deg, min(floor_deg, after_deg))
@@ -257,11 +257,11 @@ class Explanation:
         Of three real poles the slowest is taken for it: where the fit has another, the servo is that which the search
         began with, and how its poles differ.
         """
-        plant, scales = self.record.plant, self.physics.scales
-        if not (self.record.known.starts and plant.has_places):
+        model = self.record.model
+        if not (self.record.known.starts and model.has_places):
             return bool(self.record.known.starts)
-        known, _ = split(np.array(plant.transfer.denominator) / plant.transfer.denominator[0])
-        there = np.array(scaled(plant.transfer, scales).denominator)
+        known, _ = split(np.array(model.transfer.denominator) / model.transfer.denominator[0])
+        there = np.array(scaled(model.transfer, self.physics.scales).denominator)
         slow_rad_s = known * self.physics.slow_scale
         return bool(np.isclose(split(there / there[0])[0], slow_rad_s, rtol=_SAME_POLE))
 
@@ -490,7 +490,7 @@ def _healthy_part(
         if not slowly and float(np.mean(error[later] ** 2)) > _MUCH_WORSE * usual_deg**2:
             # An unknown servo that is fitted to a part may be wrong elsewhere, without any fault: it still follows.
             there = later & (record.time_s >= start_s) & (record.time_s < start_s + _SOON_S)
-            followed = share_followed(record, simulate(record, record.plant.neutral), there)
+            followed = share_followed(record, simulate(record, record.model.physics), there)
             if not (record.known.starts and followed > _STILL_FOLLOWS):
                 return before, healthy, start_s
     return None
@@ -555,10 +555,10 @@ def _linear_sentence(record: Record, selection: Selection) -> str:
     """Which linear servo was fitted, as none was known."""
     said = []
     for fit in (selection.nominal, selection.final):
-        transfer = scaled(record.plant.transfer, fit.physics.scales)
+        transfer = scaled(record.model.transfer, fit.physics.scales)
         monic = np.array(transfer.denominator) / transfer.denominator[0]
         words = []
-        if record.plant.has_places:
+        if record.model.has_places:
             slow, pair = split(monic)
             monic = np.array([1.0, *pair])
             words.append(f"a pole at {slow:.3g} rad/s")

@@ -187,12 +187,12 @@ class Fitter:
 
     def nominal(self) -> Fit:
         """The servo as it is known; of an unknown one, the best linear one."""
-        return self.halved(self.root) if self.record.known.starts else self.judged((), self.record.plant.neutral)
+        return self.halved(self.root) if self.record.known.starts else self.judged((), self.record.model.physics)
 
     @cached_property
     def linear(self) -> list[Fit]:
         """Linear servos with their own numbers refitted as if errors were uncorrelated, the best first."""
-        neutral, known, kappa = self.record.plant.neutral, self.record.known, self.kappa
+        neutral, known, kappa = self.record.model.physics, self.record.known, self.kappa
         self.kappa = np.ones(kappa.size)
         coarse = [neutral._replace(**point) for point in known.grid]
         coarse.sort(key=lambda physics: self._noise.misfit(self._seen_deg(physics)))
@@ -259,7 +259,7 @@ class Fitter:
 
     def as_a_pair(self, physics: Physics) -> Physics:
         """A servo as late at low frequencies, all of it by its pair of poles: the slow one is as fast as may be."""
-        slow_rad_s, (total, product) = split(np.array(self.record.plant.transfer.denominator))
+        slow_rad_s, (total, product) = split(np.array(self.record.model.transfer.denominator))
         fast = self._fastest
         by_slow_s = (1.0 / physics.slow_scale - 1.0 / fast) / slow_rad_s
         by_pair_s = physics.damping_scale / physics.pair_scale * total / product
@@ -353,7 +353,7 @@ class Fitter:
         others = [record.counts & ~each for each in left_out]
         if (
             record.side is not None
-            or not (fit.effects or physics != record.plant.neutral)
+            or not (fit.effects or physics != record.model.physics)
             or not all(map(np.any, others))
         ):
             return [self.judged(fit.effects, physics)] * len(others)
@@ -393,18 +393,17 @@ class Fitter:
         known = np.array([n.low == n.high for n in numbers[own:]])
         unseen = ~seen[own:] & ~known
         result[unseen, unseen] = np.inf
-        neutral = self.record.plant.neutral
+        neutral = self.record.model.physics
         sizes = [min(p.away(float(v), neutral), abs(v)) for p, v in zip(fit.parameters, fit.values, strict=True)]
-        covariance: FloatArray = result + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
-        return covariance
+        return result + np.diag((_SIMULATORS_DIFFER * np.array(sizes)) ** 2)
 
     def _numbers(self, effects: tuple[type[Effect], ...], start: Physics) -> list[_Number]:
         """The servo's own numbers first, but for those that an effect fits; then those of the effects."""
-        neutral, record = self.record.plant.neutral, self.record
+        neutral, record = self.record.model.physics, self.record
         taken = {name for effect in effects for p in effect.parameters for name in p.fields}
         numbers = []
         for name, deviation in record.known.spread.items():
-            if name in taken or (name == "slow_scale" and not record.plant.has_places):
+            if name in taken or (name == "slow_scale" and not record.model.has_places):
                 continue
             if record.side is not None and name not in ("gain", "bias_deg"):
                 continue

@@ -100,6 +100,6 @@ def prefix(search: Search, best: Fit, effects: tuple[type[Effect], ...]) -> Fit:
     if known:
         return min(known, key=lambda fit: fit.misfit)
     gone = [effect for effect in best.effects if effect not in effects]
-    fit = search.fitter.descended(effects, taken_off(best.physics, search.fitter.record.plant.neutral, gone))
+    fit = search.fitter.descended(effects, taken_off(best.physics, search.fitter.record.model.physics, gone))
     search.keep(fit)
     return fit

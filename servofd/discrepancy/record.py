@@ -11,14 +11,16 @@ import numpy as np
 
 from servofd.aircraft.pace import rhythm
 from servofd.aircraft.series import Series
+from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.known import A_TYPE, Known
-from servofd.estimate.record import Commands, commands_at_servo
+from servofd.estimate.record import commands_at_servo
 from servofd.servo.catalogue import at_run
 from servofd.servo.context import Context
-from servofd.servo.motion import machine_of, received
-from servofd.servo.physics import Physics, Plant, loose_shares
-from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.effects.commands import Commands
+from servofd.servo.motion import NOTHING_AROUND, around_servo, machine_of, received
+from servofd.servo.physics import Physics, loose_shares
+from servofd.servo.servo_model import ServoModel
 
 _DOUBTFUL = 1.45
 """Times the usual interval, from which on a lost command may hide among time stamps that jitter."""
@@ -110,7 +112,8 @@ _FARTHEST_DEG = 1e6
 class Record:
     """One surface over one log."""
 
-    plant: Plant
+    model: ServoModel
+    """As the servo is known."""
     commands: Commands
     """As they leave for the servo; the delay comes on top."""
     time_s: FloatArray
@@ -165,17 +168,10 @@ class Record:
         return replace(self, counts=self.counts & ~self.untouched)
 
 
-def record_of(
-    segment: Series,
-    model: ServoModel,
-    *,
-    at_rest: bool = False,
-    known: Known = A_TYPE,
-) -> Record:
+def record_of(segment: Series, model: ServoModel, *, at_rest: bool = False, known: Known = A_TYPE) -> Record:
     """Prepare a segment for comparison."""
     segment = segment.at(~segment.repeats)
     time_s, measured_deg = segment.measured_s, segment.measured_deg
-    plant = plant_of(model)
     hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
     seen = np.isfinite(measured_deg)
     slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
@@ -184,8 +180,7 @@ def record_of(
     for times in (time_s[seen], segment.command_s):
         starts_s += times[1:][np.diff(times) > hole_s].tolist()
     begin = np.sort(np.array(starts_s))
-    last = begin[np.maximum(np.searchsorted(begin, time_s, side="right") - 1, 0)]
-    counts = seen & (time_s - last >= start_s) & _has_command(segment.command_s, hole_s, time_s)
+    counts = seen & (time_s - latest(begin, begin, time_s) >= start_s) & _has_command(segment.command_s, hole_s, time_s)
     if not at_rest:
         counts &= segment.counts
     if segment.command_period_s is None:
@@ -200,7 +195,7 @@ def record_of(
     logged = {name: values(time_s) for name, values in columns.items() if name in context.logged}
     pushed = Context(load_s=context.load_s, load=context.load) if np.ptp(context.pushed(time_s)) > 0.0 else None
     return Record(
-        plant,
+        model.explainable(),
         commands,
         time_s,
         measured_deg,
@@ -219,8 +214,7 @@ def _has_command(command_s: FloatArray, hole_s: float, time_s: FloatArray) -> Bo
     step_s = np.append(np.diff(command_s), 0.0)
     holds_s = np.where(step_s > hole_s, min(hole_s, float(np.median(step_s))), hole_s)
     last = np.searchsorted(command_s, time_s, side="right") - 1
-    known: BoolArray = (last >= 0) & (time_s - command_s[last] <= holds_s[last])
-    return known
+    return (last >= 0) & (time_s - command_s[last] <= holds_s[last])
 
 
 def joined(records: Sequence[Record]) -> Record:
@@ -343,8 +337,7 @@ def simulate(record: Record, physics: Physics, finer: float = 1.0) -> FloatArray
     if record.side is not None:
         # What pulls the surface is not logged; that it lies at one end of its play is seen.
         tight = physics._replace(**dict.fromkeys(loose_shares(), 0.0))
-        lying_deg: FloatArray = simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
-        return lying_deg
+        return simulate(replace(record, side=None), tight, finer) + loose_deg * record.side
     if not record.runs or physics.run_slope == 0.0:
         return _moved(record, at_run(physics, record.conditions), finer)
     moved_deg = np.empty(record.time_s.size)
@@ -378,7 +371,7 @@ def _starts(record: Record) -> tuple[IntArray, BoolArray, FloatArray]:
 def _moved_from(record: Record, physics: Physics, finer: float, start_deg: FloatArray) -> FloatArray:
     """Positions of each run from rest at a place (r,) [deg]; all runs are one journey of the stepper, shape (n,)."""
     first, anew, _ = _starts(record)
-    machine = machine_of(record.plant.transfer, (physics,), finer)
+    machine = machine_of(record.model.transfer, (physics,), finer)
     measured_deg = np.empty(record.time_s.size)
     measured_deg[first] = start_deg
     # What holds a servo until its first command comes can only have been an earlier one; the run before sent none.
@@ -394,15 +387,10 @@ def _moved_from(record: Record, physics: Physics, finer: float, start_deg: Float
     moved_deg = machine.run(
         machine.new_state(), Commands(*map(np.concatenate, zip(*pieces, strict=True))), record.time_s,
         anew=anew, measured_deg=measured_deg,
-        around=_around(record, physics.load_late_s) if physics.needs else _NOTHING_LOGGED,
+        around=_around(record, physics.load_late_s) if physics.needs else NOTHING_AROUND,
     )[0][:, 0]  # fmt: skip
     # A load that pushes harder the further it has pushed runs away from a motor at its limit.
-    bounded: FloatArray = np.fmax(np.fmin(moved_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
-    return bounded
-
-
-_NOTHING_LOGGED = np.zeros((0, 5))
-"""Surroundings of a servo, in a simulation that does not depend on them."""
+    return np.fmax(np.fmin(moved_deg, _FARTHEST_DEG), -_FARTHEST_DEG)
 
 
 @lru_cache(maxsize=256)
@@ -410,15 +398,13 @@ def _around(record: Record, late_s: float) -> FloatArray:
     """What was logged beside the servo, as the stepper takes it."""
     if record.runs:
         return np.concatenate([_around(each, late_s) for each in record.runs])
-    count = record.time_s.size
-    columns = (
-        record.logged.get("airspeed_m_s", np.zeros(count)),
-        record.logged.get("servo_voltage_v", np.full(count, np.inf)),
-        np.ones(count),
-        record.logged.get("servo_current_a", np.zeros(count)),
-        np.zeros(count) if record.pushed is None else record.pushed.pushed(record.time_s, late_s),
+    return around_servo(
+        record.time_s.size,
+        pressure_pa=record.logged.get("airspeed_m_s", 0.0),
+        supply_v=record.logged.get("servo_voltage_v", np.inf),
+        current_a=record.logged.get("servo_current_a", 0.0),
+        load=0.0 if record.pushed is None else record.pushed.pushed(record.time_s, late_s),
     )
-    return np.column_stack(columns)
 
 
 def _moved(record: Record, physics: Physics, finer: float) -> FloatArray:

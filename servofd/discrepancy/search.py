@@ -12,10 +12,9 @@ from servofd.core.types import FloatArray
 from servofd.discrepancy.fit import Fit, Fitter
 from servofd.discrepancy.noise import COARSE_STEP_DEG
 from servofd.discrepancy.record import Record, liveliest, only, simulate
-from servofd.estimate.record import Commands
 from servofd.servo.catalogue import installed
 from servofd.servo.effect import Effect, Slot
-from servofd.servo.effects.commands import CommandSteps, Delay, PwmFrame
+from servofd.servo.effects.commands import Commands, CommandSteps, Delay, PwmFrame
 from servofd.servo.effects.own import SlowDynamics
 from servofd.servo.effects.sensor import Quantization, SensorLag
 from servofd.servo.effects.shaft import ExternalLoad, TiltedLoad
@@ -73,7 +72,7 @@ def candidates(
         if effect.name in names or effect is PwmFrame:
             continue
         where: tuple[float, ...] = (place,)
-        if effect.places and record.plant.has_places and record.side is None:
+        if effect.places and record.model.has_places and record.side is None:
             where = common_places((*known, effect))
         found += [(effect, each) for each in where]
     return [each for each in found if each[1] != AFTER or SensorLag not in (*known, each[0])]
@@ -173,7 +172,7 @@ def _around(
 
 def _busiest_s(record: Record, window_s: float) -> float:
     """Middle of the window in which the position moves fastest [s]."""
-    speed = np.gradient(simulate(record, record.plant.neutral), record.time_s)
+    speed = np.gradient(simulate(record, record.model.physics), record.time_s)
     moved = np.where(record.counts, speed, np.nan)
     number = ((record.time_s - record.time_s[0]) / window_s).astype(int)
     spread = [np.nanstd(moved[number == k]) if np.isfinite(moved[number == k]).sum() > 50 else 0.0 for k in set(number)]
@@ -259,7 +258,7 @@ class Search:
 
     def _too_small(self, fit: Fit) -> list[int]:
         """Places of the effects of a fit that are so small that they are none."""
-        neutral, small = self.fitter.record.plant.neutral, []
+        neutral, small = self.fitter.record.model.physics, []
         for k, effect in enumerate(fit.effects):
             judged = [p for p in effect.parameters if p.smallest and not p.aside]
             sizes = [p.away(getattr(fit.physics, p.fields[0]), neutral) >= self.fitter.smallest(p) for p in judged]
@@ -333,7 +332,7 @@ class Search:
     def without(self, fit: Fit, places: Sequence[int]) -> Fit:
         """The servo as it is without some of its effects."""
         effects = tuple(effect for k, effect in enumerate(fit.effects) if k not in places)
-        start = taken_off(fit.physics, self.fitter.record.plant.neutral, [fit.effects[k] for k in places])
+        start = taken_off(fit.physics, self.fitter.record.model.physics, [fit.effects[k] for k in places])
         # The slow pole lies inside the loop where its place does not matter to any effect.
         is_placed = start.slow_place in common_places(effects)
         return replace(fit, effects=effects, physics=start if is_placed else start._replace(slow_place=INSIDE), idle=())
@@ -345,11 +344,11 @@ class Search:
         the ways in which a speed is limited.
         """
         record = self.fitter.record
-        is_placed = record.plant.has_places and record.side is None
+        is_placed = record.model.has_places and record.side is None
         for k, effect in list(enumerate(fit.effects))[known:]:
             size = getattr(fit.physics, effect.parameters[0].fields[0])
             rest = (*fit.effects[:k], *fit.effects[k + 1 :])
-            without = fit.physics._replace(**{name: getattr(record.plant.neutral, name) for name in fields_of(effect)})
+            without = fit.physics._replace(**{name: getattr(record.model.physics, name) for name in fields_of(effect)})
             is_loose = effect.family == "hysteresis"
             for other in self.able:
                 if other.name in excluded(rest) or not (_is_like(effect, other) or (is_loose and other is effect)):
@@ -371,7 +370,7 @@ class Search:
             return []
         self.progress(PwmFrame.key())
         record = self.fitter.record
-        known = self.fitter.starts(base)[-1]._replace(delay_s=record.plant.neutral.delay_s)
+        known = self.fitter.starts(base)[-1]._replace(delay_s=record.model.physics.delay_s)
         rival = self.fitter.judged((), min(fits, key=lambda fit: fit.misfit).physics)
         sigma = float(np.sqrt(rival.run_deg2.mean()))
         frame = best_frame(record, known, rival.error_deg, sigma)
@@ -437,5 +436,4 @@ def _steps(commands: Commands, end_s: float) -> FloatArray | None:
     stands = lasts_s > _HOLDS_S
     if float(lasts_s[stands].sum()) < _MOSTLY * float(lasts_s.sum()):
         return None
-    sizes_deg: FloatArray = np.abs(np.diff(levels_deg[stands]))
-    return sizes_deg
+    return np.abs(np.diff(levels_deg[stands]))

@@ -202,7 +202,7 @@ def _polished(search: Search, size: int) -> None:
             changes = {name: getattr(own, name) for name in OWN_FIELDS if name not in taken}
             search.keep(search.fitter.descended(fit.effects, fit.physics._replace(**changes), LONG))
     record = search.fitter.record
-    if record.known.starts and record.plant.has_places:
+    if record.known.starts and record.model.has_places:
         for fit in likely[:_PAIRED]:
             search.keep(search.fitter.descended(fit.effects, search.fitter.as_a_pair(fit.physics), LONG))
 
@@ -386,7 +386,7 @@ def _beyond_noise(search: Search, best: Fit) -> float:
 
 def _forms(search: Search, fit: Fit) -> float:
     """How many structures the names of a fit may have, by which their probability is divided."""
-    has_places = search.fitter.record.plant.has_places and search.fitter.record.side is None
+    has_places = search.fitter.record.model.has_places and search.fitter.record.side is None
     most = 1
     for name in fit.names:
         forms = [effect for effect in search.able if effect.name == name]
@@ -428,7 +428,7 @@ def _or_slow(search: Search, best: Fit, rivals: Rivals, step_deg: float) -> None
     else:
         theirs = slow
         effects = rest if SlowDynamics in search.fitter.record.known.covers else (*rest, SlowDynamics)
-        starts = (taken_off(best.physics, search.fitter.record.plant.neutral, [mine]), search.root.physics)
+        starts = (taken_off(best.physics, search.fitter.record.model.physics, [mine]), search.root.physics)
         rival = min((search.fitter.descended(effects, s, LONG) for s in starts), key=lambda fit: fit.misfit)
     if rival is None:
         return

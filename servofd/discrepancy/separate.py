@@ -13,7 +13,7 @@ from servofd.core.types import FloatArray
 from servofd.discrepancy.record import Record, simulate
 from servofd.discrepancy.search import LIMITS, STEPS_OF_TWO_SIZES
 from servofd.discrepancy.select import Selection
-from servofd.estimate.record import Commands
+from servofd.servo.effects.commands import Commands
 
 _RATE_HZ, _DURATION_S = 100.0, 24.0
 """Rate [Hz] and length [s] of a manoeuvre."""
@@ -172,7 +172,7 @@ def _flown(record: Record, manoeuvre: Manoeuvre) -> Record:
         record,
         commands=Commands(time_s, command_deg, np.zeros(time_s.size)),
         time_s=time_s,
-        measured_deg=np.full(time_s.size, record.plant.dc_gain * command_deg[0]),
+        measured_deg=np.full(time_s.size, record.model.transfer.dc_gain * command_deg[0]),
         counts=time_s > _SETTLING_S,
         block=np.zeros(time_s.size, dtype=np.int64),
         fold=np.zeros(time_s.size, dtype=np.int64),

@@ -14,8 +14,8 @@ from servofd.core.statistics import LEAST_DIVISOR, MAD_TO_SIGMA
 from servofd.core.types import BoolArray, FloatArray
 from servofd.discrepancy.noise import noise_floor_deg, rest_sentence
 from servofd.discrepancy.record import SLOWEST_EXPLAINED_HZ, Record, simulate
-from servofd.estimate.record import Commands
 from servofd.identification.records import DRIFT_SHARE, drift_deg
+from servofd.servo.effects.commands import Commands
 from servofd.servo.physics import Physics
 
 _SHORTEST_RECORD_S, _SHORTEST_ON_BENCH_S = 4.0, 1.0
@@ -53,7 +53,7 @@ def check(record: Record) -> None:
             f"only {seconds:.1f} s of command and position together; at least {shortest_s:g} s are needed, and "
             "30 s with fast inputs are better"
         )
-    simulated = simulate(record, record.plant.neutral)
+    simulated = simulate(record, record.model.physics)
     error = record.measured_deg - simulated
     asked, measured = simulated[record.counts], record.measured_deg[record.counts]
     apart_deg = abs(float(np.median(measured) - np.median(asked)))
@@ -140,7 +140,7 @@ def _check_order(record: Record, error_deg: FloatArray) -> None:
     known, command_deg = np.isfinite(record.measured_deg), record.commands.at(record.time_s)
     given = Commands(record.time_s[known], record.measured_deg[known], np.zeros(int(known.sum())))
     swapped = replace(record, commands=given, measured_deg=command_deg)
-    wrong_deg = command_deg - simulate(swapped, record.plant.neutral)
+    wrong_deg = command_deg - simulate(swapped, record.model.physics)
     asked, measured = command_deg[record.counts], record.measured_deg[record.counts]
     shift = min(max(round(_SHIFT_S / record.period_s), 1), asked.size // 4)
     is_late = _likeness(asked[:-shift], measured[shift:]) > _likeness(asked[shift:], measured[:-shift])

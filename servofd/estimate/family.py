@@ -23,12 +23,12 @@ import numpy as np
 from servofd.aircraft.priors import ADDED, FITTED, NAMES, PRIORS
 from servofd.core.types import FloatArray
 from servofd.servo.effect import Effect
-from servofd.servo.effects.commands import CommandGain
+from servofd.servo.effects.commands import CommandGain, Commands
 from servofd.servo.effects.linkage import Backlash
 from servofd.servo.effects.motor import DeadBand, MotorRate, Torque
 from servofd.servo.effects.sensor import Bias
 from servofd.servo.effects.shaft import AirLoad, AirTrim, Friction, ServoStop, StribeckFriction
-from servofd.servo.motion import Machine, State, machine_of
+from servofd.servo.motion import Machine, State, around_servo, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.transfer import TransferFunction
 
@@ -163,22 +163,18 @@ def simulated(
     anew = begins.copy()
     anew[0] |= time_s[0] - progress.state.clock[0] > LONGEST_PAUSE_S
     anew[1:] |= time_s[1:] - time_s[:-1] > LONGEST_PAUSE_S
-    around = np.empty((time_s.size, 5))
-    around[:] = 0.0, np.inf, 1.0, 0.0, 0.0
-    around[:, 0], around[:, 2] = load * PRESSURE_PA, power
-    speed_deg_s = np.empty((time_s.size, 2))
     moving_deg_s = np.empty(time_s.size)
     position_deg, used = machine.run(
-        progress.state, (effective_s[new], command_deg[new], slope_deg_s[new]), time_s,
-        anew=anew, measured_deg=np.where(begins, start_deg, 0.0), around=around, speed_deg_s=moving_deg_s,
+        progress.state, Commands(effective_s[new], command_deg[new], slope_deg_s[new]), time_s,
+        anew=anew, measured_deg=np.where(begins, start_deg, 0.0), speed_deg_s=moving_deg_s,
+        around=around_servo(time_s.size, pressure_pa=load * PRESSURE_PA, power=power),
     )  # fmt: skip
     progress.received += used
     held = np.maximum(np.searchsorted(effective_s, time_s, side="right") - 1, 0)
     error_deg = base[_GAIN] * command_deg[held] - (position_deg[:, 0] - base[_BIAS])
-    aimed_deg_s = error_deg / machine.loops[0].error_s
-    speed_deg_s[:, 0] = moving_deg_s
-    speed_deg_s[:, 1] = np.clip(aimed_deg_s, -math.exp(base[_RATE]), math.exp(base[_RATE]))
-    return position_deg, speed_deg_s
+    most_deg_s = math.exp(base[_RATE])
+    aimed_deg_s = np.clip(error_deg / machine.loops[0].error_s, -most_deg_s, most_deg_s)
+    return position_deg, np.column_stack([moving_deg_s, aimed_deg_s])
 
 
 def bent(position_deg: FloatArray, theta: FloatArray, reach_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:

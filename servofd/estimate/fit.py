@@ -15,7 +15,7 @@ from servofd.core.fitting import Problem, Solution
 from servofd.core.fitting import fit as minimum
 from servofd.core.statistics import MAD_TO_SIGMA, Estimate
 from servofd.estimate.family import bent, middle_of, new_state, sensitivities, simulated, variants
-from servofd.estimate.record import joined
+from servofd.estimate.record import DELAY, LN_BANDWIDTH, LN_DAMPING, joined
 from servofd.servo.loops import compiled
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ _VALUES = np.array([prior.value for prior in PRIORS])
 _SIGMAS = np.array([prior.sigma for prior in PRIORS])
 WIDTHS: Final = {"deadband_deg": 1.0, "friction_deg": 2.0, "play_deg": 1.0}
 """How much of a change of direction each takes, in times its size."""
-_WIDTHS = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
-_LN_BANDWIDTH, _LN_DAMPING, _DELAY = (NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "delay_s"))
+EACH_WIDTH = np.array([WIDTHS.get(name, 0.0) for name in NAMES])
 _SIZES = [NAMES.index(name) for name in (*WIDTHS, "hinge_deg")]
 """Numbers that can stand for each other."""
 _OTHER_POLES: Final = 0.03
@@ -136,9 +135,9 @@ def bandwidth(theta: FloatArray) -> tuple[float, dict[str, float]]:
 
     Of two poles, omega^2 / (s^2 + 2 zeta omega s + omega^2), it is omega sqrt(a + sqrt(a^2 + 1)), a = 1 - 2 zeta^2.
     """
-    damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[_LN_DAMPING]))
+    damped = 1.0 - 2.0 * float(np.exp(2.0 * theta[LN_DAMPING]))
     root = float(np.hypot(damped, 1.0))
-    value = float(theta[_LN_BANDWIDTH]) + 0.5 * float(np.log(damped + root))
+    value = float(theta[LN_BANDWIDTH]) + 0.5 * float(np.log(damped + root))
     return value, {"ln_bandwidth": 1.0, "ln_damping": (damped - 1.0) / root}
 
 
@@ -178,7 +177,7 @@ class Fit:
     @property
     def delay_s(self) -> Estimate:
         """Transport delay [s], or less: a third pole, which these servos have not, passes for a part of it."""
-        value, low, high = Estimate.of(float(self.theta[_DELAY]), float(np.sqrt(self.scatter[_DELAY, _DELAY])))
+        value, low, high = Estimate.of(float(self.theta[DELAY]), float(np.sqrt(self.scatter[DELAY, DELAY])))
         by_pole_s = _THIRD_POLE / self.bandwidth_rad_s.value
         return Estimate(value, max(value - float(np.hypot(value - low, by_pole_s)), 0.0), high)
 
@@ -221,7 +220,7 @@ def fit(
 def _delayed(records: Sequence[Record], reach_deg: tuple[float, float], is_alone: bool) -> FloatArray:
     """Where a descent begins of which nothing is known: near the delay that explains some of the records best."""
     some = _Flights(records[:: max(len(records) // _SOME, 1)], reach_deg)
-    begins = [np.where(np.arange(_VALUES.size) == _DELAY, delay_s, _VALUES) for delay_s in _DELAYS_S]
+    begins = [np.where(np.arange(_VALUES.size) == DELAY, delay_s, _VALUES) for delay_s in _DELAYS_S]
     problem = some.problem(_rough_sigma(some, begins[0]))
     tried = [minimum(problem, each, steps=_FIRST_STEPS, close=_CLOSE) for each in begins]
     if is_alone:
@@ -251,8 +250,7 @@ def _speeds(record: Record) -> FloatArray:
     step_s, step_deg = np.diff(time_s[places], axis=0), np.diff(measured_deg[places], axis=0)
     known = (step_s < _LONGEST_S).all(axis=0)
     first, second = step_deg[:, known] / step_s[:, known]
-    speeds: FloatArray = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
-    return speeds
+    return np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
 
 
 def top_speed(record: Record, seconds: float) -> float:
@@ -331,8 +329,7 @@ class _Flights:
         with np.errstate(over="ignore", invalid="ignore"):
             reading_deg, slopes, _ = predicted(np.frombuffer(theta), self.whole, self.reach_deg)
         inside = residual(self.whole.measured_deg, reading_deg, self.reach_deg)[1]
-        found: FloatArray = (-slopes * inside[:, None])[self.whole.usable]
-        return found
+        return (-slopes * inside[:, None])[self.whole.usable]
 
     def sigma(self, theta: FloatArray) -> FloatArray:
         """Standard deviation of the noise that a servo leaves, in the usable rows (n,) [deg]."""
@@ -354,8 +351,7 @@ def _rough_sigma(flights: _Flights, theta: FloatArray) -> FloatArray:
     """Standard deviation of each usable sample, as the errors of a servo that is only near tell it [deg]."""
     error, speed = flights.left(theta)
     spread = max(MAD_TO_SIGMA * float(np.median(np.abs(error - np.median(error)))), 0.03)
-    sigma: FloatArray = np.sqrt(spread**2 + (0.01 * speed) ** 2)
-    return sigma
+    return np.sqrt(spread**2 + (0.01 * speed) ** 2)
 
 
 def _finished(flights: _Flights, best: Solution, others: Sequence[Solution]) -> Fit:
@@ -363,7 +359,9 @@ def _finished(flights: _Flights, best: Solution, others: Sequence[Solution]) -> 
     records, theta = flights.records, best.x
     error, speed = flights.left(theta)
     noise = _noise(error, speed, records)
-    kappa, sigma = _colour_length(noise), noise.sigma_deg(speed)
+    sigma, (first, second) = noise.sigma_deg(speed), noise.colour
+    # How many samples of coloured noise tell as much as one of white noise.
+    kappa = float(np.clip(noise.innovation**2 / (1.0 - first - second) ** 2, 1.0, 50.0))
     alike = kappa + _SHARE * best.misfit
     near = np.array([theta, *(each.x for each in others if each.misfit - best.misfit < _NEAR * alike)])
     # With the noise that it left, and a prior that is content with it.
@@ -414,12 +412,6 @@ def _unseen_speed(fitted: Solution) -> float:
     noise = fitted.problem.noise
     worse = noise.misfit(fitted.problem.residual(faster)) - noise.misfit(fitted.error)
     return _FASTER**2 / max(worse, 1e-9)
-
-
-def _colour_length(noise: Noise) -> float:
-    """How many samples of coloured noise tell as much as one of white noise."""
-    first, second = noise.colour
-    return float(np.clip(noise.innovation**2 / (1.0 - first - second) ** 2, 1.0, 50.0))
 
 
 def _noise(error: FloatArray, speed: FloatArray, records: Sequence[Record]) -> Noise:

@@ -13,17 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from servofd.aircraft.pace import NO_RHYTHM, Rhythm, gap_s, rhythm
 from servofd.aircraft.priors import NAMES
 from servofd.aircraft.series import Series, settled_from_s
-from servofd.core.series import latest, subdivided
+from servofd.core.series import latest, rms, subdivided
 from servofd.core.types import BoolArray, FloatArray
 from servofd.estimate.family import LONGEST_PAUSE_S, PRESSURE_PA
-from servofd.servo.context import AIR_KG_M3, Context
+from servofd.servo.context import Context, pressure_pa
+from servofd.servo.effects.commands import Commands
 from servofd.servo.loops import compiled
 
 LONGEST_S: Final = 0.25
@@ -31,7 +32,7 @@ LONGEST_S: Final = 0.25
 _MIDDLE: Final = np.pi / 8.0
 """Mean of sqrt(s (1 - s)) over the gap."""
 _LATELY_S: Final = 1.0
-_LN_BANDWIDTH, _LN_DAMPING, _DELAY = (NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "delay_s"))
+LN_BANDWIDTH, LN_DAMPING, DELAY = (NAMES.index(name) for name in ("ln_bandwidth", "ln_damping", "delay_s"))
 
 
 def put_back(
@@ -50,18 +51,6 @@ def put_back(
     pieces = np.ones(step_s.size, dtype=np.int64)
     pieces[lost] = np.round(step_s[lost] / beat.period_s).astype(np.int64)
     return subdivided(command_s, command_deg, pieces)
-
-
-class Commands(NamedTuple):
-    """Commands as they reach the servo: at each instant a value, from which the command runs on at a slope."""
-
-    effective_s: FloatArray
-    command_deg: FloatArray
-    slope_deg_s: FloatArray
-
-    def at(self, time_s: FloatArray) -> FloatArray:
-        """The last command that had reached the servo at some instants [deg]."""
-        return latest(self.effective_s, self.command_deg, time_s)
 
 
 def commands_at_servo(segment: Series, longest_gap_s: float) -> Commands:
@@ -98,10 +87,10 @@ def unknown_deg(
     Commands are those that arrived, up to the first after the last of the times; `theta` (13,) is the servo,
     `memory` from `new_memory` and carried on. A gap longer than the longest [s] is no loss, but a hole.
     """
-    lag_s = 2.0 * np.exp(theta[_LN_DAMPING] - theta[_LN_BANDWIDTH])
+    lag_s = 2.0 * np.exp(theta[LN_DAMPING] - theta[LN_BANDWIDTH])
     out = np.zeros(time_s.size)
     if commands[0].size and np.isfinite(beat.period_s):
-        _unknown(*commands, beat.longest_s, longest_gap_s, theta[_DELAY], lag_s, time_s, memory, out)
+        _unknown(*commands, beat.longest_s, longest_gap_s, theta[DELAY], lag_s, time_s, memory, out)
     return out
 
 
@@ -181,12 +170,7 @@ class Record:
 
     @classmethod
     def of(
-        cls,
-        segment: Series,
-        supply_v: float | None = None,
-        airspeed_m_s: float | None = None,
-        *,
-        at_once: bool = False,
+        cls, segment: Series, supply_v: float | None = None, airspeed_m_s: float | None = None, *, at_once: bool = False
     ) -> Record:
         """Prepare a segment; `at_once`: a servo that begins at rest is judged from there on, and not after a second.
 
@@ -334,12 +318,12 @@ def loads(context: Context, time_s: FloatArray, usual_m_s: float | None = None) 
     airspeed_m_s = np.full(time_s.size, usual_m_s or 0.0)
     if context.airspeed_s.size and usual_m_s != 0.0:
         airspeed_m_s = latest(context.airspeed_s, context.airspeed_m_s, time_s)
-    return np.clip(0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA, 0.0, 20.0)
+    return np.clip(pressure_pa(airspeed_m_s) / PRESSURE_PA, 0.0, 20.0)
 
 
 def load_at(airspeed_m_s: float) -> float:
     """Dynamic pressure over 300 Pa."""
-    return 0.5 * AIR_KG_M3 * airspeed_m_s**2 / PRESSURE_PA
+    return float(pressure_pa(airspeed_m_s)) / PRESSURE_PA
 
 
 def fastest_m_s(contexts: Sequence[Context]) -> float:
@@ -349,7 +333,7 @@ def fastest_m_s(contexts: Sequence[Context]) -> float:
 
 def usual_airspeed_m_s(contexts: Sequence[Context]) -> float:
     """Root mean square of the airspeed, median of the flights that logged it [m/s]; 0 if none did."""
-    rms_m_s = [float(np.sqrt(np.mean(context.airspeed_m_s**2))) for context in contexts if context.airspeed_s.size]
+    rms_m_s = [rms(context.airspeed_m_s) for context in contexts if context.airspeed_s.size]
     return float(np.median(rms_m_s)) if rms_m_s else 0.0
 
 

@@ -20,6 +20,7 @@ from servofd.aircraft.outputs import (
 )
 from servofd.aircraft.schema import Aircraft, Surface
 from servofd.core.errors import NoMeasurement
+from servofd.core.series import latest
 from servofd.core.toml_text import toml_comment, toml_key, toml_lines, toml_value
 from servofd.feedback.fitted import fitted_aircraft
 
@@ -171,8 +172,7 @@ def _as_pulse(log: FlightLog, pair: Pair) -> dict[str, Any]:
     angle_s, angle_deg = angles.time_s[repeated][order], angles.values[repeated][order]
     best, asked_deg = 0.0, np.zeros(0)
     for lag_s in _REPEATED_AFTER_S:
-        after = np.searchsorted(angle_s, sent_s + lag_s, side="right") - 1
-        held_deg = angle_deg[np.maximum(after, 0)] if angle_deg.size else angle_deg
+        held_deg = latest(angle_s, angle_deg, sent_s + lag_s) if angle_deg.size else angle_deg
         if held_deg.size and np.ptp(held_deg) > 0.0:
             alike = abs(np.corrcoef(sent_us, held_deg)[0, 1])
             if alike > best:

@@ -148,12 +148,20 @@ def found_in(
     return Found(line, replace(own, known=own.known.model_copy(update={"doubt": doubt})))
 
 
-def good_line(
-    log: FlightLog,
-    name: str,
-    aircraft: Aircraft,
-    bus: Mapping[str, Marks],
-    spans: tuple[Span, ...],
+def scaled_aircraft(log: FlightLog, aircraft: Aircraft, spans: tuple[Span, ...] = ()) -> Aircraft:
+    """Return the same aircraft with the scales of its commands in a log that is good, and nothing of its servos.
+
+    It is good in some spans [s]; everywhere if there are none.
+    """
+    surfaces, bus = aircraft.surfaces, bus_of(log, aircraft)
+    names = [name for name, surface in surfaces.items() if not surface.names_servo]
+    lines = at_once(lambda name: _good_line(log, name, aircraft, bus, spans), names)
+    scaled = {name: with_line(surfaces[name], line) for name, line in zip(names, lines, strict=True)}
+    return aircraft.model_copy(update={"surfaces": surfaces | scaled})
+
+
+def _good_line(
+    log: FlightLog, name: str, aircraft: Aircraft, bus: Mapping[str, Marks], spans: tuple[Span, ...]
 ) -> Line:
     """How the position goes with the command in parts of a log that are known to be good [s]; in all of it without.
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from logparsers import FlightLog, LogFile
-    from servofd.detection.flights import Span
 
     Log = LogFile | TextIO | pd.DataFrame | Mapping[str, Any]
 
@@ -110,7 +109,7 @@ def flown_aircraft(
     """
     own = known is not None and bool(known.surfaces)
     try:
-        flown = scaled_aircraft(log, known, only)
+        flown = surfaces_of(log, known, fitted=only)
     except NoMeasurement:
         if known is None or own:
             raise
@@ -128,37 +127,11 @@ def flown_aircraft(
     return fitted_aircraft(log, flown, unnamed)
 
 
-def scaled_aircraft(log: FlightLog, known: Aircraft | None = None, only: Collection[str] = ()) -> Aircraft:
-    """Surfaces of a known aircraft, or as the log names them; an autopilot's with servos and scales fitted to it.
-
-    `only` those surfaces are fitted; all if empty.
-    """
-    if (known is not None and known.surfaces) or not log.is_of_autopilot:
-        return surfaces_of(log, known)
-    from servofd.feedback.draft import draft_aircraft
-
-    return draft_aircraft(log, only)
-
-
-def good_aircraft(log: FlightLog, spans: tuple[Span, ...] = ()) -> Aircraft:
-    """Surfaces of a log that is known to be good, with the scales of their commands, and nothing of their servos.
-
-    It is good in some spans [s]; everywhere if there are none.
-    """
-    from servofd.aircraft.series import bus_of
-    from servofd.feedback.fitted import at_once, good_line, with_line
-
-    flown = surfaces_of(log)
-    names, bus = [name for name, surface in flown.surfaces.items() if not surface.names_servo], bus_of(log, flown)
-    lines = at_once(lambda name: good_line(log, name, flown, bus, spans), names)
-    scaled = {name: with_line(flown.surfaces[name], line) for name, line in zip(names, lines, strict=True)}
-    return flown.model_copy(update={"surfaces": flown.surfaces | scaled})
-
-
-def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
+def surfaces_of(log: FlightLog, known: Aircraft | None = None, *, fitted: Collection[str] | None = None) -> Aircraft:
     """Surfaces of a known aircraft, or as the channels name them, in the channels of this log.
 
-    Nothing is said of the servos of a plain table or of an autopilot's log, nor of the scale of its pulses.
+    Nothing is said of the servos of a plain table. Those of an autopilot's log, and the scales of its pulses, are
+    fitted to it for the surfaces in `fitted`, for all if that is empty; if it is left out, nothing is said of them.
 
     Examples
     --------
@@ -179,9 +152,9 @@ def surfaces_of(log: FlightLog, known: Aircraft | None = None) -> Aircraft:
             "per surface is needed (de_pos, dr_pos, da_l_pos, ...), or an aircraft file (-c) that names other channels"
         )
     if log.is_of_autopilot:
-        from servofd.feedback.draft import described_aircraft
+        from servofd.feedback.draft import described_aircraft, draft_aircraft
 
-        return described_aircraft(log)
+        return described_aircraft(log) if fitted is None else draft_aircraft(log, fitted)
     if set(_BENCH) <= set(log.channels):
         return load_aircraft("bench")
     names = dict.fromkeys(

@@ -173,8 +173,7 @@ def _seconds(clock: pd.Series[Any]) -> pd.Series[Any] | None:
         except (ValueError, TypeError):
             return None
     elapsed: Any = clock - clock.iloc[0] if clock.dtype.kind == "M" and clock.size else clock
-    seconds: pd.Series[Any] = elapsed / pd.Timedelta(1, "s") if clock.size else clock.astype(float)
-    return seconds
+    return elapsed / pd.Timedelta(1, "s") if clock.size else clock.astype(float)
 
 
 def _is_time(dtype: object) -> bool:

@@ -18,8 +18,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from servofd.aircraft.series import FLIES_M_S
 from servofd.axes.model import DELAYS_S, FORMS, Filtered, Form, Regression
-from servofd.axes.motion import FLIES_M_S, Motion
+from servofd.axes.motion import Motion
 from servofd.axes.verdict import excludes_none, left_out, named
 from servofd.core.series import rms
 from servofd.core.statistics import LEAST_DIVISOR, Estimate

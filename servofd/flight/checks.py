@@ -59,11 +59,7 @@ def saturation(flight: Flight) -> Check:
         return Check("ok", f"commands stood at their ends {seen}")
     late = begin_s + longest_s >= flight.span_s[1]
     then = f", up to the end of the flight{_answer(flight, which, begin_s, begin_s + longest_s)}" if late else ""
-    return Check(
-        "look",
-        f"{which.name} stood at its end for {longest_s:.1f} s from {begin_s:.0f} s on{then}",
-        begin_s,
-    )
+    return Check("look", f"{which.name} stood at its end for {longest_s:.1f} s from {begin_s:.0f} s on{then}", begin_s)
 
 
 _OBEYS_DEG_S = 5.0
@@ -140,8 +136,7 @@ def travel(flight: Flight) -> Check:
     if narrow or uneven:
         which = ", ".join(dict.fromkeys([*narrow, *uneven]))
         return Check(
-            "look",
-            f"MIN, MAX and TRIM of their outputs leave {which} too little travel to one side; {shares}",
+            "look", f"MIN, MAX and TRIM of their outputs leave {which} too little travel to one side; {shares}"
         )
     return Check("ok", shares)
 
@@ -271,10 +266,7 @@ def _on_the_ground(flight: Flight) -> Check:
         return Check("unknown", _NEVER_FLEW)
     takeoff_s = flight.span_s[0]
     ground = [
-        (
-            one,
-            (one.time_s < takeoff_s - _ROLLING_S) & (one.time_s >= takeoff_s - _BEFORE_TAKEOFF_S - _ROLLING_S),
-        )
+        (one, (one.time_s < takeoff_s - _ROLLING_S) & (one.time_s >= takeoff_s - _BEFORE_TAKEOFF_S - _ROLLING_S))
         for one in flight.outputs
     ]
     if not all(np.count_nonzero(at) > _FEW for _, at in ground):

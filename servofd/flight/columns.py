@@ -11,7 +11,8 @@ import numpy as np
 
 from logparsers.records import FlightLog
 from servofd.aircraft.outputs import HALF_TRAVEL_US, WITHOUT_SURFACES, named_outputs, outputs_of, pulse_channel
-from servofd.axes.motion import FLIES_M_S, SHARES, Motion, Series, airspeed_of, chosen, series_of
+from servofd.aircraft.series import FLIES_M_S
+from servofd.axes.motion import SHARES, Motion, Series, airspeed_of, chosen, series_of
 from servofd.axes.px4 import Control, controls_of
 from servofd.axes.read import motion_of
 from servofd.core.errors import NoMeasurement

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from servofd.core.errors import IdentificationError
-from servofd.identification.motion import HIGHEST_ORDER, LinearServo, MotionFit, ServoCandidate, evaluated, fit_motion
+from servofd.identification.motion import LinearServo, MotionFit, ServoCandidate, evaluated, fit_motion
 from servofd.identification.records import Run
 from servofd.servo.library import second_order
+from servofd.servo.loop import MOST_POLES
 
 _STEP_SHARE = 0.2
 """Share of the commanded range from which on a change is a step."""
@@ -81,7 +82,7 @@ def choose_linear(runs: Sequence[Run], order: int | None) -> Choice:
     BIC's and that of a test at 1 %.
     """
     fits: dict[int, MotionFit] = {}
-    for n in range(1, HIGHEST_ORDER + 1) if order is None else (order,):
+    for n in range(1, MOST_POLES + 1) if order is None else (order,):
         fits[n] = _best_of(
             runs, [ServoCandidate(replace(each, gain=sign)) for each in _grid(n) for sign in (1.0, -1.0)]
         )

@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from servofd.core.errors import IdentificationError
-from servofd.identification.choice import (
-    Choice,
-    choose_linear,
-    choose_nonlinear,
-    steps_of,
-    with_unity_gain,
-)
+from servofd.identification.choice import Choice, choose_linear, choose_nonlinear, steps_of, with_unity_gain
 from servofd.identification.motion import MotionFit, check_saturation, evaluated, fit_motion
 from servofd.identification.records import (
     Run,

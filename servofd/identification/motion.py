@@ -11,6 +11,7 @@ import numpy as np
 from logparsers.units import MS_PER_S, S_PER_MS
 from servofd.core.errors import DesignError, IdentificationError
 from servofd.core.fitting import Noise, Problem, Solution, fit
+from servofd.core.series import rms
 from servofd.core.statistics import LEAST_DIVISOR, Estimate, correlation_factor
 from servofd.core.types import ComplexArray, FloatArray
 from servofd.identification.records import Run
@@ -20,17 +21,13 @@ from servofd.servo.loops import play
 from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 
-HIGHEST_ORDER = 3
-"""Of thesis Fig. 3.10."""
-LARGEST_LOG_GAIN = 14.0
-"""Logarithm: a dc gain is within 1e-6 and 1e6, whatever the units."""
+LARGEST_LOG = 14.0
+"""Logarithm: dc gains, whatever their units, poles and bandwidths are within 1e-6 and 1e6."""
 LONGEST_DELAY_S = 0.2
 """Of a servo with its link: the slowest that was measured needs 0.06 s."""
 _SLOWEST_RAD_S, _NYQUIST_FREQUENCIES = 0.01, 20.0
 """Poles that a test can show: a slower one does not move within it, a faster one has come to rest before the next
 sample (the fastest of thesis Fig. 3.10, 5074 rad/s, is 16 times the Nyquist frequency of its 100 Hz)."""
-_LOG_RANGE = 14.0
-"""Poles are kept within 1e-6 and 1e6 rad/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +64,7 @@ class LinearServo:
     @property
     def transfer(self) -> TransferFunction:
         """Linear dynamics with the dc gain, without the delay."""
-        values = np.exp(np.clip(self.shape, -_LOG_RANGE, 2.0 * _LOG_RANGE))
+        values = np.exp(np.clip(self.shape, -LARGEST_LOG, 2.0 * LARGEST_LOG))
         if self.order == 1:
             denominator = np.array([1.0, values[0]])
         elif self.order == 2:
@@ -88,19 +85,10 @@ class LinearServo:
         return self.delay_s + denominator[-2] / denominator[-1]
 
     def sampled_response(self, frequency_rad_s: FloatArray, sample_time_s: float) -> ComplexArray:
-        """Exact response of sampled position to sampled, held command (modified z-transform)."""
-        poles = self.poles_rad_s.copy()
-        for k in range(1, poles.size):  # those that coincide are moved apart: the response changes by a millionth
-            if np.min(np.abs(poles[:k] - poles[k])) < 1e-3 * abs(poles[k]):
-                poles[k] *= 1.0 + 1e-3 * k
-        residues = self.transfer.numerator[0] / np.array([np.prod(p - poles[poles != p]) for p in poles])
-        whole = np.floor(max(self.delay_s, 0.0) / sample_time_s)
-        rest_s = self.delay_s - whole * sample_time_s
-        z = np.exp(1j * frequency_rad_s * sample_time_s)[:, np.newaxis]
-        late, full = np.exp(poles * (sample_time_s - rest_s)), np.exp(poles * sample_time_s)
-        parts = residues / poles * ((late - 1.0) + (full - late) / z) / (z - full)
-        response: ComplexArray = parts.sum(axis=1) * z[:, 0] ** -whole
-        return response
+        """Exact response of sampled position to sampled, held command."""
+        b, a = self.transfer.sampled(self.delay_s, sample_time_s)
+        inverse = np.exp(-1j * frequency_rad_s * sample_time_s)
+        return np.asarray(np.polyval(b[::-1], inverse) / np.polyval(a[::-1], inverse))
 
 
 _OUT_OF_REACH_DEG = 1e4
@@ -194,7 +182,7 @@ class MotionFit:
     @property
     def rms_deg(self) -> float:
         """Root mean square of all errors [deg]."""
-        return float(np.sqrt(np.mean(np.concatenate(self.errors_deg) ** 2)))
+        return rms(np.concatenate(self.errors_deg))
 
     @property
     def count(self) -> int:
@@ -260,7 +248,7 @@ def _bounds(runs: Sequence[Run], start: ServoCandidate) -> tuple[FloatArray, Flo
     slowest, fastest = (powers * np.log(each) for each in ends_rad_s)
     lower, upper = [*slowest, 0.0], [*fastest, 1e3 * LONGEST_DELAY_S]
     if not start.fixed_gain:
-        lower, upper = [*lower, -LARGEST_LOG_GAIN], [*upper, LARGEST_LOG_GAIN]
+        lower, upper = [*lower, -LARGEST_LOG], [*upper, LARGEST_LOG]
     for _ in [rate for rate in (start.rate_up_deg_s, start.rate_down_deg_s) if rate is not None]:
         lower, upper = [*lower, np.log(_SLOWEST_DEG_S)], [*upper, np.log(_FASTEST_DEG_S)]
     if start.dead_band_deg is not None:

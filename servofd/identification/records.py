@@ -70,11 +70,7 @@ def prepared(segment: Series, servo: int = 0) -> Run:
         rest_deg = first_deg
     begin_s = min(float(segment.command_s[0]), float(measured_s[0])) - _FAR_AWAY_S
     return Run(
-        servo,
-        np.append(begin_s, segment.command_s),
-        np.append(rest_deg, segment.command_deg),
-        measured_s,
-        measured_deg,
+        servo, np.append(begin_s, segment.command_s), np.append(rest_deg, segment.command_deg), measured_s, measured_deg
     )
 
 
@@ -99,8 +95,7 @@ def longest_uniform(run: Run) -> Uniform:
     if not regular:
         grid_s = measured_s[0] + period_s * np.arange(int((measured_s[-1] - measured_s[0]) / period_s) + 1)
         measured_deg = np.interp(grid_s, measured_s, measured_deg)
-    held = np.searchsorted(run.command_s, grid_s + 1e-9, side="right") - 1
-    return Uniform(run.command_deg[held], measured_deg, period_s, not regular)
+    return Uniform(latest(run.command_s, run.command_deg, grid_s + 1e-9), measured_deg, period_s, not regular)
 
 
 _SLOWEST_HZ, _FASTEST_HZ = 8.0, 20_000.0

@@ -46,8 +46,7 @@ class FrequencyResponse:
     @property
     def phase_rad(self) -> FloatArray:
         """Unwrapped phase, shape (m,)."""
-        phase: FloatArray = np.unwrap(np.angle(self.response))
-        return phase
+        return np.unwrap(np.angle(self.response))
 
     def band_rad_s(self) -> tuple[float, float] | None:
         """Range of frequencies that were excited and in which the position follows the command.
@@ -119,8 +118,7 @@ def _spectrum(a: FloatArray, b: FloatArray, window: FloatArray, size: int) -> Co
     circular = irfft(rfft(a, padded) * np.conj(rfft(b, padded)), padded) / a.size
     folded = np.zeros(size)
     folded[: reach + 1], folded[-reach:] = window[reach:] * circular[: reach + 1], window[:reach] * circular[-reach:]
-    spectrum: ComplexArray = np.fft.rfft(folded)
-    return spectrum
+    return np.fft.rfft(folded)
 
 
 def _longest_run(flags: BoolArray) -> tuple[int, int]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servofd.core.evidence import what_is_unknown
+from servofd.core.series import rms
 from servofd.core.statistics import Estimate
 from servofd.core.types import ComplexArray, FloatArray
 
@@ -67,7 +68,7 @@ class Identification:
     @property
     def rms_deg(self) -> float:
         """Root mean square of measured minus simulated position [deg]."""
-        return float(np.sqrt(np.mean(np.concatenate(self.errors_deg) ** 2)))
+        return rms(np.concatenate(self.errors_deg))
 
     @property
     def fits_percent(self) -> tuple[float, ...]:

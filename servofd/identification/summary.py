@@ -12,12 +12,7 @@ from servofd.core.errors import IdentificationError
 from servofd.core.evidence import USUAL_GAINS
 from servofd.core.statistics import Estimate
 from servofd.identification.choice import Choice, choose_linear
-from servofd.identification.motion import (
-    LONGEST_DELAY_S,
-    MotionFit,
-    ServoCandidate,
-    fit_motion,
-)
+from servofd.identification.motion import LARGEST_LOG, LONGEST_DELAY_S, MotionFit, ServoCandidate, fit_motion
 from servofd.identification.records import Run
 
 _UNIDENTIFIABLE = 1.0
@@ -30,8 +25,6 @@ _NO_DELAY_S = 2e-6
 """Delay below which none is printed [s]."""
 _LATER_S, _GAIN = 0.05, 0.95
 """Positions are tried so much later if the best delay is none; they come early if that takes 5 % off the error."""
-_LARGEST_LOG = 14.0
-"""Logarithm of the largest bandwidth that is printed, 1e6 rad/s."""
 _COMMON = ("delay_s", "dc_gain", "bandwidth_rad_s", "lag_s", "pole_0_real_rad_s")
 """What servos of any order have."""
 
@@ -67,19 +60,15 @@ def intervals_of(choice: Choice, servo: ServoCandidate) -> dict[str, Estimate]:
         if name == "delay_s":
             interval = interval._replace(high=min(interval.high, LONGEST_DELAY_S))
         if name == "bandwidth_rad_s":  # fitted by its logarithm, of which the interval is symmetric
-            value, interval = float(np.exp(value)), Estimate(*np.exp(np.minimum(interval, _LARGEST_LOG)).tolist())
-        found[name] = _bounded(interval, value, positive="pole" not in name and name != "dc_gain")
+            value, interval = float(np.exp(value)), Estimate(*np.exp(np.minimum(interval, LARGEST_LOG)).tolist())
+        low, high = min(interval.low, value), max(interval.high, value)
+        can_be_negative = "pole" in name or name == "dc_gain"
+        found[name] = Estimate(value, low if can_be_negative else max(0.0, low), high)
     return found
 
 
 def _of_pole(index: int, part: Callable[[complex], float]) -> Callable[[ServoCandidate], float]:
     return lambda servo: part(complex(servo.linear.poles_rad_s[index]))
-
-
-def _bounded(interval: Estimate, value: float, *, positive: bool) -> Estimate:
-    """The same interval about the value that is reported; what cannot be negative ends at zero."""
-    low, high = min(interval.low, value), max(interval.high, value)
-    return Estimate(value, max(0.0, low) if positive else low, high)
 
 
 def notes_on_servo(

@@ -14,7 +14,7 @@ from servofd.aircraft.schema import Aircraft
 from servofd.aircraft.series import Series, cut
 from servofd.core.errors import ConfigError, NoMeasurement
 from servofd.core.types import FloatArray
-from servofd.feedback.flown import log_files, logs_of, scaled_aircraft
+from servofd.feedback.flown import log_files, logs_of, surfaces_of
 from servofd.identification.identify import identify as identify_records
 from servofd.identification.result import Identification
 
@@ -50,7 +50,7 @@ def bench_tests(path: LogFile, aircraft: Aircraft | None = None, surface: str | 
             continue
         try:
             only = () if surface is None else (surface,)
-            found.append(_of_surface(log, scaled_aircraft(log, aircraft, only), surface))
+            found.append(_of_surface(log, surfaces_of(log, aircraft, fitted=only), surface))
         except NoMeasurement as error:
             reasons.append(error)
     if not found:

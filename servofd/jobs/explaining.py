@@ -20,7 +20,7 @@ from servofd.discrepancy.known import A_TYPE, NOTHING
 from servofd.discrepancy.own import load_own_effect
 from servofd.discrepancy.validity import undriven
 from servofd.discrepancy.varying import varying
-from servofd.feedback.flown import known_aircraft, logs_of, scaled_aircraft, surfaces_of
+from servofd.feedback.flown import known_aircraft, logs_of, surfaces_of
 from servofd.jobs.bench import label_of
 from servofd.servo.effect import Effect
 from servofd.servo.library import Servo
@@ -114,7 +114,7 @@ def explain_logs(
     logs = tuple(logs_of(paths, known))
     source = logs[0].label if len(logs) == 1 else f"{', '.join(map(label_of, paths))} ({len(logs)} runs)"
     # The servo of a plain table is fitted along with what it may lack.
-    flown = scaled_aircraft(logs[0], known)
+    flown = surfaces_of(logs[0], known, fitted=())
     if servo is not None and servo != UNKNOWN:
         flown = flown.with_servo(servo)
     flown.check_names(surfaces, source)
@@ -133,7 +133,7 @@ def explain_logs(
             continue
         found.append(one)
         if is_unnamed and one.record.side is None:  # with the poles that were found, for an audit
-            poles = scaled(one.record.plant.transfer, one.selection.final.physics.scales)
+            poles = scaled(one.record.model.transfer, one.selection.final.physics.scales)
             fitted = {"numerator": poles.numerator, "denominator": poles.denominator, "source": "servofd explain"}
             servo_found = Servo.model_validate(UNKNOWN_SERVO.model_dump() | fitted | {"delay_s": 0.0})
             explained = _with_unknown_servo(explained, name, servo_found)

@@ -22,7 +22,7 @@ from servofd.detection.audit import audit_log
 from servofd.detection.flights import Flight, Span
 from servofd.detection.kinds import STANDS_STILL
 from servofd.detection.verdict import Fault, LogAudit, SurfaceAudit
-from servofd.feedback.flown import each_once, flown_aircraft, good_aircraft, known_aircraft, logs_of, surfaces_of
+from servofd.feedback.flown import each_once, flown_aircraft, known_aircraft, logs_of, surfaces_of
 
 if TYPE_CHECKING:
     from servofd.axes.verdict import AxisAudit
@@ -252,6 +252,8 @@ def drafted_aircraft(paths: Log | Sequence[Log], spans: tuple[Span, ...] = ()) -
 
     The logs are good in some spans [s]; everywhere if there are none.
     """
+    from servofd.feedback.fitted import scaled_aircraft
+
     reason, first = "", None
     for log in logs_of(paths):
         try:
@@ -260,11 +262,11 @@ def drafted_aircraft(paths: Log | Sequence[Log], spans: tuple[Span, ...] = ()) -
             reason = str(error)
             continue
         if not all(is_numbered(name) for name in found.surfaces):
-            return good_aircraft(log, spans)
-        first = first or log
+            return scaled_aircraft(log, found, spans)
+        first = first or (log, found)
     if first is None:
         raise NoMeasurement(reason)
-    return good_aircraft(first, spans)
+    return scaled_aircraft(*first, spans)
 
 
 def flights_of(

@@ -117,8 +117,7 @@ def _traced(found: Identification, index: int, title: str, first_s: float, last_
 
 
 def _decibels(response: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> FloatArray:
-    decibels: FloatArray = 20.0 * np.log10(np.maximum(np.abs(response), 1e-9))
-    return decibels
+    return 20.0 * np.log10(np.maximum(np.abs(response), 1e-9))
 
 
 def identify_report(found: Identification, source: str) -> Document:

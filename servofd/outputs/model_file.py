@@ -45,7 +45,7 @@ def model_file(
             entry.pop("calibrated", None)  # of the servo without them
             if one.record.known.starts and not one.is_servo_of_its_own:
                 # The servo that the search began with, of which the effects tell how the poles differ.
-                begun = one.record.plant.transfer
+                begun = one.record.model.transfer
                 poles = {"numerator": begun.numerator, "denominator": begun.denominator}
                 servos = {**servos, entry["servo"]: {**servos[entry["servo"]], **poles}}
         elif one.selection.final.effects or not one.is_own_fit:
@@ -70,7 +70,7 @@ def model_file(
 
 def _table(found: Explanation) -> EffectTable:
     """The effects, and what the servo's own numbers came to beside them."""
-    final, known, physics = found.selection.final, found.record.plant.neutral, found.physics
+    final, known, physics = found.selection.final, found.record.model.physics, found.physics
     poles = next(each for each in effects_named("poles") if each.fixed["slow_place"] == final.place)
     if found.is_servo_of_its_own:  # its poles are written as the servo's own
         physics = physics._replace(**{p.fields[0]: p.neutral for p in poles.parameters})

@@ -12,7 +12,7 @@ from servofd.core.types import FloatArray
 
 _LONG_S, _INSTANT_S = 1e3, 1e-4
 """A load holds so long before its first and after its last stamp; what is shorter is an instant."""
-AIR_KG_M3: Final = 1.225
+_AIR_KG_M3: Final = 1.225
 """Density of the standard atmosphere at sea level."""
 
 
@@ -24,6 +24,11 @@ _STAMPS: Final = {
     "servo_load": "load_s",
 }
 """By the names of columns, where their time stamps stand."""
+
+
+def pressure_pa(airspeed_m_s: FloatArray | float) -> FloatArray:
+    """Dynamic pressure at an airspeed [Pa], of the same shape."""
+    return np.asarray(0.5 * _AIR_KG_M3 * airspeed_m_s**2)
 
 
 def _nothing() -> FloatArray:
@@ -70,8 +75,7 @@ class Context:
 
     def pressure_pa(self, at_s: FloatArray) -> FloatArray:
         """Dynamic pressure [Pa], shape (n,): held before the first and after the last sample; 0 if never logged."""
-        pressure_pa: FloatArray = 0.5 * AIR_KG_M3 * _between(self.airspeed_s, self.airspeed_m_s, at_s, 0.0) ** 2
-        return pressure_pa
+        return pressure_pa(_between(self.airspeed_s, self.airspeed_m_s, at_s, 0.0))
 
     def supply_v(self, at_s: FloatArray) -> FloatArray:
         """Supply of the servo [V], shape (n,), likewise; infinite, which limits no speed, if never logged."""

@@ -173,6 +173,10 @@ class Parameter:
         return (value - self.low <= lower or self.high - value <= margin) and not at_neutral
 
 
+SELDOM, RARELY, HARDLY_EVER = 8.0, 12.0, 24.0
+"""Surprises of effects that are 55, 400 and 160 000 times as rare as the others."""
+
+
 class Effect:
     """Physics beyond a linear servo; subclasses say which.
 

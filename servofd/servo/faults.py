@@ -270,8 +270,7 @@ class Oscillation(Failure):
 
     def moved(self, servo: ServoModel, elapsed_s: FloatArray, deflection_deg: FloatArray) -> FloatArray:
         about_deg = deflection_deg[0] if self.replaces else deflection_deg
-        moved_deg: FloatArray = about_deg + self.amplitude_deg * np.sin(2.0 * np.pi * self.frequency_hz * elapsed_s)
-        return moved_deg
+        return about_deg + self.amplitude_deg * np.sin(2.0 * np.pi * self.frequency_hz * elapsed_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,8 +348,7 @@ class Intermittent(Failure):
             edges_s += [edges_s[-1] + self.apart_s * rng.uniform(0.4, 1.6)]
         arrives = np.searchsorted(edges_s, elapsed_s, side="right") % 2 == 0
         held = np.maximum.accumulate(np.where(arrives, np.arange(elapsed_s.size), -1))
-        received_deg: FloatArray = np.where(held >= 0, command_deg[held], before_deg)
-        return received_deg
+        return np.where(held >= 0, command_deg[held], before_deg)
 
 
 _KINDS = (Stuck, Bias, HardOver, Floating, Oscillation, DeadBand, Slow, LossOfEffectiveness, Intermittent)

@@ -31,6 +31,7 @@ import numpy as np
 from logparsers import compiled as compiler
 from servofd.core.errors import ConfigError
 from servofd.servo.effect import Effect, Now, Slot
+from servofd.servo.effects.commands import Commands
 from servofd.servo.registry import fields_of
 
 STEPPED = (Slot.COMMAND, Slot.ERROR, Slot.LOAD, Slot.GRIP, Slot.SPEED, Slot.STOP, Slot.OUTPUT, Slot.READING)
@@ -105,7 +106,7 @@ def check(effect: type[Effect]) -> None:
     """
     sizes = {f: p.neutral + p.typical for p in effect.parameters for f in p.fields}
     if effect.slot is Slot.EVENTS and effect.act is not None:
-        commands = np.array([0.0, 0.02, 0.04]), np.array([0.0, 1.0, 1.0]), np.zeros(3)
+        commands = Commands(np.array([0.0, 0.02, 0.04]), np.array([0.0, 1.0, 1.0]), np.zeros(3))
         try:
             time_s, command_deg, slope_deg_s = effect.act(commands, *(sizes[f] for f in effect.sees))
             columns = np.stack([time_s, command_deg, slope_deg_s])

@@ -35,8 +35,8 @@ _FASTEST_TIMES_GRID = 0.05
 """Of the fastest pole: seven terms of the series in half a step of the grid then leave 1e-16."""
 _LONGEST_S, _MOST = 0.02, 256
 """Longest step that is kept, and how many."""
-_PHYSICAL = 3
-"""States of a servo on which effects can act, and most of its poles."""
+MOST_POLES = 3
+"""Of a servo on which effects can act, which has as many states; one of more is simulated, and nothing acts inside."""
 _FINER, _TERMS, _SQUARINGS = 16.0, 9, 4
 """Series of a sixteenth of a step of the grid: its next term is below 1e-20."""
 
@@ -90,7 +90,7 @@ def scaled(transfer: TransferFunction, scales: Scales) -> TransferFunction:
     if len(transfer.numerator) > 1:
         return transfer.with_bandwidth_scaled(scales.bandwidth)
     denominator = transfer.denominator
-    if len(denominator) <= _PHYSICAL + 1:
+    if len(denominator) <= MOST_POLES + 1:
         polynomial = _monic(len(denominator) - 1, _poles(denominator, scales))
     else:
         polynomial = _damped(np.array(denominator) / denominator[0], scales.damping)
@@ -134,17 +134,16 @@ def _poles(denominator: tuple[float, ...], scales: Scales) -> _Poles:
 @lru_cache(maxsize=64)
 def _as_known(denominator: tuple[float, ...]) -> _Poles:
     monic = np.array(denominator) / denominator[0]
-    if monic.size > _PHYSICAL:
+    if monic.size > MOST_POLES:
         slow, pair = split(monic)
         return _Poles(slow, *pair)
-    return _Poles(0.0, float(monic[1]), float(monic[2]) if monic.size == _PHYSICAL else 0.0)
+    return _Poles(0.0, float(monic[1]), float(monic[2]) if monic.size == MOST_POLES else 0.0)
 
 
 def _monic(order: int, poles: _Poles) -> FloatArray:
     """Characteristic polynomial of one to three poles."""
     slow, total, product = poles
-    monic: FloatArray = np.array([1.0, slow + total, slow * total + product, slow * product][: order + 1])
-    return monic
+    return np.array([1.0, slow + total, slow * total + product, slow * product][: order + 1])
 
 
 def split(monic: FloatArray) -> tuple[float, tuple[float, float]]:
@@ -165,15 +164,14 @@ def _damped(monic: FloatArray, scale: float) -> FloatArray:
     pair = np.argsort(np.abs(roots))[-2:]
     rest = np.delete(roots, pair)
     quadratic = np.array([1.0, -scale * roots[pair].sum().real, np.prod(roots[pair]).real])
-    damped: FloatArray = np.polymul(np.poly(rest).real, quadratic)
-    return damped
+    return np.polymul(np.poly(rest).real, quadratic)
 
 
 @lru_cache(maxsize=512)  # of many runs each asks for the same
 def loop_of(transfer: TransferFunction, scales: Scales, grid_s: float = _COARSEST_S) -> Loop:
     """Matrices of a servo with its poles scaled, on a grid of steps [s] or a finer one."""
     order = len(transfer.denominator) - 1
-    is_physical = len(transfer.numerator) == 1 and 1 <= order <= _PHYSICAL
+    is_physical = len(transfer.numerator) == 1 and 1 <= order <= MOST_POLES
     poles = _poles(transfer.denominator, scales) if is_physical else None
     loop = _physical(order, transfer.dc_gain, poles, scales) if poles else _canonical(scaled(transfer, scales))
     fastest = poles.fastest if poles else loop.natural_rad_s
@@ -196,10 +194,10 @@ def _physical(order: int, gain: float, poles: _Poles, scales: Scales) -> Loop:
         slow, damping, stiffness = poles.in_order()
         a[0, 1] = 1.0
         a[1, :2], b[1] = (-stiffness, -damping), (stiffness, stiffness, 1.0)
-        filters = order == _PHYSICAL and scales.place == BEFORE
+        filters = order == MOST_POLES and scales.place == BEFORE
         if filters:
             a[1, 2], b[1, 0], a[2, 2], b[2, 0] = stiffness, 0.0, -slow, slow
-        elif order == _PHYSICAL:
+        elif order == MOST_POLES:
             a[2, 0], a[2, 2], leaves = slow, -slow, 2
         error_s, per_error, natural_rad_s = damping / stiffness, stiffness, math.sqrt(stiffness)
     else:

@@ -31,7 +31,8 @@ _SHORTEST_S = 5e-4
 """Shorter steps would take minutes for a log."""
 _NOWHERE = np.zeros(0)
 _NEVER = np.zeros(0, dtype=bool)
-_NO_SURROUNDINGS = np.zeros((0, 5))
+NOTHING_AROUND = np.zeros((0, 5))
+"""Surroundings of a servo, in a simulation that does not depend on them."""
 _FIRST_ORDER = {
     ("rate_up_deg_s", "speed_up_deg_s"),
     ("rate_down_deg_s", "speed_down_deg_s"),
@@ -67,7 +68,7 @@ class Machine:
         *,
         anew: BoolArray = _NEVER,
         measured_deg: FloatArray = _NOWHERE,
-        around: FloatArray = _NO_SURROUNDINGS,
+        around: FloatArray = NOTHING_AROUND,
         speed_deg_s: FloatArray = _NOWHERE,
     ) -> tuple[FloatArray, int]:
         """Readings at the next instants [deg], shape (n, V), and how many of the commands have reached the servo.
@@ -173,7 +174,7 @@ def received(physics: Physics, commands: Commands) -> Commands:
     acting = {name for name, _ in physics}
     for effect in everything():
         if effect.slot is Slot.EVENTS and effect.act is not None and not acting.isdisjoint(effect.switches):
-            commands = effect.act(commands, *(getattr(physics, name) for name in effect.sees))
+            commands = Commands(*effect.act(commands, *(getattr(physics, name) for name in effect.sees)))
     return commands
 
 
@@ -212,9 +213,28 @@ def started_anew(
 def _around(context: Context, physics: Physics, machine: Machine, at_s: FloatArray) -> FloatArray:
     """What acts on a servo until each of some instants; nothing where nothing was logged, or it depends on nothing."""
     if context is NO_CONTEXT or not machine.acts.any():
-        return _NO_SURROUNDINGS
-    supply_v, load = context.supply_v(at_s), context.pushed(at_s, physics.load_late_s)
-    return np.column_stack([context.pressure_pa(at_s), supply_v, np.ones(at_s.size), context.drawn_a(at_s), load])
+        return NOTHING_AROUND
+    return around_servo(
+        at_s.size,
+        pressure_pa=context.pressure_pa(at_s),
+        supply_v=context.supply_v(at_s),
+        current_a=context.drawn_a(at_s),
+        load=context.pushed(at_s, physics.load_late_s),
+    )
+
+
+def around_servo(
+    count: int,
+    *,
+    pressure_pa: FloatArray | float = 0.0,
+    supply_v: FloatArray | float = math.inf,
+    power: FloatArray | float = 1.0,
+    current_a: FloatArray | float = 0.0,
+    load: FloatArray | float = 0.0,
+) -> FloatArray:
+    """What acts on a servo until each of so many instants, as the stepper takes it, shape (count, 5)."""
+    columns = (pressure_pa, supply_v, power, current_a, load)
+    return np.column_stack([np.broadcast_to(each, count) for each in columns])
 
 
 @dataclass(slots=True, eq=False)
@@ -231,7 +251,7 @@ class Motion:
     context: Context = field(init=False)
     _machine: Machine = field(init=False)
     _state: State = field(init=False)
-    _waiting: Commands = field(init=False, default=(_NOWHERE, _NOWHERE, _NOWHERE))
+    _waiting: Commands = field(init=False, default=Commands(_NOWHERE, _NOWHERE, _NOWHERE))
     _next_frame: int | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
@@ -243,11 +263,9 @@ class Motion:
         """Commands to come, shape (n,): when they reach the servo [s], what they ask for, and their slope; copied."""
         if not effective_s.size:
             return
-        new = received(
-            self.servo.physics._replace(frame_s=0.0, frame_phase=0.0), (effective_s, command_deg, slope_deg_s)
-        )
-        at, deg, slope = (np.concatenate([old, each]) for old, each in zip(self._waiting, new, strict=True))
-        self._waiting = at, deg, slope
+        unframed = self.servo.physics._replace(frame_s=0.0, frame_phase=0.0)
+        new = received(unframed, Commands(effective_s, command_deg, slope_deg_s))
+        self._waiting = Commands(*map(np.concatenate, zip(self._waiting, new, strict=True)))
 
     def at(self, at_s: FloatArray) -> FloatArray:
         """Measured position at the next instants [deg], shape (m,); rising, and not before the last of them."""
@@ -271,7 +289,7 @@ class Motion:
             self._state, commands, at_s, anew=anew, measured_deg=measured_deg, around=beside
         )
         if not framed:
-            self._waiting = (self._waiting[0][used:], self._waiting[1][used:], self._waiting[2][used:])
+            self._waiting = Commands(*(each[used:] for each in self._waiting))
         return read_deg[:, 0]
 
     def become(self, servo: Simulated) -> None:
@@ -298,5 +316,5 @@ class Motion:
         self._next_frame = max(self._next_frame, after)
         # The last command before now may be carried by frames to come.
         done = max(int(np.searchsorted(self._waiting[0], until_s, side="right")) - 1, 0)
-        self._waiting = (self._waiting[0][done:], self._waiting[1][done:], self._waiting[2][done:])
+        self._waiting = Commands(*(each[done:] for each in self._waiting))
         return carried

@@ -1,4 +1,4 @@
-"""The sizes of a servo's effects, and the linear servo on which they act."""
+"""The sizes of a servo's effects."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from functools import lru_cache
 from servofd.servo.effect import Effect
 from servofd.servo.loop import INSIDE, Scales
 from servofd.servo.registry import everything, fields_of
-from servofd.servo.transfer import TransferFunction
 
 _SCALES = ("bandwidth_scale", "slow_scale", "pair_scale", "damping_scale", "slow_place", "torque_share")
 _BESIDE = {"slow_place": INSIDE, "run_slope": 0.0, "run_field": 0.0, "run_condition": 0.0}
@@ -101,22 +100,3 @@ def rate_fields() -> tuple[str, ...]:
 def loose_shares() -> Mapping[str, float]:
     """Sizes within which a surface rests anywhere, and the share of each that it may be off to either side."""
     return {field: p.loose for e in everything() for p in e.parameters if p.loose > 0.0 for field in p.fields}
-
-
-@dataclass(frozen=True, slots=True)
-class Plant:
-    """The linear servo to which effects are added."""
-
-    transfer: TransferFunction
-    neutral: Physics
-    """As the servo is known."""
-
-    @property
-    def dc_gain(self) -> float:
-        """Gain at rest [deg/deg]."""
-        return self.transfer.dc_gain
-
-    @property
-    def has_places(self) -> bool:
-        """Whether its slow pole may act elsewhere: one of three, and real."""
-        return len(self.transfer.denominator) == 4

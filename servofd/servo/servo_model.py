@@ -13,13 +13,10 @@ from servofd.servo.effect import Effect
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import Servo
-from servofd.servo.loop import scaled
+from servofd.servo.loop import MOST_POLES, scaled
 from servofd.servo.motion import Motion
-from servofd.servo.physics import Physics, Plant, rate_fields
+from servofd.servo.physics import Physics, rate_fields
 from servofd.servo.transfer import TransferFunction
-
-_MOST_POLES = 3
-"""Servos of more poles are simulated, but nothing acts inside their loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +61,21 @@ class ServoModel:
     def delay_s(self) -> float:
         """Transport delay [s]."""
         return self.physics.delay_s
+
+    @property
+    def has_places(self) -> bool:
+        """Whether its slow pole may act elsewhere: one of three, and real."""
+        return len(self.transfer.denominator) == MOST_POLES + 1
+
+    def explainable(self) -> ServoModel:
+        """The same; raises `DesignError` if effects cannot act inside it: it has zeros, or more than three poles."""
+        zeros, poles = len(self.transfer.numerator) - 1, len(self.transfer.denominator) - 1
+        if zeros or not 1 <= poles <= MOST_POLES:
+            raise DesignError(
+                f"a servo of order {poles} with {zeros} zeros cannot be explained: servos of one to three poles and no "
+                "zeros can"
+            )
+        return self
 
     def linear(self) -> ServoModel:
         """Only the delay and the linear dynamics, without limits."""
@@ -138,21 +150,3 @@ class ServoModel:
         if command_s.size:
             motion.rest(float(command_s[0]))
         return motion
-
-
-def plant_of(model: ServoModel) -> Plant:
-    """The linear servo of a model, and how its effects are known.
-
-    Examples
-    --------
-    >>> from servofd.servo.library import servo_named
-    >>> plant_of(ServoModel.of(servo_named("hs225bb-eq31"))).neutral.delay_s
-    0.004
-    """
-    transfer = model.transfer
-    if len(transfer.numerator) != 1 or not 1 <= len(transfer.denominator) - 1 <= _MOST_POLES:
-        raise DesignError(
-            f"a servo of order {len(transfer.denominator) - 1} with {len(transfer.numerator) - 1} zeros cannot be "
-            "explained: servos of one to three poles and no zeros can"
-        )
-    return Plant(transfer, model.physics)

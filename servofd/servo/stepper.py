@@ -64,17 +64,9 @@ def departs(x: FloatArray, v: int, a: FloatArray, b: FloatArray, out: int, u: fl
 
 @compile_steps(kind="inlined")
 def nudge(
-    x: FloatArray,
-    v: int,
-    a: FloatArray,
-    b: FloatArray,
-    h: float,
-    u: float,
-    s: float,
-    push: float,
-    pull: float,
+    x: FloatArray, v: int, a: FloatArray, b: FloatArray, h: float, u: float, s: float, push: float, pull: float,
     terms: int,
-) -> None:
+) -> None:  # fmt: skip
     """Move the servo v on by a small h: Taylor's series of its n states, in the other 2 n columns of `x`."""
     n, part, rate, by = x.shape[1] // 3, h, a[v], b[v]
     for i in range(n):
@@ -95,19 +87,9 @@ def nudge(
 
 @compile_steps(kind="inlined")
 def advance(
-    x: FloatArray,
-    v: int,
-    a: FloatArray,
-    b: FloatArray,
-    steps: FloatArray,
-    grid_s: float,
-    h: float,
-    u: float,
-    s: float,
-    push: float,
-    pull: float,
-    terms: int,
-) -> None:
+    x: FloatArray, v: int, a: FloatArray, b: FloatArray, steps: FloatArray, grid_s: float, h: float, u: float, s: float,
+    push: float, pull: float, terms: int,
+) -> None:  # fmt: skip
     """Move the servo v on by h, under a command u that runs on at s, and what pushes and pulls it meanwhile."""
     n, last = x.shape[1] // 3, steps.shape[1] - 1
     while h > 0.0:
@@ -131,28 +113,12 @@ def advance(
 
 @compile_steps(kind="outer")
 def run(
-    p: FloatArray,
-    acts: BoolArray,
-    facts: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
-    steps: FloatArray,
-    at_rest: FloatArray,
-    grid_s: float,
-    longest_s: float,
-    effective_s: FloatArray,
-    command_deg: FloatArray,
-    slope_deg_s: FloatArray,
-    at_s: FloatArray,
-    anew: BoolArray,
-    measured_deg: FloatArray,
-    around: FloatArray,
-    clock: FloatArray,
-    x: FloatArray,
-    m: FloatArray,
-    read_deg: FloatArray,
-    speed_deg_s: FloatArray,
-) -> int:
+    p: FloatArray, acts: BoolArray, facts: FloatArray, a: FloatArray, b: FloatArray, steps: FloatArray,
+    at_rest: FloatArray, grid_s: float, longest_s: float,
+    effective_s: FloatArray, command_deg: FloatArray, slope_deg_s: FloatArray,
+    at_s: FloatArray, anew: BoolArray, measured_deg: FloatArray, around: FloatArray,
+    clock: FloatArray, x: FloatArray, m: FloatArray, read_deg: FloatArray, speed_deg_s: FloatArray,
+) -> int:  # fmt: skip
     """Move V servos on to each of some instants; what their sensors read goes into `read_deg` (instants, V).
 
     Call it again with later instants, and with the commands from the returned number on, to go on from where `clock`,

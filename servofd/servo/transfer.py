@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from servofd.core.errors import DesignError
-from servofd.core.types import ComplexArray
+from servofd.core.types import ComplexArray, FloatArray
 
 BANDWIDTH_DROP_DB = 3.0
 """Below dc. Exactly 3.00 dB reproduces the bandwidth column of thesis Fig. 3.10; 3.0103 dB does not."""
@@ -21,6 +21,8 @@ _SLOWEST_RAD_S, _FASTEST_RAD_S = 1e-5, 1e5
 """A day, and 10 us: no servo needs the one to move, or swings within the other; to follow it would take as long."""
 _ROUND_OFF = 2.2e-16
 """Relative spacing of numbers in double precision."""
+_WHOLE_SAMPLE = 1e-9
+"""Share of a sample below which a delay is whole samples."""
 _LARGEST_CANCELLATION = 1e9
 """Sum of the modes' weights; times round-off it is the error of the simulation, relative to the deflection."""
 
@@ -106,8 +108,7 @@ class TransferFunction:
             return _pair(*self.denominator)
         roots = np.roots(self.denominator).astype(complex)
         order = np.lexsort((roots.imag, np.abs(roots), roots.imag != 0.0))
-        poles: ComplexArray = roots[order]
-        return poles
+        return roots[order]
 
     @property
     def dc_gain(self) -> float:
@@ -147,8 +148,7 @@ class TransferFunction:
 
     def at(self, s: ComplexArray) -> ComplexArray:
         """Evaluate at complex frequencies `s` [rad/s], any shape."""
-        values: ComplexArray = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
-        return values
+        return np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
 
     @functools.lru_cache(maxsize=512)  # noqa: B019 - a residual asks three times, a fit for its grid once a surface
     def modes(self) -> Modes:
@@ -180,6 +180,39 @@ class TransferFunction:
         if not sum(map(abs, shares)) <= _LARGEST_CANCELLATION:
             raise DesignError("poles lie too close for so high an order: use a simpler model of this servo")
         return Modes(-upper, np.where(upper.imag > 0.0, -2.0, -1.0) * np.array(shares))
+
+    def sampled(self, delay_s: float, sample_time_s: float) -> tuple[FloatArray, FloatArray]:
+        """Numerator and denominator in z⁻¹ of the exact response to a held and delayed command, on samples."""
+        whole, fraction_s = split_delay(delay_s, sample_time_s)
+        modes = self.modes()
+        poles, residues = -modes.decay_rad_s, modes.weight * modes.decay_rad_s
+        pairs = poles.imag > 0.0
+        residues = np.where(pairs, residues / 2.0, residues)
+        poles = np.concatenate([poles, poles[pairs].conj()])
+        residues = np.concatenate([residues, residues[pairs].conj()])
+        factors = np.exp(poles * sample_time_s)
+        early = np.expm1(poles * (sample_time_s - fraction_s)) / poles
+        late = np.exp(poles * (sample_time_s - fraction_s)) * np.expm1(poles * fraction_s) / poles
+        b = np.zeros(whole + poles.size + 2)
+        for i in range(poles.size):
+            term = residues[i] * np.convolve([0.0, early[i], late[i]], product_of(np.delete(factors, i)))
+            b[whole:] += np.real(term)
+        return b, np.real(product_of(factors))
+
+
+def split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
+    """Whole samples of a delay, and the rest [s]."""
+    samples = delay_s / sample_time_s
+    whole = int(np.floor(samples + _WHOLE_SAMPLE))
+    return whole, max(0.0, samples - whole) * sample_time_s
+
+
+def product_of(factors: ComplexArray) -> ComplexArray:
+    """Coefficients of the product of (1 - f z⁻¹)."""
+    coefficients = np.ones(1, dtype=complex)
+    for factor in factors:
+        coefficients = np.convolve(coefficients, [1.0, -factor])
+    return coefficients
 
 
 def _pair(square: float, linear: float, constant: float) -> ComplexArray:

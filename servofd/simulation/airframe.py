@@ -20,7 +20,7 @@ from logparsers.dataflash.encode import encode
 from logparsers.units import US_PER_S
 from servofd.core.errors import ConfigError, UnknownName, suggest
 from servofd.core.types import FloatArray
-from servofd.servo.context import AIR_KG_M3
+from servofd.servo.context import pressure_pa
 from servofd.simulation.ardupilot import banner, output_parameters
 from servofd.simulation.dataflash_writer import pulses, rows, words
 from servofd.simulation.pulses import THROTTLE, THROTTLE_FUNCTION, functions_of
@@ -39,6 +39,8 @@ _LAG_S: Final = 0.06
 """Lag of a servo [s]."""
 _MOST_DEG: Final = 4.0
 """Largest motion of a servo in a step of the integration [deg], its rate limit."""
+_PULSES: Final = 9
+"""Columns of the states of a step before those of its pulses: p, q, r, roll, pitch, speed, alpha, beta, throttle."""
 _GUST_M, _GUST_M_S = 20.0, 1.5
 """Flight over which gusts are correlated [m], and their deviation in moderate turbulence [m/s]."""
 
@@ -129,19 +131,20 @@ def fly_airframe(
     states = _flown(steps, shocks, wanted, mix, table, load, trims_us, turbulence)
     every = max(1, round(1.0 / rate_hz / _STEP_S))
     states = states[::every]
-    n, s = states.shape[0], len(names)
-    noise = rng.standard_normal
+    n, noise = states.shape[0], rng.standard_normal
+    rates, (roll, pitch, speed), throttle = states[:, :3].T, states[:, 3:6].T, states[:, _PULSES - 1]
+    sent, stands, forces = np.split(states[:, _PULSES:], [len(names), 2 * len(names)], axis=1)
     return AirframeFlight(
         surfaces,
         np.arange(n) * every * _STEP_S,
-        np.round(1500.0 + states[:, 9 : 9 + s]),
-        states[:, 8],
-        np.degrees(states[:, 0:3].T) + 0.3 * noise((3, n)),
-        states[:, 9 + 2 * s :].T + 0.15 * noise((3, n)),
-        np.degrees(states[:, 3]),
-        np.degrees(states[:, 4]),
-        states[:, 5] + 0.3 * noise(n),
-        states[:, 9 + s : 9 + 2 * s],
+        np.round(1500.0 + sent),
+        throttle,
+        np.degrees(rates) + 0.3 * noise((3, n)),
+        forces.T + 0.15 * noise((3, n)),
+        np.degrees(roll),
+        np.degrees(pitch),
+        speed + 0.3 * noise(n),
+        stands,
     )
 
 
@@ -162,18 +165,12 @@ def _targets(rng: np.random.Generator, steps: int, manoeuvres: float) -> FloatAr
 
 @compiled
 def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it happens
-    steps: int,
-    shocks: FloatArray,
-    wanted: FloatArray,
-    mix: FloatArray,
-    faults: FloatArray,
-    load: FloatArray,
-    trims_us: FloatArray,
-    turbulence: float,
-) -> FloatArray:
-    """States of every step: p, q, r, roll, pitch, speed, alpha, beta, throttle, pulses, deflections, forces."""
+    steps: int, shocks: FloatArray, wanted: FloatArray, mix: FloatArray, faults: FloatArray, load: FloatArray,
+    trims_us: FloatArray, turbulence: float,
+) -> FloatArray:  # fmt: skip
+    """States of every step: those before `_PULSES`, pulses, deflections, forces."""
     s = mix.shape[0]
-    out = np.zeros((steps, 12 + 2 * s))
+    out = np.zeros((steps, _PULSES + 2 * s + 3))
     p = q = r = roll = pitch = 0.0
     alpha, beta, speed, thrust = 0.05, 0.0, _USUAL_M_S, 0.5
     gust_a = gust_b = gust_p = 0.0
@@ -236,14 +233,10 @@ def _flown(  # noqa: PLR0915 - one step of physics, in the order in which it hap
         roll += _STEP_S * (p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)))
         pitch += _STEP_S * (q * np.cos(roll) - r * np.sin(roll))
         speed = max(speed + _STEP_S * (pull - drag - _GRAVITY_M_S2 * np.sin(pitch - alpha)), 6.0)
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = p, q, r, roll, pitch
-        out[k, 5], out[k, 6], out[k, 7], out[k, 8] = speed, alpha, beta, throttle
-        for i in range(s):
-            out[k, 9 + i] = pulses[i]
-            out[k, 9 + s + i] = angles[i]
-        out[k, 9 + 2 * s] = pull - drag + lift * alpha
-        out[k, 10 + 2 * s] = side
-        out[k, 11 + 2 * s] = -lift
+        out[k, :_PULSES] = np.array([p, q, r, roll, pitch, speed, alpha, beta, throttle])
+        out[k, _PULSES : _PULSES + s] = pulses
+        out[k, _PULSES + s : _PULSES + 2 * s] = angles
+        out[k, _PULSES + 2 * s :] = np.array([pull - drag + lift * alpha, side, -lift])
     return out
 
 
@@ -267,8 +260,8 @@ def airframe_log(flight: AirframeFlight) -> bytes:
     sent = dict(zip(flight.surfaces, flight.pulses_us.T, strict=True))
     p, q, r = np.radians(flight.rates_deg_s)
     ax, ay, az = flight.accelerations_m_s2
-    pressure_pa = 0.5 * AIR_KG_M3 * flight.airspeed_m_s**2
-    pitot = {"Airspeed": flight.airspeed_m_s, "DiffPress": pressure_pa, "RawPress": pressure_pa}
+    pushed_pa = pressure_pa(flight.airspeed_m_s)
+    pitot = {"Airspeed": flight.airspeed_m_s, "DiffPress": pushed_pa, "RawPress": pushed_pa}
     return encode(
         [
             *words(stamps[:1], airframe_parameters(flight), banner(_VERSION)),

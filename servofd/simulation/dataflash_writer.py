@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from logparsers.dataflash.encode import Message, encode
 from servofd.aircraft.schema import Aircraft
 from servofd.core.types import IntArray
-from servofd.servo.context import AIR_KG_M3
+from servofd.servo.context import pressure_pa
 from servofd.simulation.ardupilot import banner, parameters, reporting
 from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.pulses import MOST_OUTPUTS, THROTTLE, THROTTLE_US
-from servofd.simulation.surroundings import EPOCH_US, microseconds, servo_state, sparse, surroundings
+from servofd.simulation.surroundings import EPOCH_US, RAIL_V, current_a, microseconds, sparse, stalled_a, surroundings
 
 _CONTEXT_HZ: Final = 10.0
 """Rate of attitude, airspeed and supply in the log [Hz]."""
@@ -126,22 +126,26 @@ def pulses(stamps_us: IntArray, pulses_us: Mapping[int, ArrayLike]) -> Message:
 
 def _csrv(flight: SimulatedFlight, aircraft: Aircraft, generation: Generation) -> list[Message]:
     """One message per servo: rows of equal time stay in the order of the outputs."""
-    found = []
+    time_s, found = flight.time_s, []
     for i, output in sorted(reporting(flight, aircraft), key=lambda each: each[1].number):
-        rng = np.random.default_rng([flight.seed, i, 1001])
-        state = servo_state(flight.time_s, flight.received_deg[:, i], flight.measured_deg[:, i], rng)
-        arm_deg = output.arm_deg(flight.measured_deg[:, i])
+        rng, measured_deg = np.random.default_rng([flight.seed, i, 1001]), flight.measured_deg[:, i]
+        arm_deg, speed_deg_s = output.arm_deg(measured_deg), np.gradient(measured_deg, time_s)
+        # It draws current as it turns or is held back from what it asks for.
+        drawn_a = current_a(speed_deg_s, rng) + stalled_a(time_s, flight.received_deg[:, i], measured_deg)
         servo: dict[str, ArrayLike] = {"Id": output.number - 1 + generation.first_id}
         if generation is VOLZ:  # what the driver does not know is NaN, or 0 in a whole number
             servo |= {"Force": np.nan, "Speed": np.nan, "PosCmd": output.arm_deg(flight.command_deg[:, i])}
-            servo |= {"V": state.voltage_v, "A": state.current_a, "MotT": state.motor_degc, "PCBT": state.board_degc}
+            warm = 1.0 - np.exp(-(time_s - time_s[0]) / 300.0)
+            servo |= {"V": RAIL_V - 0.15 * drawn_a + 0.01 * rng.standard_normal(time_s.size), "A": drawn_a}
+            servo["MotT"] = np.round(25.0 + 12.0 * warm + 0.2 * rng.standard_normal(time_s.size))
+            servo["PCBT"] = np.round(27.0 + 6.0 * warm + 0.2 * rng.standard_normal(time_s.size))
             servo["Pos"] = _VOLZ_STEP_DEG * np.round(arm_deg / _VOLZ_STEP_DEG)
         else:  # what actuator.Status does not hold is 0
             servo["Pos"] = np.radians(arm_deg).astype(np.float16)
-            servo["Force"] = (0.4 * state.current_a).astype(np.float16)
-            servo["Speed"] = np.radians(output.arm_deg(state.speed_deg_s)).astype(np.float16)
-            servo["Pow"] = np.round(np.clip(60.0 * state.current_a, 0.0, 100.0))
-        made = rows("CSRV", microseconds(flight.time_s), **servo)
+            servo["Force"] = (0.4 * drawn_a).astype(np.float16)
+            servo["Speed"] = np.radians(output.arm_deg(speed_deg_s)).astype(np.float16)
+            servo["Pow"] = np.round(np.clip(60.0 * drawn_a, 0.0, 100.0))
+        made = rows("CSRV", microseconds(time_s), **servo)
         found.append(replace(made, units=generation.units, multipliers=generation.multipliers))
     return [_joined(found)] if found else []
 
@@ -158,8 +162,8 @@ def _air(flight: SimulatedFlight) -> list[Message]:
     """Context, seldom."""
     at_s = flight.time_s[sparse(flight.time_s, _CONTEXT_HZ)]
     air = surroundings(at_s, flight.seed)
-    stamps, pressure_pa = microseconds(at_s), 0.5 * AIR_KG_M3 * air.airspeed_m_s**2
-    pitot = {"Airspeed": air.airspeed_m_s, "DiffPress": pressure_pa, "RawPress": pressure_pa + 2.0}
+    stamps, pushed_pa = microseconds(at_s), pressure_pa(air.airspeed_m_s)
+    pitot = {"Airspeed": air.airspeed_m_s, "DiffPress": pushed_pa, "RawPress": pushed_pa + 2.0}
     turned = {"Roll": air.roll_deg, "Pitch": air.pitch_deg, "DesYaw": air.yaw_deg, "Yaw": air.yaw_deg}
     return [
         rows("ARSP", stamps, **pitot, Temp=18.5, Offset=2.0, U=1, H=1, Hp=1),

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from servofd.aircraft.calibration import Calibration, PulseCalibration
-from servofd.aircraft.outputs import FULL_TRAVEL_DEG, SURFACE_FUNCTIONS
+from servofd.aircraft.outputs import FULL_TRAVEL_DEG, HALF_TRAVEL_US, SURFACE_FUNCTIONS
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
 from servofd.core.types import FloatArray, IntArray
@@ -24,7 +24,7 @@ THROTTLE_FUNCTION: Final = 70
 THROTTLE_US: Final = 1620
 """What it is sent, all the time [us]."""
 
-_HALF_RANGE_US: Final = 500
+_HALF_RANGE_US: Final = round(HALF_TRAVEL_US)
 """Pulse width from trim to either end [us]."""
 _FUNCTION_OF: Final = {name: function for function, name in reversed(SURFACE_FUNCTIONS.items())}
 """SERVOn_FUNCTION by what it turns; of two the smaller."""
@@ -87,8 +87,7 @@ class Output:
         x = np.asarray(self.arm_deg(deflection_deg)) / self.travel_deg
         middle_us = 0.5 * (self.min_us + self.max_us) if self.is_range else float(self.trim_us)
         half_us = np.where(x > 0.0, self.max_us - middle_us, middle_us - self.min_us)
-        pulse_us: IntArray = np.rint(middle_us + x * half_us).astype(np.int64)
-        return pulse_us
+        return np.rint(middle_us + x * half_us).astype(np.int64)
 
     def deflection_deg(self, pulse_us: IntArray) -> FloatArray:
         """Deflection that a pulse asks for [deg], of the same shape: the inverse, without cutting."""
@@ -118,14 +117,17 @@ def outputs_of(aircraft: Aircraft) -> tuple[Output, ...]:
     """
     if len(aircraft.surfaces) >= MOST_OUTPUTS:
         raise ConfigError(f"{len(aircraft.surfaces)} surfaces: an autopilot's log has room for {MOST_OUTPUTS - 1}")
-    claimed = {name: _number(surface.command) for name, surface in aircraft.surfaces.items()}
+    named = {name: _NUMBERED.search(surface.command.channel) for name, surface in aircraft.surfaces.items()}
+    claimed = {name: int(found[1]) if found else None for name, found in named.items()}
     taken = {number for number in claimed.values() if number}
     if len(taken) < sum(number is not None for number in claimed.values()) or max(taken, default=0) > MOST_OUTPUTS:
         raise ConfigError(f"each command needs an output of its own from 1 to {MOST_OUTPUTS}, not {claimed}")
     functions = functions_of(aircraft.surfaces)
     found = []
     for name, surface in aircraft.surfaces.items():
-        number = claimed[name] or _free(functions[name], taken)
+        # The usual output of its function, or the first that is free behind those of ArduPlane.
+        usual = [_USUAL.get(functions[name], 5), *range(5, MOST_OUTPUTS + 1), *_USUAL.values()]
+        number = claimed[name] or next(each for each in usual if each not in taken)
         taken.add(number)
         found.append(_output(name, number, functions[name], surface.command))
     return tuple(found)
@@ -138,18 +140,6 @@ def _output(name: str, number: int, function: int, command: Calibration) -> Outp
     min_us, max_us = trim_us - _HALF_RANGE_US, trim_us + _HALF_RANGE_US
     travel_deg, is_reversed = abs(slope) * _HALF_RANGE_US, slope * command.sign < 0.0
     return Output(name, number, function, min_us, trim_us, max_us, travel_deg, is_reversed)
-
-
-def _number(command: Calibration) -> int | None:
-    """Output that a channel's name tells; None if it tells none."""
-    found = _NUMBERED.search(command.channel)
-    return int(found[1]) if found else None
-
-
-def _free(function: int, taken: Collection[int]) -> int:
-    """The usual output of a function, or the first that is free behind those of ArduPlane."""
-    candidates: list[int] = [_USUAL.get(function, 5), *range(5, MOST_OUTPUTS + 1), *_USUAL.values()]
-    return next(number for number in candidates if number not in taken)
 
 
 def functions_of(surfaces: Collection[str]) -> dict[str, int]:

@@ -18,7 +18,7 @@ _STALLED_A, _NEAR_DEG, _ALL_DEG, _PUSHES_S = 1.2, 0.4, 3.0, 0.3
 """A small servo that is held further away than that draws up to so much, so many degrees later, and after so long."""
 _SPEED_M_S = 22.0
 """Mean airspeed [m/s]."""
-_RAIL_V = 7.4
+RAIL_V = 7.4
 """Supply of the servos without load [V]."""
 _EARTH_M_PER_DEG = 111_195.0
 """Length of a degree of latitude [m]."""
@@ -43,17 +43,6 @@ class Surroundings:
     board_v: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ServoState:
-    """What a servo reports of itself, each of shape (n,)."""
-
-    voltage_v: FloatArray
-    current_a: FloatArray
-    motor_degc: FloatArray
-    board_degc: FloatArray
-    speed_deg_s: FloatArray
-
-
 def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
     """Circle over a field at 22 m/s, with a little noise, at some times (n,) [s]."""
     rng = np.random.default_rng([seed, 1000])
@@ -71,7 +60,7 @@ def surroundings(time_s: FloatArray, seed: int) -> Surroundings:
         altitude_m=120.0 + 3.0 * np.sin(0.1 * time_s) + noise(0.1),
         latitude_deg=_FIELD_DEG[0] + radius_deg * np.sin(turn),
         longitude_deg=_FIELD_DEG[1] + radius_deg * (1.0 - np.cos(turn)) / np.cos(np.radians(_FIELD_DEG[0])),
-        rail_v=_RAIL_V + noise(0.02),
+        rail_v=RAIL_V + noise(0.02),
         board_v=5.05 + noise(0.01),
     )
 
@@ -86,7 +75,7 @@ def acting(time_s: FloatArray, *, pushed: bool = False) -> Context:
         airspeed_s=time_s,
         airspeed_m_s=_SPEED_M_S + 5.0 * np.sin(wave),
         voltage_s=time_s,
-        voltage_v=_RAIL_V - 0.5 * (1.0 - np.cos(wave)),
+        voltage_v=RAIL_V - 0.5 * (1.0 - np.cos(wave)),
         load_s=time_s if pushed else np.zeros(0),
         load=np.where((time_s % 5.0 < 1.5) & (time_s >= 5.0), 0.05, 0.0) if pushed else np.zeros(0),
     )
@@ -112,24 +101,7 @@ def stalled_a(time_s: FloatArray, asked_deg: FloatArray, measured_deg: FloatArra
     back = np.maximum(np.searchsorted(time_s, time_s - _PUSHES_S + 1e-9) - 1, 0)
     # A servo that is on its way is nearer somewhere within that time.
     lately_deg = np.minimum(np.minimum(away_deg, away_deg[back]), away_deg[(back + np.arange(time_s.size)) // 2])
-    drawn_a: FloatArray = _STALLED_A * np.clip((lately_deg - _NEAR_DEG) / _ALL_DEG, 0.0, 1.0)
-    return drawn_a
-
-
-def servo_state(
-    time_s: FloatArray, asked_deg: FloatArray, measured_deg: FloatArray, rng: np.random.Generator
-) -> ServoState:
-    """Electrical and thermal state of a servo: it draws current as it turns or is held back from what it asks for."""
-    speed_deg_s = np.gradient(measured_deg, time_s)
-    drawn_a = current_a(speed_deg_s, rng) + stalled_a(time_s, asked_deg, measured_deg)
-    warm = 1.0 - np.exp(-(time_s - time_s[0]) / 300.0)
-    return ServoState(
-        voltage_v=_RAIL_V - 0.15 * drawn_a + 0.01 * rng.standard_normal(time_s.size),
-        current_a=drawn_a,
-        motor_degc=np.round(25.0 + 12.0 * warm + 0.2 * rng.standard_normal(time_s.size)),
-        board_degc=np.round(27.0 + 6.0 * warm + 0.2 * rng.standard_normal(time_s.size)),
-        speed_deg_s=speed_deg_s,
-    )
+    return _STALLED_A * np.clip((lately_deg - _NEAR_DEG) / _ALL_DEG, 0.0, 1.0)
 
 
 def sparse(time_s: FloatArray, rate_hz: float) -> IntArray:

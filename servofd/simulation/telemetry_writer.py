@@ -33,8 +33,8 @@ _ARMED_AUTO: Final = 128 | 16 | 8 | 4 | 1
 _WRAP: Final = 2**32
 """Time stamps of 32 bits begin anew after this count."""
 _POSITION_PORT: Final = 2
-_ARRAY_SIZE: Final = 58
-"""Numbers of a DEBUG_FLOAT_ARRAY (MAVLink)."""
+ARRAY_SIZE: Final = 58
+"""Numbers of a DEBUG_FLOAT_ARRAY (MAVLink), and of a debug_array (PX4)."""
 
 
 def telemetry_log(flight: SimulatedFlight, aircraft: Aircraft) -> bytes:
@@ -102,7 +102,7 @@ def servo_rows(flight: SimulatedFlight, aircraft: Aircraft, feedback: str = "nam
         raw = {f"servo{o.number}_raw": o.nearest_us(flight.measured_deg[:, i]) for i, o in measured}
         sent.append(("SERVO_OUTPUT_RAW", made_us, {**stamp, "port": np.full(made_us.size, _POSITION_PORT), **raw}))
     elif feedback == "array" and measured:
-        data = np.zeros((made_us.size, _ARRAY_SIZE))
+        data = np.zeros((made_us.size, ARRAY_SIZE))
         for number, arm_deg in arms_deg.items():
             data[:, number - 1] = arm_deg
         ids = np.full(made_us.size, 1)

@@ -10,25 +10,23 @@ from numpy.typing import NDArray
 from logparsers.protocol import Kind
 from logparsers.records import Text
 from logparsers.ulog.encode import Topic, encode
-from servofd.aircraft.outputs import PX4_TYPES, SURFACE_FUNCTIONS
+from servofd.aircraft.outputs import PX4_FIRST_SERVO, PX4_MOST_SERVOS, PX4_TYPES, SURFACE_FUNCTIONS
 from servofd.aircraft.schema import Aircraft
 from servofd.core.errors import ConfigError
 from servofd.simulation.ardupilot import reporting
 from servofd.simulation.flight import SimulatedFlight
 from servofd.simulation.pulses import THROTTLE, THROTTLE_US, Output
 from servofd.simulation.surroundings import EPOCH_US, microseconds, sparse, surroundings
+from servofd.simulation.telemetry_writer import ARRAY_SIZE
 
 Columns = dict[str, NDArray[Any]]
 
-MOST_SERVOS: Final = 8
-"""Controls of the topic ``actuator_servos``."""
-
 _RELEASE: Final = 0x010F00FF
 """Version 1.15.0, a release, as PX4 packs it into four bytes."""
-_SERVO_1, _MOTOR_1 = 201, 101
-"""Functions of the first servo and the first motor (PX4, PWM_MAIN_FUNCn)."""
-_DEBUG_SLOTS, _OUTPUT_SLOTS = 58, 16
-"""Numbers of a debug_array, and outputs of actuator_outputs."""
+_MOTOR_1 = 101
+"""Function of the first motor (PX4, PWM_MAIN_FUNCn)."""
+_OUTPUT_SLOTS = 16
+"""Outputs of actuator_outputs."""
 _TYPE_OF: Final = {name: kind for kind, name in PX4_TYPES.items()}
 """CA_SV_CSk_TYPE by what it turns."""
 
@@ -50,11 +48,13 @@ def ulog_topics(flight: SimulatedFlight, aircraft: Aircraft) -> list[Topic]:
     ``vehicle_gps_position`` more seldom.
     """
     measured = reporting(flight, aircraft)
-    if len(flight.outputs) > MOST_SERVOS:
-        raise ConfigError(f"{len(flight.outputs)} surfaces: a PX4 log has room for {MOST_SERVOS}; write a .bin instead")
+    if len(flight.outputs) > PX4_MOST_SERVOS:
+        raise ConfigError(
+            f"{len(flight.outputs)} surfaces: a PX4 log has room for {PX4_MOST_SERVOS}; write a .bin instead"
+        )
     stamps = microseconds(flight.time_s).astype(np.uint64)
-    control = np.full((stamps.size, MOST_SERVOS), np.nan, np.float32)
-    data = np.full((stamps.size, _DEBUG_SLOTS), np.nan, np.float32)
+    control = np.full((stamps.size, PX4_MOST_SERVOS), np.nan, np.float32)
+    data = np.full((stamps.size, ARRAY_SIZE), np.nan, np.float32)
     for k, output in enumerate(flight.outputs):
         control[:, k] = flight.command_deg[:, k] / output.travel_deg
     for k, output in measured:
@@ -84,7 +84,7 @@ def ulog_parameters(flight: SimulatedFlight) -> dict[str, int | float]:
     for k, output in enumerate(flight.outputs):
         known |= {f"CA_SV_CS{k}_TYPE": _type(output), f"CA_SV_CS{k}_TRIM": 0.0}
         n = output.number
-        known |= {f"PWM_MAIN_FUNC{n}": _SERVO_1 + k, f"PWM_MAIN_DIS{n}": output.trim_us}
+        known |= {f"PWM_MAIN_FUNC{n}": PX4_FIRST_SERVO + k, f"PWM_MAIN_DIS{n}": output.trim_us}
         known |= {f"PWM_MAIN_MIN{n}": output.min_us, f"PWM_MAIN_MAX{n}": output.max_us}
     known.setdefault(f"PWM_MAIN_FUNC{THROTTLE}", _MOTOR_1)
     known["PWM_MAIN_REV"] = sum(1 << (o.number - 1) for o in flight.outputs if o.reversed)

@@ -22,8 +22,9 @@ _CLIPPED = 3.0
 """A flight beyond three deviations of the others counts as one at three."""
 _ROUNDS = 12
 """Rounds of the iteration for a line and the scatter about it."""
-_FEWEST = 3
-"""Flights on either side of a break: two that went wrong in a row are no other servo."""
+FEWEST_FOR_LINE = 3
+"""Flights that a slope needs, and that stand on either side of a break: two that went wrong in a row are no other
+servo."""
 _LINE = 2
 """Parameters of a line."""
 _SMALLEST = 1e-12
@@ -159,7 +160,7 @@ def _best_cut(whole: Piece) -> int | None:
     from scipy.stats import f
 
     size = whole.number.size
-    places = np.arange(_FEWEST, size - _FEWEST + 1)
+    places = np.arange(FEWEST_FOR_LINE, size - FEWEST_FOR_LINE + 1)
     if places.size == 0 or size <= 2 * _LINE:
         return None
     value = _without_outliers(whole.value, whole.deviation)
@@ -180,8 +181,7 @@ def _without_outliers(value: FloatArray, deviation: FloatArray) -> FloatArray:
     middle: FloatArray = median_filter(value, size=5, mode="nearest")
     away = value - middle
     sigma = np.sqrt(deviation**2 + (MAD_TO_SIGMA * float(np.median(np.abs(away)))) ** 2)
-    clipped: FloatArray = middle + np.clip(away, -_CLIPPED * sigma, _CLIPPED * sigma)
-    return clipped
+    return middle + np.clip(away, -_CLIPPED * sigma, _CLIPPED * sigma)
 
 
 def _local_scatter(value: FloatArray, deviation: FloatArray) -> float:
@@ -361,10 +361,6 @@ def _fieller(line: Line, limit: float) -> tuple[float, float]:
         return -math.inf, math.inf
     ends = sorted((-b + side * math.sqrt(inside)) / (2.0 * a) for side in (-1.0, 1.0))
     return float(line.centre + ends[0]), float(line.centre + ends[1])
-
-
-FEWEST_FOR_LINE = 3
-"""Flights that a slope needs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -249,11 +249,7 @@ def trend_logs(
 
 
 def trend_of(
-    logs: Sequence[FlownLog],
-    aircraft: Aircraft,
-    *,
-    problems: Sequence[str] = (),
-    skipped: tuple[Skipped, ...] = (),
+    logs: Sequence[FlownLog], aircraft: Aircraft, *, problems: Sequence[str] = (), skipped: tuple[Skipped, ...] = ()
 ) -> AircraftTrend:
     """Follow the servos of one aircraft over flights that are estimated already."""
     check_one_aircraft(logs)

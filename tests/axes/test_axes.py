@@ -269,8 +269,8 @@ def test_elevons_and_tails_share_their_axes() -> None:
     assert wing.members == {"roll": ("elevon_left", "elevon_right"), "pitch": ("elevon_left", "elevon_right")} | {
         "thrust": ("engine",)
     }
-    assert sum(share.weight for share in wing.commands["pitch"]) == 1.0
-    assert sum(share.weight for share in wing.commands["roll"]) == 0.0
+    assert sum(weight for _, weight in wing.commands["pitch"]) == 1.0
+    assert sum(weight for _, weight in wing.commands["roll"]) == 0.0
     tail = airframe_of(outputs_of({"SERVO5_FUNCTION": 79.0, "SERVO6_FUNCTION": 80.0, "SERVO1_FUNCTION": 4.0}))
     assert tail.members["side"] == tail.members["pitch"] == ("vtail_left", "vtail_right")
     assert not airframe_of(outputs_of({f"SERVO{k}_FUNCTION": 32.0 + k for k in range(1, 5)})).commands

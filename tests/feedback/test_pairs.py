@@ -18,7 +18,8 @@ from servofd.aircraft.schema import load_aircraft
 from servofd.core.errors import NoMeasurement
 from servofd.detection.audit import audit_log
 from servofd.feedback.draft import draft_aircraft, draft_to_toml, what_to_log
-from servofd.feedback.flown import flown_aircraft, good_aircraft
+from servofd.feedback.fitted import scaled_aircraft
+from servofd.feedback.flown import flown_aircraft, surfaces_of
 from servofd.servo.faults import Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.servo_model import ServoModel
@@ -236,7 +237,7 @@ def test_a_good_log_tells_the_scale_of_its_pulses_by_the_part_that_is_good_and_n
     name, still = log["CSRV[0].Pos"].name, TIME_S > 40.0
     held = {name: dataclasses.replace(log[name], values=np.where(still, 15.0, 0.5 * log[name].values))}
     log = dataclasses.replace(log, channels={**log.channels, **held})
-    found = good_aircraft(log, ((0.0, 40.0),))
+    found = scaled_aircraft(log, surfaces_of(log), ((0.0, 40.0),))
     assert not any(surface.names_servo for surface in found.surfaces.values())
     halved, whole = found.surfaces.values()
     pulses_us = np.array([1500.0, 1600.0])

@@ -12,6 +12,7 @@ from scipy.signal import tf2ss
 
 from servofd.core.types import FloatArray
 from servofd.detection.residual import FilterMemory, FilterParameters, filter_in_place, lag_weights
+from servofd.servo.effects.commands import Commands
 from servofd.servo.effects.linkage import PositionLimit
 from servofd.servo.library import servo_named
 from servofd.servo.motion import started_anew
@@ -41,8 +42,7 @@ def observed(
     """Simulated position and residual."""
     servo = ServoModel(transfer).servo()
     restarts = np.array(restart + [RESTART_NONE] * (at_s.size - len(restart)), dtype=np.int8)
-    asked = commands[0], commands[1], commands[2]
-    simulated_deg = started_anew(servo, asked, at_s, measured_deg, restarts == RESTART_ALL)
+    simulated_deg = started_anew(servo, Commands(*commands), at_s, measured_deg, restarts == RESTART_ALL)
     return simulated_deg, filtered(filter_of(transfer), at_s, measured_deg - simulated_deg, restarts)
 
 

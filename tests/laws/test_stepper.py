@@ -23,6 +23,7 @@ from servofd.core.types import FloatArray
 from servofd.servo.catalogue import installed
 from servofd.servo.context import Context
 from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effects.commands import Commands
 from servofd.servo.effects.linkage import Backlash, RateLimit
 from servofd.servo.generate import STEPPED, stepper_of
 from servofd.servo.library import library, servo_named
@@ -87,7 +88,7 @@ def moved(
     around: FloatArray = AROUND,
 ) -> FloatArray:
     """Readings, shape (n, V), from rest where the command in force wants it."""
-    effective = received(physics, (commands[0], commands[1], commands[2]))
+    effective = received(physics, Commands(*commands))
     return machine.run(machine.new_state(), effective, at_s, around=around)[0]
 
 
@@ -309,7 +310,7 @@ def test_a_run_in_pieces_is_the_run_in_one_go(effect: type[Effect], cuts: list[i
     if effect.slot is Slot.OWN and order != 3:
         physics = physics._replace(slow_place=0.0)
     machine = machine_of(TRANSFERS[order], [physics, physics._replace(bias_deg=1.0)])
-    waiting, state, pieces = received(physics, (COMMANDS[0], COMMANDS[1], COMMANDS[2])), machine.new_state(), []
+    waiting, state, pieces = received(physics, Commands(*COMMANDS)), machine.new_state(), []
     edges = [0, *sorted(cuts), AT_S.size]
     for first, last in pairwise(edges):
         other = state.copy()
@@ -317,7 +318,7 @@ def test_a_run_in_pieces_is_the_run_in_one_go(effect: type[Effect], cuts: list[i
         again_deg, _ = machine.run(other, waiting, AT_S[first:last], around=AROUND[first:last])
         np.testing.assert_array_equal(again_deg, found_deg)
         pieces.append(found_deg)
-        waiting = waiting[0][used:], waiting[1][used:], waiting[2][used:]
+        waiting = Commands(*(each[used:] for each in waiting))
     np.testing.assert_allclose(np.concatenate(pieces), moved(machine, physics), rtol=0, atol=NANODEGREE)
 
 
@@ -496,7 +497,7 @@ def test_a_reading_in_steps_is_the_nearest_of_them() -> None:
 def test_frames_carry_the_command_in_force_when_they_begin() -> None:
     period_s, phase = 0.02, 0.3
     physics = Physics(frame_s=period_s, frame_phase=phase)
-    frame_s, frame_deg, slope_deg_s = received(physics, (COMMANDS[0], COMMANDS[1], COMMANDS[2]))
+    frame_s, frame_deg, slope_deg_s = received(physics, Commands(*COMMANDS))
     np.testing.assert_allclose(frame_s / period_s - phase, np.arange(145, 145 + frame_s.size), atol=1e-9)
     assert frame_s[0] - period_s < COMMANDS[0, 0] <= frame_s[0]
     assert frame_s[-2] <= COMMANDS[0, -1] < frame_s[-1]
@@ -524,9 +525,9 @@ def test_logs_with_next_to_nothing_in_them(model: ServoModel) -> None:
     assert model.simulate(T, STEP, nothing).size == 0
     np.testing.assert_array_equal(model.simulate(nothing, nothing, T), 0.0)
     servo, anew = model.servo(), np.arange(T.size) == 0
-    held_deg = started_anew(servo, (nothing, nothing, nothing), T, np.full(T.size, 3.0), anew)
+    held_deg = started_anew(servo, Commands(nothing, nothing, nothing), T, np.full(T.size, 3.0), anew)
     np.testing.assert_allclose(held_deg, 3.0, atol=1e-9)
-    assert started_anew(servo, (T, STEP, 0.0 * T), nothing, nothing, anew).size == 0
+    assert started_anew(servo, Commands(T, STEP, 0.0 * T), nothing, nothing, anew).size == 0
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -624,7 +625,7 @@ def test_what_an_effect_in_the_loop_remembers_is_forgotten_where_a_run_begins_an
         physics = installed(Physics(), [Tired], [0.9])
         machine = machine_of(TRANSFERS[3], [physics])
         read_deg, _ = machine.run(
-            machine.new_state(), (commands[0], commands[1], commands[2]), at_s,
+            machine.new_state(), Commands(*commands), at_s,
             anew=anew, measured_deg=np.zeros(at_s.size), around=around,
         )  # fmt: skip
     first_deg, second_deg = read_deg[: AT_S.size, 0], read_deg[AT_S.size :, 0]

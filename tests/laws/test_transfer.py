@@ -16,7 +16,7 @@ from servofd.servo.loop import AFTER, BEFORE, INSIDE, Scales, loop_of, scaled
 from servofd.servo.motion import Motion, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.registry import everything
-from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 
 SECOND = TransferFunction((900.0,), (1.0, 42.0, 900.0))
@@ -181,7 +181,7 @@ def test_only_a_servo_on_which_something_acts_needs_short_steps() -> None:
     too_many, with_zero = unit(-1.0, -2.0, -3.0, -4.0), TransferFunction((1.0, 2.0), (1.0, 3.0, 2.0))
     for transfer, reason in ((too_many, "a servo of order 4 with 0 zeros"), (with_zero, "of order 2 with 1 zeros")):
         with pytest.raises(DesignError, match=reason):
-            plant_of(ServoModel(transfer))
+            ServoModel(transfer).explainable()
         with pytest.raises(DesignError, match=reason):
             machine_of(transfer, [Physics(friction_deg=0.1)])
 

@@ -47,7 +47,7 @@ def test_without_effects_it_is_the_linear_servo(name: str) -> None:
     expected = model.simulate(time_s, command_deg, time_s)
     segment = Series("x", time_s, command_deg, time_s, np.full(time_s.size, expected[0]))
     record = record_of(segment, model)
-    moved = simulate(record, record.plant.neutral)
+    moved = simulate(record, record.model.physics)
     assert np.abs(moved - expected).max() < 1e-6
 
 
@@ -66,8 +66,8 @@ def test_shorter_steps_change_nothing(change: dict[str, float]) -> None:
     time_s = np.arange(0.0, 20.0, 0.01)
     command_deg = 8.0 * np.sign(np.sin(1.3 * time_s)) + 2.0 * np.sin(5.0 * time_s)
     record = record_of(Series("x", time_s, command_deg, time_s, np.full(time_s.size, 8.0)), KNOWN.linear())
-    coarse = simulate(record, record.plant.neutral._replace(**change))
-    fine = simulate(record, record.plant.neutral._replace(**change), 16.0)
+    coarse = simulate(record, record.model.physics._replace(**change))
+    fine = simulate(record, record.model.physics._replace(**change), 16.0)
     assert np.abs(coarse - fine)[record.counts].max() < 0.03
     assert np.sqrt(np.mean((coarse - fine)[record.counts] ** 2)) < 0.005
 
@@ -76,7 +76,7 @@ def test_a_rate_limit_is_the_largest_speed() -> None:
     time_s = np.arange(0.0, 4.0, 0.01)
     command_deg = np.where(time_s < 1.0, 0.0, 40.0)
     record = record_of(Series("x", time_s, command_deg, time_s, np.zeros(time_s.size)), KNOWN.linear())
-    moved = simulate(record, record.plant.neutral._replace(rate_up_deg_s=100.0))
+    moved = simulate(record, record.model.physics._replace(rate_up_deg_s=100.0))
     steady = (time_s > 1.15) & (time_s < 1.3)
     assert np.polyfit(time_s[steady], moved[steady], 1)[0] == pytest.approx(100.0, rel=2e-3)
     assert moved[-1] == pytest.approx(40.0, abs=1e-6)
@@ -178,7 +178,7 @@ def test_seconds_of_a_healthy_servo_are_not_bad_and_those_of_a_slow_one_are() ->
     for log, least, most in ((healthy, 0, 0), (slow, 5, 30)):
         segment = Series("elevator", log.time_s, log.command_deg, log.time_s, log.position_deg)
         record = record_of(segment, KNOWN)
-        error_deg = record.measured_deg - simulate(record, record.plant.neutral)
+        error_deg = record.measured_deg - simulate(record, record.model.physics)
         found = blocks(record, error_deg, 0.1)
         bad = [block for block in found if block.bad]
         assert least <= len(bad) <= most
@@ -233,7 +233,7 @@ def test_coarse_steps_are_told_by_the_readings_alone(command: str, noise_deg: fl
     model = ServoModel.of(servo_named("hs225bb-eq31"))
     command_deg = COMMANDS[command](time_s, np.random.default_rng(5))
     record = record_of(Series("x", time_s, command_deg, time_s, 0.0 * time_s), model)
-    moved_deg = simulate(record, record.plant.neutral)
+    moved_deg = simulate(record, record.model.physics)
     noisy_deg = moved_deg + noise_deg * np.random.default_rng(6).standard_normal(time_s.size)
     found = explain_gap(Series("x", time_s, command_deg, time_s, step_deg * np.round(noisy_deg / step_deg)), model)
     assert found.conclusion == "explained"

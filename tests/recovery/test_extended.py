@@ -26,7 +26,7 @@ from servofd.servo.loop import Scales, loop_of, scaled
 from servofd.servo.motion import Motion, machine_of
 from servofd.servo.physics import Physics
 from servofd.servo.registry import catalogue
-from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import gusty
 from servofd.simulation.flight import simulate_flight
@@ -81,8 +81,8 @@ def extended(name: str, size: Mapping[str, float | str]) -> ServoModel:
 def test_every_effect_of_the_catalogue_can_be_written_and_read() -> None:
     for effect in catalogue():
         values = [p.low + 0.37 * (p.high - p.low) for p in effect.parameters]
-        expected = installed(plant_of(KNOWN).neutral, [effect], values)
-        read = effects_installed(plant_of(KNOWN).neutral, table_of([effect], np.array(values)))
+        expected = installed(KNOWN.physics, [effect], values)
+        read = effects_installed(KNOWN.physics, table_of([effect], np.array(values)))
         assert dict(read) == pytest.approx(dict(expected), rel=1e-6)
 
 
@@ -217,7 +217,7 @@ def test_a_model_says_which_context_its_effects_depend_on() -> None:
 def test_the_audit_simulates_what_was_fitted(name: str, size: dict[str, float | str]) -> None:
     segment = Series("x", TIME_S, COMMAND_DEG, TIME_S, np.full(TIME_S.size, 1.0), context=CONTEXT)
     record = record_of(segment, KNOWN)
-    fitted = simulate(record, effects_installed(record.plant.neutral, {name: size}))
+    fitted = simulate(record, effects_installed(record.model.physics, {name: size}))
     model = extended(name, size)
     motion = Motion(model.servo(CONTEXT), 1.0)
     motion.receive(record.commands.effective_s + model.delay_s, record.commands.command_deg, np.zeros(TIME_S.size))

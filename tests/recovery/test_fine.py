@@ -15,7 +15,7 @@ from servofd.servo.effects.linkage import RateLimit
 from servofd.servo.library import servo_named
 from servofd.servo.motion import Motion
 from servofd.servo.physics import Physics
-from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.servo_model import ServoModel
 from servofd.servo.transfer import TransferFunction
 from servofd.simulation.commands import COMMANDS
 from tests.laws.reference_twin import linear_deflection
@@ -102,7 +102,7 @@ def test_it_moves_as_the_servo_in_which_effects_are_hidden(
     air = Air.steady(float(TIME_S[-1]), SPEED_M_S, STEADY_V)
     expected_deg = deflection(effects, TIME_S, COMMAND_DEG, air, np.random.default_rng(0))
     # A tenth of the hidden servo's damping acts on its speed.
-    physics = effects_installed(plant_of(KNOWN).neutral, effects)._replace(torque_share=0.9)
+    physics = effects_installed(KNOWN.physics, effects)._replace(torque_share=0.9)
     gap_deg = (moved(physics, SPEED_M_S, STEADY_V) - expected_deg)[SETTLED:]
     assert np.abs(gap_deg).max() < within_deg
 

@@ -44,7 +44,7 @@ def flown(
     time_s = np.arange(0.0, duration_s, 0.01)
     command_deg = COMMANDS[command](time_s, rng)
     empty = record_of(Series("x", time_s, command_deg, time_s, 0.0 * time_s), KNOWN)
-    moved_deg = simulate(empty, installed(empty.plant.neutral, effects, values))
+    moved_deg = simulate(empty, installed(empty.model.physics, effects, values))
     return replace(empty, measured_deg=moved_deg + noise_deg * rng.standard_normal(time_s.size))
 
 
@@ -71,7 +71,7 @@ def _deviations(effect: type[Effect], values: list[float], command: str) -> Floa
     for seed in range(16):
         fitter = Fitter(flown((effect,), values, seed, command))
         fit = fitter.descended(
-            (effect,), installed(fitter.record.plant.neutral, (effect,), [0.97 * values[0], *values[1:]])
+            (effect,), installed(fitter.record.model.physics, (effect,), [0.97 * values[0], *values[1:]])
         )
         away.append((fit.values[0] - values[0]) / np.sqrt(fitter.covariance(fit)[0, 0]))
     return np.array(away)
@@ -105,10 +105,10 @@ def test_intervals_hold_the_truth(effect: type[Effect], values: list[float], com
 )
 def test_frames_are_found_whatever_their_phase(period_s: float, seed: int, phase: float) -> None:
     record = flown((), [], seed)
-    framed = record.plant.neutral._replace(frame_s=period_s, frame_phase=phase)
+    framed = record.model.physics._replace(frame_s=period_s, frame_phase=phase)
     noise = 0.1 * np.random.default_rng(seed).standard_normal(record.time_s.size)
     record = replace(record, measured_deg=simulate(record, framed) + noise)
-    found = best_frame(record, record.plant.neutral)
+    found = best_frame(record, record.model.physics)
     assert found is not None
     assert found[0] == pytest.approx(period_s, rel=2e-4)
 
@@ -119,7 +119,7 @@ def left(record: Record, physics: Physics) -> tuple[str, ...]:
 
 def test_chance_alone_leaves_nothing_unexplained_however_few_the_samples() -> None:
     found = [
-        left(record, record.plant.neutral) for record in (flown((), [], seed, duration_s=8.0) for seed in range(30))
+        left(record, record.model.physics) for record in (flown((), [], seed, duration_s=8.0) for seed in range(30))
     ]
     assert sum(bool(reasons) for reasons in found) == 0
 
@@ -127,21 +127,21 @@ def test_chance_alone_leaves_nothing_unexplained_however_few_the_samples() -> No
 def test_what_the_motion_predicts_is_no_noise_and_noise_with_memory_is_noise() -> None:
     """Of a tenth of the noise's variance the floor says nothing."""
     record = flown((), [], 5, duration_s=60.0)
-    simulated_deg = simulate(record, record.plant.neutral)
+    simulated_deg = simulate(record, record.model.physics)
     speed = np.gradient(simulated_deg, record.time_s)
     wave = 0.1 * np.sqrt(0.1) * speed / np.std(speed)
-    assert left(record, record.plant.neutral) == ()
-    assert left(replace(record, measured_deg=record.measured_deg + wave), record.plant.neutral) != ()
+    assert left(record, record.model.physics) == ()
+    assert left(replace(record, measured_deg=record.measured_deg + wave), record.model.physics) != ()
     rng, noise = np.random.default_rng(6), np.zeros(record.time_s.size)
     for k in range(1, noise.size):
         noise[k] = 0.8 * noise[k - 1] + 0.06 * rng.standard_normal()
-    assert left(replace(record, measured_deg=simulated_deg + noise), record.plant.neutral) == ()
+    assert left(replace(record, measured_deg=simulated_deg + noise), record.model.physics) == ()
 
 
 @pytest.mark.slow
 def test_a_servo_off_by_as_much_as_its_type_differs_lacks_nothing() -> None:
     record = flown((), [], 3)
-    other = record.plant.neutral._replace(
+    other = record.model.physics._replace(
         slow_scale=1.03, pair_scale=0.97, damping_scale=1.05, gain=1.01, bias_deg=0.08
     )
     noise = 0.1 * np.random.default_rng(3).standard_normal(record.time_s.size)
@@ -156,7 +156,7 @@ def test_a_servo_off_by_as_much_as_its_type_differs_lacks_nothing() -> None:
 def test_the_place_of_the_slow_pole_decides_which_effect_it_is(place: float) -> None:
     """A dead band behind a slow filter, or ahead of one, is friction to a model that has its poles in the loop."""
     record = flown((), [], 3, duration_s=50.0)
-    hidden = record.plant.neutral._replace(slow_place=place, deadband_deg=1.5)
+    hidden = record.model.physics._replace(slow_place=place, deadband_deg=1.5)
     noise = 0.15 * np.random.default_rng(8).standard_normal(record.time_s.size)
     found = select(replace(record, measured_deg=simulate(record, hidden) + noise))
     assert found.final.names == ("deadband",)

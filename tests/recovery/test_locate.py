@@ -42,7 +42,7 @@ def record(wrong_deg: FloatArray, seed: int = 0, context: Context | None = None)
     command_deg, moved_deg = flown(seed)
     segment = Series("x", TIME_S, command_deg, TIME_S, moved_deg + wrong_deg, context=context or Context())
     made = record_of(segment, KNOWN)
-    return made, made.measured_deg - simulate(made, made.plant.neutral)
+    return made, made.measured_deg - simulate(made, made.model.physics)
 
 
 def noise_deg(seed: int, memory: float = 0.0) -> FloatArray:

@@ -71,10 +71,10 @@ def test_a_jam_in_a_short_flight_is_no_missing_effect() -> None:
 @pytest.mark.nightly
 def test_a_frame_is_found_in_a_log_longer_than_the_window_it_was_seen_in() -> None:
     record = flown((), [], 2, duration_s=20.0)
-    framed = record.plant.neutral._replace(frame_s=0.047, frame_phase=0.41)
+    framed = record.model.physics._replace(frame_s=0.047, frame_phase=0.41)
     noise_deg = 0.1 * np.random.default_rng(2).standard_normal(record.time_s.size)
     record = replace(record, measured_deg=simulate(record, framed) + noise_deg)
-    found = best_frame(record, record.plant.neutral)
+    found = best_frame(record, record.model.physics)
     assert found is not None
     assert found[0] == pytest.approx(0.047, rel=3e-4)
 
@@ -82,8 +82,8 @@ def test_a_frame_is_found_in_a_log_longer_than_the_window_it_was_seen_in() -> No
 @pytest.mark.slow
 def test_no_frame_is_proposed_where_something_else_explains_the_error() -> None:
     record = flown((Delay,), [0.04], 2, duration_s=12.0)
-    noise_deg = Fitter(record).judged((Delay,), record.plant.neutral._replace(delay_s=0.04)).error_deg
-    assert best_frame(record, record.plant.neutral, noise_deg, 0.1) is None
+    noise_deg = Fitter(record).judged((Delay,), record.model.physics._replace(delay_s=0.04)).error_deg
+    assert best_frame(record, record.model.physics, noise_deg, 0.1) is None
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_a_servo_that_runs_away_is_as_wrong_as_can_be() -> None:
     """A load that pushes the surface on, at a motor that has reached its limit, passes every number."""
     record = flown((), [], 2)
     lifted = replace(record, logged={"airspeed_m_s": np.full(record.time_s.size, 1e6)})
-    limited = record.plant.neutral._replace(rate_up_deg_s=20.0, rate_down_deg_s=20.0, airload_per_pa=-0.0012)
+    limited = record.model.physics._replace(rate_up_deg_s=20.0, rate_down_deg_s=20.0, airload_per_pa=-0.0012)
     limited = limited._replace(follow_up_deg_s=math.inf, follow_down_deg_s=math.inf)
     moved_deg = simulate(lifted, limited)
     assert np.abs(moved_deg).max() == 1e6

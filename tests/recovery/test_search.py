@@ -31,7 +31,7 @@ def swept(effects: tuple[type[Effect], ...], values: list[float], seed: int) -> 
     time_s = np.arange(0.0, 60.0, 0.01)
     command_deg = COMMANDS["chirp"](time_s, rng)
     empty = record_of(Series("x", time_s, command_deg, time_s, 0.0 * time_s), KNOWN)
-    moved_deg = simulate(empty, installed(empty.plant.neutral, effects, values))
+    moved_deg = simulate(empty, installed(empty.model.physics, effects, values))
     return replace(empty, measured_deg=moved_deg + NOISE_DEG * rng.standard_normal(time_s.size))
 
 

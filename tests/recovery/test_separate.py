@@ -45,7 +45,7 @@ def tied(record: Record, *fits: Fit) -> Selection:
 
 def fit(record: Record, effect: type[Effect], *values: float) -> Fit:
     fitter = Fitter(record)
-    return fitter.judged((effect,), installed(record.plant.neutral, (effect,), list(values)))
+    return fitter.judged((effect,), installed(record.model.physics, (effect,), list(values)))
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from servofd.servo.catalogue import effects_installed
 from servofd.servo.faults import FAULTS, Failure, Stuck
 from servofd.servo.library import servo_named
 from servofd.servo.registry import catalogue, including
-from servofd.servo.servo_model import ServoModel, plant_of
+from servofd.servo.servo_model import ServoModel
 from servofd.simulation.commands import gusty
 from servofd.simulation.flight import simulate_flight
 
@@ -90,7 +90,7 @@ def test_an_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     healthy = ServoModel.of(servo_named("hs225bb-eq31"))
     with including(load_own_effect(path)):
         assert "worn_horn" in {effect.name for effect in catalogue()}
-        physics = effects_installed(plant_of(healthy).neutral, {"worn_horn": {"width_deg": 0.8, "gain": 0.9}})
+        physics = effects_installed(healthy.physics, {"worn_horn": {"width_deg": 0.8, "gain": 0.9}})
         time_s = np.arange(0.0, 20.0, 0.01)
         command_deg = gusty(time_s, np.random.default_rng(1))
         moved_deg = healthy.with_physics(physics).simulate(time_s, command_deg, time_s)

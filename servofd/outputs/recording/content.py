@@ -115,8 +115,7 @@ def held(command_s: FloatArray, command_deg: FloatArray, time_s: FloatArray) -> 
 
 def _rising(time_s: FloatArray) -> BoolArray:
     """Samples later than all before them: in a damaged recording some are not."""
-    rising: BoolArray = time_s > np.concatenate([[-np.inf], np.maximum.accumulate(time_s)[:-1]])
-    return rising
+    return time_s > np.concatenate([[-np.inf], np.maximum.accumulate(time_s)[:-1]])
 
 
 SCHEMA = "servofd.recording/1"
@@ -127,10 +126,7 @@ LIVE = "recorded in flight"
 MANY_VEHICLES = "servofd.monitor/1"
 """Schema of a recording of several vehicles at once, whose surfaces have no common aircraft."""
 
-_WITHOUT_VERDICTS = {
-    MANY_VEHICLES: "several vehicles at once",
-    "servofd.explain/1": "servofd explain",
-}
+_WITHOUT_VERDICTS = {MANY_VEHICLES: "several vehicles at once", "servofd.explain/1": "servofd explain"}
 
 
 _AS_IT_IS = ("status", "reason", "servo", "expected", "false_alarms_per_hour", "judged_share")

@@ -29,8 +29,7 @@ def microseconds(time_s: FloatArray) -> IntArray:
 
 def seconds(time_us: IntArray) -> FloatArray:
     """Microseconds to seconds: the same number that a log's own microseconds give."""
-    converted: FloatArray = np.asarray(time_us) / 1e6
-    return converted
+    return np.asarray(time_us) / 1e6
 
 
 CHUNK_ROWS = 65_536

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
+from servofd.core.series import latest
 from servofd.core.types import FloatArray
-from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effect import HARDLY_EVER, Effect, Now, Parameter, Slot
 
 _RATES_DEG_S = (20.0, 30.0, 45.0, 60.0, 80.0, 105.0, 140.0, 180.0, 240.0, 320.0, 420.0, 600.0)
 """Largest speeds from which a search starts: of hobby and industrial servos, each a third above the one before."""
@@ -16,26 +18,42 @@ LARGEST_SPEED = partial(
     Parameter, "rate_limit_deg_s", low=2.0, high=3e3, neutral=3e3, typical=60.0, grid=_RATES_DEG_S, off=math.inf
 )
 """Of all rate limits; each has fields of its own."""
-STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
+_STEPS_DEG = (360.0 / 4096.0, *(round(0.1 + 0.05 * k, 2) for k in range(39)), 0.18, 360.0 / 1024.0, 2.5, 3.0)
 """Steps of converters from which a search starts: of 10 and 12 bits a turn, and round numbers."""
+STEP = partial(Parameter, "step_deg", low=0.02, high=10.0, neutral=0.0, typical=0.1, grid=_STEPS_DEG, kinked=True)
+"""Of a command and of a reading; each has a field of its own."""
 _DELAYS_S = (0.0, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25)
 """Delays of commands from which a search starts."""
 _OFFSETS_S = (-0.15, -0.08, -0.04, -0.02, 0.01, 0.03, 0.06, 0.12, 0.2)
 """Lags of stamps from which a search starts."""
-Commands = tuple[FloatArray, FloatArray, FloatArray]
-"""When each reaches the servo [s], what it asks for [deg], and its slope [deg/s]; each of shape (n,)."""
+
+
+class Commands(NamedTuple):
+    """Commands as they reach the servo, of shape (n,): at each instant a value, from which it runs on at a slope."""
+
+    effective_s: FloatArray
+    command_deg: FloatArray
+    slope_deg_s: FloatArray
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """The last command that had reached the servo at some instants [deg]."""
+        return latest(self.effective_s, self.command_deg, time_s)
+
+    def later(self, delay_s: float) -> Commands:
+        """The same commands, so much later."""
+        return self._replace(effective_s=self.effective_s + delay_s)
 
 
 class CommandSteps(Effect):
     """Steps of the command."""
 
-    name, slot, form, rank, surprise = "quantization", Slot.EVENTS, "command", 23, 24.0
+    name, slot, form, rank, surprise = "quantization", Slot.EVENTS, "command", 23, HARDLY_EVER
     spoken = "coarse steps"
-    parameters = (Parameter("step_deg", ("command_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
+    parameters = (STEP(fields=("command_step_deg",)),)
 
     @staticmethod
     def act(commands: Commands, step_deg: float) -> Commands:
-        return commands[0], step_deg * np.round(commands[1] / step_deg), commands[2]
+        return commands._replace(command_deg=step_deg * np.round(commands.command_deg / step_deg))
 
 
 class PwmFrame(Effect):
@@ -50,7 +68,8 @@ class PwmFrame(Effect):
 
     @staticmethod
     def act(commands: Commands, period_s: float, phase: float) -> Commands:
-        first, last = np.ceil(commands[0][0] / period_s - phase), np.floor(commands[0][-1] / period_s - phase) + 1.0
+        begin, end = (commands.effective_s[[0, -1]] / period_s - phase).tolist()
+        first, last = np.ceil(begin), np.floor(end) + 1.0
         return in_frames(commands, np.arange(first, max(last, first) + 1.0), period_s, phase)
 
 
@@ -60,7 +79,7 @@ def in_frames(commands: Commands, frames: FloatArray, period_s: float, phase: fl
     frame_s = (frames + phase) * period_s
     held = np.maximum(np.searchsorted(sent_s, frame_s, side="right") - 1, 0)
     since_s = np.maximum(frame_s - sent_s[held], 0.0)
-    return frame_s, command_deg[held] + slope_deg_s[held] * since_s, np.zeros(frames.size)
+    return Commands(frame_s, command_deg[held] + slope_deg_s[held] * since_s, np.zeros(frames.size))
 
 
 class Delay(Effect):
@@ -73,7 +92,7 @@ class Delay(Effect):
 
     @staticmethod
     def act(commands: Commands, delay_s: float) -> Commands:
-        return commands[0] + delay_s, commands[1], commands[2]
+        return commands.later(delay_s)
 
 
 class ClockOffset(Effect):
@@ -101,8 +120,7 @@ class SetPointRate(Effect):
     """Largest speed of the set point: firmware that lets no step through to the position loop."""
 
     name, slot, form, rank, memory = "rate_limit", Slot.COMMAND, "set point", 8, 1
-    spoken = "a rate limit"
-    longest_s, varies = 2.5e-3, True
+    spoken, varies = "a rate limit", True
     parameters = (LARGEST_SPEED(fields=("set_point_deg_s",)),)
 
     @staticmethod

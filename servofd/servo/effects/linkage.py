@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from servofd.core.errors import ConfigError
-from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effect import RARELY, SELDOM, Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import LARGEST_SPEED
 from servofd.servo.effects.motor import WIDTHS_DEG
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
@@ -124,7 +124,7 @@ class Resonance(Effect):
 
     name, slot, rank, memory = "resonance", Slot.OUTPUT, 33, 3
     spoken = "a flexible linkage"
-    longest_s, apart_s, surprise = 5e-3, 5e-4, 8.0
+    longest_s, apart_s, surprise = 5e-3, 5e-4, SELDOM
     parameters = (
         Parameter("frequency_hz", ("resonance_hz",), 1.0, 80.0, 80.0, 30.0, _TIPS_HZ, off=0.0),
         Parameter("damping_ratio", ("resonance_damping",), 5e-3, 0.5, 0.05, 0.05, (0.03, 0.15)),
@@ -182,7 +182,7 @@ class LinkageNonlinearity(Effect):
 
     name, slot, rank = "linkage_nonlinearity", Slot.OUTPUT, 32
     spoken = "a crooked linkage"
-    surprise, instead = 12.0, ("gravity_load",)
+    surprise, instead = RARELY, ("gravity_load",)
     parameters = (
         Parameter("quadratic_per_deg", ("quadratic_per_deg",), -0.05, 0.05, 0.0, 2e-3, (-4e-3, 4e-3)),
         Parameter("cubic_per_deg2", ("cubic_per_deg2",), -5e-3, 5e-3, 0.0, 2e-4, (-4e-4, 4e-4)),
@@ -198,7 +198,7 @@ class UpperGain(Effect):
 
     name, slot, form, rank = "linkage_nonlinearity", Slot.OUTPUT, "up and down", 34
     spoken = "another gain up than down"
-    surprise, instead = 12.0, ("gravity_load",)
+    surprise, instead = RARELY, ("gravity_load",)
     parameters = (Parameter("upper_gain", ("upper_gain",), 0.5, 2.0, 1.0, 0.03, (0.9, 0.95, 1.05, 1.1), smallest=0.01),)
 
     @staticmethod

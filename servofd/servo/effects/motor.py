@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import ClassVar
 
-from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effect import SELDOM, Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import LARGEST_SPEED
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
@@ -57,7 +57,7 @@ class CurrentLimit(Effect):
 
     name, slot, rank = "current_limit", Slot.ERROR, 30
     spoken = "a supply that limits its current"
-    varies, surprise = True, 8.0
+    varies, surprise = True, SELDOM
     parameters = (
         Parameter("knee_deg", ("knee_deg",), 0.3, 1e3, 1e3, 300.0, (1.0, 3.0, 8.0, 20.0, 50.0), off=math.inf),
     )
@@ -85,9 +85,9 @@ class AsymmetricRate(MotorRate):
     """Largest speed of the motor, different in the two directions: a load that pulls one way."""
 
     form, rank, places, varies = "motor, asymmetric", 31, (BEFORE, INSIDE), False
-    parameters = (
-        Parameter("rate_up_deg_s", ("rate_up_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
-        Parameter("rate_down_deg_s", ("rate_down_deg_s",), 2.0, 3e3, 3e3, 60.0, _UP_DOWN_DEG_S, off=math.inf),
+    parameters = tuple(
+        replace(MotorRate.parameters[0], name=way, fields=(way,), grid=_UP_DOWN_DEG_S)
+        for way in ("rate_up_deg_s", "rate_down_deg_s")
     )
 
 

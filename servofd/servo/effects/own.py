@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from servofd.servo.effect import Effect, Parameter, Slot
+from servofd.servo.effect import SELDOM, Effect, Parameter, Slot
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
 _SCALES = (0.3, 0.45, 0.6, 0.75, 0.9, 1.15, 1.5)
@@ -25,7 +25,7 @@ class Damping(Effect):
 
     name, slot, rank = "damping", Slot.OWN, 25
     spoken = "another damping"
-    surprise = 8.0
+    surprise = SELDOM
     parameters = (
         Parameter("damping_scale", ("damping_scale",), 0.1, 6.0, 1.0, 0.1, (0.4, 0.7, 1.4, 2.2), smallest=0.2),
     )
@@ -36,10 +36,9 @@ class Poles(Effect):
 
     name, slot, searched, form = "poles", Slot.OWN, False, "inside"
     fixed: ClassVar[Mapping[str, float]] = {"slow_place": INSIDE}
-    parameters = (
-        Parameter("slow_scale", ("slow_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
-        Parameter("pair_scale", ("pair_scale",), 0.02, 50.0, 1.0, 0.03, (1.0,)),
-        Parameter("damping_scale", ("damping_scale",), 0.02, 50.0, 1.0, 0.06, (1.0,)),
+    parameters = tuple(
+        Parameter(name, (name,), 0.02, 50.0, 1.0, typical, (1.0,))
+        for name, typical in (("slow_scale", 0.03), ("pair_scale", 0.03), ("damping_scale", 0.06))
     )
 
 

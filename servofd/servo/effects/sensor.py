@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from servofd.servo.effect import Effect, Now, Parameter, Slot
-from servofd.servo.effects.commands import STEPS_DEG
+from servofd.servo.effect import HARDLY_EVER, SELDOM, Effect, Now, Parameter, Slot
+from servofd.servo.effects.commands import STEP
 from servofd.servo.effects.linkage import speed_over
 
 _LAGS_S = (0.003, 0.008, 0.016, 0.03, 0.06, 0.12, 0.25)
@@ -54,7 +54,7 @@ class SupplyCoupling(Effect):
 
     name, slot, rank = "supply_coupling", Slot.READING, 24
     spoken = "a reading that moves with the current"
-    surprise = 8.0
+    surprise = SELDOM
     needs = ("servo_current_a",)
     parameters = (Parameter("deg_per_a", ("deg_per_a",), -20.0, 20.0, 0.0, 0.3, (-1.0, 1.0)),)
 
@@ -66,9 +66,9 @@ class SupplyCoupling(Effect):
 class Quantization(Effect):
     """Steps of the position sensor."""
 
-    name, slot, form, rank, surprise = "quantization", Slot.READING, "position", 22, 24.0
+    name, slot, form, rank, surprise = "quantization", Slot.READING, "position", 22, HARDLY_EVER
     spoken = "coarse steps"
-    parameters = (Parameter("step_deg", ("output_step_deg",), 0.02, 10.0, 0.0, 0.1, STEPS_DEG, kinked=True),)
+    parameters = (STEP(fields=("output_step_deg",)),)
 
     @staticmethod
     def act(x: float, now: Now, step_deg: float) -> float:

@@ -6,8 +6,9 @@ import math
 from dataclasses import replace
 from typing import ClassVar
 
-from servofd.servo.effect import Effect, Now, Parameter, Slot
+from servofd.servo.effect import SELDOM, Effect, Now, Parameter, Slot
 from servofd.servo.effects.commands import LARGEST_SPEED
+from servofd.servo.effects.linkage import PositionLimit
 from servofd.servo.effects.motor import UNFOLLOWED, VoltageRate
 from servofd.servo.loop import AFTER, BEFORE, INSIDE
 
@@ -76,7 +77,7 @@ class TiltedLoad(GravityLoad):
 
     form, rank, varies = "hanging elsewhere", 27, False
     parameters = (
-        Parameter("droop_deg", ("droop_deg",), -180.0, 180.0, 0.0, 2.0, (1.0, 3.0, 8.0, 20.0), smallest=0.1),
+        replace(GravityLoad.parameters[0], grid=(1.0, 3.0, 8.0, 20.0)),
         Parameter("hangs_deg", ("hangs_deg",), -360.0, 360.0, 0.0, 30.0, (-150.0, -90.0, -30.0, 30.0, 90.0, 150.0)),
         SPLIT,
     )
@@ -123,10 +124,7 @@ class StribeckFriction(Friction):
     """Friction that is larger at rest than at speed (Stribeck): usual of grease and bushings."""
 
     form, rank, at_rest = "Stribeck", 16, 0
-    parameters = (
-        Friction.parameters[0],
-        Parameter("stribeck", ("stribeck",), 0.0, 1.0, 0.0, 0.3, (0.3,), aside=True),
-    )
+    parameters = (Friction.parameters[0], Parameter("stribeck", ("stribeck",), 0.0, 1.0, 0.0, 0.3, (0.3,), aside=True))
 
 
 class LoadFriction(Effect):
@@ -134,7 +132,7 @@ class LoadFriction(Effect):
 
     name, slot, rank = "load_friction", Slot.GRIP, 29
     spoken = "friction under load"
-    longest_s, surprise, instead = 2e-3, 8.0, ("friction",)
+    longest_s, surprise, instead = Friction.longest_s, SELDOM, ("friction",)
     sees = ("load_friction",)
     parameters = (
         Parameter("share", ("load_friction",), 0.0, 0.95, 0.0, 0.1, (0.05, 0.15, 0.3, 0.6), smallest=0.03),
@@ -162,7 +160,7 @@ class ShaftSpeed(Effect):
 class ShaftSpeedBySupply(VoltageRate):
     """Largest speed of the shaft in proportion to the supply."""
 
-    slot, form, rank, longest_s = Slot.SPEED, "shaft", 20, 1.25e-3
+    slot, form, rank, longest_s = Slot.SPEED, "shaft", 20, ShaftSpeed.longest_s
     places, sees = (BEFORE, AFTER, INSIDE), ("speed_deg_s_per_v",)
     parameters = (replace(VoltageRate.parameters[0], fields=("speed_deg_s_per_v",)),)
 
@@ -177,12 +175,7 @@ class ServoStop(Effect):
 
     name, slot, form, rank = "position_limit", Slot.STOP, "servo", 11
     spoken = "a stop"
-    parameters = (
-        Parameter(
-            "lower_deg", ("stop_lower_deg",), -90.0, 0.0, -90.0, 2.0, (-15.0, -10.0, -6.0, -4.0, -2.0), -math.inf
-        ),
-        Parameter("upper_deg", ("stop_upper_deg",), 0.0, 90.0, 90.0, 2.0, (2.0, 4.0, 6.0, 10.0, 15.0), math.inf),
-    )
+    parameters = tuple(replace(each, fields=(f"stop_{each.name}",)) for each in PositionLimit.parameters)
 
     @staticmethod
     def act(x: float, now: Now, lower_deg: float, upper_deg: float) -> float:
