@@ -88,9 +88,9 @@ def calibration_to_toml(calibration: Calibration) -> str:
     """Text of an aircraft file that `servofd audit -c` accepts, with intervals and provenance as comments."""
     aircraft = calibration.aircraft
     logs = {label: None for one in calibration.surfaces for label in one.flights}
-    told = toml_comment(", ".join(logs)) or "their currents"
+    named = toml_comment(", ".join(logs)) or "their currents"
     lines = [
-        f"# Calibrated by `servofd calibrate` from {told}: flights taken to be good.",
+        f"# Calibrated by `servofd calibrate` from {named}: flights taken to be good.",
         "# Numbers in square brackets behind a # are 95% intervals.",
         "",
         f"name = {toml_value(aircraft.name)}",

@@ -201,9 +201,9 @@ def draft_to_toml(log: FlightLog, aircraft: Aircraft | None = None) -> str:
     """Text of an aircraft file with servos that were fitted to a log, which `servofd audit -c` accepts as it is."""
     aircraft = aircraft or draft_aircraft(log)
     heads = {pair.surface: _paired(pair) for pair in find_pairs(log)} if log.is_of_autopilot else {}
-    told = toml_comment(log.source.name)
+    named = toml_comment(log.source.name)
     lines = [
-        f"# Drafted from {told}: each servo is fitted to a part of this one log, a starting point and no",
+        f"# Drafted from {named}: each servo is fitted to a part of this one log, a starting point and no",
         "# calibration. Check names and signs, and calibrate on flights that you know to be good: if a servo was",
         "# faulty throughout this log, its numbers are wrong.",
         *(_ON_BOARD if log.format in ("dataflash", "tlog") else ()),
