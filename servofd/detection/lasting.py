@@ -45,8 +45,9 @@ aircraft that were fitted to their log, 17.0 and 12.1 of 742 of 14 that were cal
 `benchmarks/strangers.py`). At half speed 46 of 56 of the latter are found with it, 25 without."""
 _TOGETHER_NATS: Final = 100.0
 """What servos of one log have to explain together, without the one that explains most: 190 and more in 14 flights
-with much motion whose servos all lost half their speed. Of the same aircraft 44 in sound flights, and 99 beside a servo that failed,
-each taken at its best instant (`benchmarks/evidence.py`, even seeds); 85 and 138 with those that were calibrated."""
+with much motion whose servos all lost half their speed. Of the same aircraft 44 in sound flights, and 99 beside a servo
+that failed, each taken at its best instant (`benchmarks/evidence.py`, even seeds); 85 and 138 with those that were
+calibrated."""
 _LITTLE: Final = 8.0
 """Score below which no change is worth looking for."""
 _EACH: Final = 6.0
