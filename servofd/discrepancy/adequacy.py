@@ -42,10 +42,11 @@ _MEMORY = 1.6
 _COLOUR, _ALIKE = 3.5, 1.3
 """Error over the floor that correlated noise may have (0.8 from sample to sample makes it 2.7), and how much it may
 differ between runs."""
-_STEADY_SIGMAS, _FEWEST_BLOCKS = 4.0, 5
+_STEADY_SIGMAS, _FEWEST_BLOCKS = 4.5, 5
 """Standard deviations by which the power of noise may differ more between blocks than by chance, and blocks that tell.
-Noise that is correlated by 0.5 to 0.95 from sample to sample, 20 to 300 s at 50 and 100 Hz, came to 3.8 at most (12 000
-draws); pulse frames that were taken for a delay to 24 to 79, and once, of a third of the noise, to none."""
+Of 8640 draws of noise that is correlated by 0.5 to 0.98 from sample to sample, 20 to 300 s at 50 and 100 Hz, 4 came to
+more. Pulse frames of 18 to 22 ms in chirps, taken for a delay, came to 4.7 where the model's error is 0.8 of the noise,
+and to 9 to 15 where it is 1.4 to 5 of it."""
 _DRIFT = 0.5
 """Share of an error that follows a straight line over time, from which on it is no noise: one that is correlated so
 from sample to sample, for 60 s at 50 Hz, follows one with 3 % at most (2000 draws)."""
@@ -107,7 +108,7 @@ def adequacy(record: Record, fit: Fit) -> Adequacy:
     is_noise = not is_predicted and drift_share(record, error_deg) < _DRIFT
     coloured = is_noise and rest_deg == 0.0 and memory > _MEMORY and ratio < _COLOUR and spread < _ALIKE
     # A sensor's noise knows nothing of the motion, nor of its time.
-    coloured = coloured and _unsteady_sigmas(record, error_deg, memory) < _STEADY_SIGMAS
+    coloured = coloured and _unsteady_sigmas(record, error_deg) < _STEADY_SIGMAS
     if ratio**2 > _RATIO**2 + chance and not coloured:
         where = "" if ratio == ratios[0] else " of the worst run"
         reasons.append(
@@ -244,16 +245,20 @@ def _worst_block(record: Record, error_deg: FloatArray, floor_deg: float, memory
     return float(record.time_s[record.counts][0] + k * _BLOCK_S), float(np.sqrt(mean[k])), float(sigmas)
 
 
-def _unsteady_sigmas(record: Record, error_deg: FloatArray, memory: float) -> float:
+def _unsteady_sigmas(record: Record, error_deg: FloatArray) -> float:
     """By how many standard deviations the power of an error differs more from block to block than that of noise.
 
-    Each of the blocks tells a variance with so many degrees of freedom as it has samples, over their memory.
+    A block tells the variance of noise as well as so many independent samples would, as it has samples over the sum of
+    their squared correlations.
     """
     count, mean = _blocks(record, error_deg)
     used = mean > 0.0
     if np.count_nonzero(used) < _FEWEST_BLOCKS:
         return 0.0
-    freedom, mean = count[used] / memory, mean[used]
+    count, mean = count[used], mean[used]
+    error, lag = error_deg[record.counts] - error_deg[record.counts].mean(), np.arange(int(np.median(count)))
+    alike = np.fft.irfft(np.abs(np.fft.rfft(error, 2 * error.size)) ** 2)[lag]
+    freedom = count / (2.0 * float((1.0 - lag / lag.size) @ (alike / alike[0]) ** 2) - 1.0)
     off = (mean / np.average(mean, weights=freedom) - 1.0) * np.sqrt(0.5 * freedom)
     others = mean.size - 1
     return float((off @ off / others - 1.0) / np.sqrt((2.0 + 12.0 / np.median(freedom)) / others))
