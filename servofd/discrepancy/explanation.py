@@ -575,6 +575,8 @@ def _form_of(effect: type[Effect], place: float) -> str | None:
 
 
 _UNITS = (("deg_s_per_v", " deg/s per V"), ("deg_s", " deg/s"), ("_deg", " deg"), ("_s", " s"), ("_hz", " Hz"))
+_OTHER_WAY = {"rate_up_deg_s": ("rate_down_deg_s", " up", " down"), "lower_deg": ("upper_deg", " below", " above")}
+"""Of what acts apart in either direction, the other size, and in which direction each acts."""
 _MOSTLY = 0.5
 """Share of the mean square that, left over, is most of it."""
 _ANOTHER = "compare it with a second servo of its kind"
@@ -613,7 +615,10 @@ def _named(found: Explanation, index: int, *, judged: bool) -> str:
         way = "falls" if last < first else "rises"
         size = f"{first:.3g}{unit} at {law.conditions[0]} {low:.3g} that {way} to {last:.3g}{unit} at {high:.3g}"
     else:
-        size = f"{value['value']:.3g}{unit} ({value['low']:.3g} to {value['high']:.3g})"
+        other, *ways = _OTHER_WAY.get(name, ("", ""))
+        each = [values[key] for key in (name, other) if key in values]
+        sizes = [f"{one['value']:.3g}{unit} ({one['low']:.3g} to {one['high']:.3g})" for one in each]
+        size = " and ".join(map("".join, zip(sizes, ways, strict=True)))
     ties = next((tie[1:] for tie in found.selection.ties if tie[0] == effect.name), ())
     instead = (
         f", or else {' or '.join(effects_named(n)[0].spoken for n in ties)} (the data cannot tell which)"

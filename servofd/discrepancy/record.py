@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from servofd.aircraft.marks import Why
 from servofd.aircraft.pace import rhythm
-from servofd.aircraft.series import Series
+from servofd.aircraft.series import FORGETS_S, Series
 from servofd.core.series import latest
 from servofd.core.types import BoolArray, FloatArray, IntArray
 from servofd.discrepancy.known import A_TYPE, Known
@@ -83,8 +84,6 @@ manoeuvres."""
 _CYCLE, _ASIDE, _FEWEST_FOR_THREE = 10, 4, 1000
 """Of so many blocks, or runs, which one is untouched; and samples of which a tenth tells something, and can be missed:
 of 560 with a load on the horn the rest no longer tells the load."""
-_START_S = 0.5
-"""Longest time after a start or a hole during which nothing is compared: the servo forgets where it was."""
 _HOLE_PERIODS, _SHORTEST_HOLE_S = 4.0, 0.1
 """A hole is longer than so many periods, and than so many seconds."""
 _TIME_CONSTANTS = 12.0
@@ -175,10 +174,12 @@ def record_of(segment: Series, model: ServoModel, *, at_rest: bool = False, know
     hole_s = max(_HOLE_PERIODS * segment.period_s, _SHORTEST_HOLE_S)
     seen = np.isfinite(measured_deg)
     slowest = float(np.abs(model.transfer.poles_rad_s.real).min())
-    start_s = min(_START_S, _TIME_CONSTANTS / slowest) + model.delay_s
+    start_s = min(FORGETS_S, _TIME_CONSTANTS / slowest) + model.delay_s
     starts_s = [-np.inf] if at_rest else [time_s[seen][0], segment.command_s[0]]
-    for times in (time_s[seen], segment.command_s):
-        starts_s += times[1:][np.diff(times) > hole_s].tolist()
+    # Where only positions are missing, what was asked is known: the servo went on as its model does.
+    starts_s += segment.command_s[1:][np.diff(segment.command_s) > hole_s].tolist()
+    off = segment.why == Why.TORQUE_OFF
+    starts_s += time_s[1:][off[:-1] & ~off[1:]].tolist()
     begin = np.sort(np.array(starts_s))
     counts = seen & (time_s - latest(begin, begin, time_s) >= start_s) & _has_command(segment.command_s, hole_s, time_s)
     if not at_rest:

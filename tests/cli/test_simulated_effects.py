@@ -83,6 +83,7 @@ def test_what_was_hidden_is_named_with_its_size(name: str, tmp_path: Path, capsy
     for pair in SIZES[name].split(":"):
         key, _, value = pair.partition("=")
         assert parameters[key]["value"] == pytest.approx(float(value), rel=0.04)
+        assert f"{parameters[key]['value']:.3g}" in document["answer"]
     assert tomllib.loads(better.read_text())["surfaces"]["elevator"]["threshold_deg"] < 1.0  # in the air of the log
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from servofd.aircraft.series import Series
 from servofd.core.types import FloatArray
@@ -63,6 +64,21 @@ def test_the_noise_of_a_surface_at_rest_is_that_of_its_comb(seed: int) -> None:
 def test_a_comb_need_not_begin_at_zero_nor_be_written_exactly() -> None:
     steps = np.random.default_rng(0).integers(-200, 200, 4000)
     assert comb_step_deg(np.round(0.013 + CONVERTER_DEG * steps, 3)) == pytest.approx(CONVERTER_DEG, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("grows", "is_noise"), [(0.0, True), (1.0, False)])
+def test_correlated_noise_is_that_of_a_sensor_if_it_is_the_same_throughout(
+    grows: float, is_noise: bool, seed: int
+) -> None:
+    """What is several times the white part and swells, as no sensor's noise does, is a model's; no block stands out."""
+    record = flown((), [], seed, "chirp", noise_deg=0.05, duration_s=60.0)
+    white = np.random.default_rng(100 + seed).standard_normal(record.time_s.size)
+    slow: FloatArray = 0.15 * lfilter([np.sqrt(1.0 - 0.9**2)], [1.0, -0.9], white)
+    swells = 1.0 + 0.5 * grows * np.sin(2.0 * np.pi * record.time_s / 20.0)
+    record = replace(record, measured_deg=record.measured_deg + swells * slow)
+    found = adequacy(record, Fitter(record).nominal())
+    assert (not found.reasons) == is_noise
 
 
 def _deviations(effect: type[Effect], values: list[float], command: str) -> FloatArray:

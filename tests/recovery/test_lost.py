@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servofd.aircraft.marks import Why
 from servofd.aircraft.pace import rhythm
+from servofd.aircraft.series import Series, settled_from_s
 from servofd.core.types import FloatArray
-from servofd.discrepancy.record import after_lost_commands
+from servofd.discrepancy.record import after_lost_commands, record_of
+from servofd.servo.library import servo_named
+from servofd.servo.servo_model import ServoModel
 
 PERIOD_S, HOLE_S = 0.01, 0.1
 
@@ -58,3 +62,25 @@ def test_jitter_and_losses_leave_a_rhythm() -> None:
     found_s = [rhythm(beaten(seed, 0.03, size=400)[1]).period_s for seed in range(300)]
     assert np.isfinite(found_s).all()
     assert np.median(found_s) == pytest.approx(PERIOD_S, rel=0.02)
+
+
+@pytest.mark.parametrize(("lacking", "counts_at_once"), [("positions", True), ("commands", False), ("torque", False)])
+def test_what_follows_a_hole_counts_where_commands_were_known(lacking: str, counts_at_once: bool) -> None:
+    """A telemetry that freezes leaves out what it repeats, and not half a second of motion behind it."""
+    time_s = np.arange(500) / 50.0
+    command_deg, hole = 20.0 * np.sin(time_s), (time_s > 4.0) & (time_s < 4.5)
+    why = np.where(hole, {"positions": Why.FROZEN, "torque": Why.TORQUE_OFF}.get(lacking, Why.GAP), Why.COUNTS)
+    kept = ~hole if lacking == "commands" else np.ones(time_s.size, dtype=bool)
+    measured_deg = np.where(hole, np.nan, command_deg)
+    segment = Series("x", time_s[kept], command_deg[kept], time_s, measured_deg, why=why.astype(np.int8))
+    record = record_of(segment, ServoModel.of(servo_named("hs225bb-eq31")))
+    assert record.counts[(time_s > 4.51) & (time_s < 4.6)].all() == counts_at_once
+    assert record.counts[time_s > 5.1].all()
+
+
+def test_a_servo_that_begins_elsewhere_is_judged_once_it_has_forgotten_that() -> None:
+    """When it was asked to go there, or powered, no log tells; one that stands where it is asked to has no secret."""
+    time_s = np.arange(100) / 50.0
+    for away_deg, from_s in ((20.0, 0.5), (0.1, 0.02)):
+        asked = time_s, np.full(time_s.size, away_deg)
+        assert settled_from_s(0.0, asked, time_s, np.zeros(time_s.size)) == pytest.approx(from_s)
