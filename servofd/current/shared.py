@@ -107,9 +107,10 @@ def faults_of_wire(
         if len(likeliest[0][0].names) > 1:  # all of them
             if any(_draws(seen[name], span_s) for name in followed & seen.keys()):
                 return found, tuple(causes), first.start_s
-            names = tuple(seen.keys() - followed or seen)
+            those: Set[str] = seen.keys() - followed or seen.keys()
         else:
-            names = _whose(likeliest, followed, _failed_between(failed, span_s[0], first.alarm_s + _AT_ONCE_S))
+            those = _whose(likeliest, followed, _failed_between(failed, span_s[0], first.alarm_s + _AT_ONCE_S))
+        names = [name for name in seen if name in those]
         is_of_one = len(likeliest[0][0].names) == 1
         for name in names:
             own, parameters = named(evidence, *span_s, (name,) if is_of_one else tuple(seen))
@@ -121,7 +122,7 @@ def faults_of_wire(
     return found, tuple(causes), np.inf
 
 
-def _whose(explained: Sequence[tuple[Change, float]], followed: Set[str], failed: Set[str]) -> tuple[str, ...]:
+def _whose(explained: Sequence[tuple[Change, float]], followed: Set[str], failed: Set[str]) -> Set[str]:
     """Of whom an event may be: of those that explain it about as well as the likeliest of them."""
     nats: dict[str, float] = {}
     for change, each in explained:
@@ -132,8 +133,8 @@ def _whose(explained: Sequence[tuple[Change, float]], followed: Set[str], failed
     free = shown or nats.keys() - (followed if explained[0][0].kind != "binding" else set())
     likeliest = max((nats[name] for name in free), default=0.0)
     least = likeliest - max(SURE_NATS, _ALIKE * likeliest)
-    alike = tuple(name for name in nats if name in free and nats[name] >= least)
-    return tuple(name for name in alike if name not in followed) or alike
+    alike = {name for name in free if nats[name] >= least}
+    return alike - followed or alike
 
 
 def _draws(seen: Seen, span_s: tuple[float, float]) -> bool:
