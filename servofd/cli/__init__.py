@@ -1,5 +1,7 @@
 """The command line: one file per verb, and the only place that prints or chooses exit codes.
 
+``servofd LOG`` is in that of ``audit``.
+
 Exit codes: 0 done and healthy, 1 done and at least one fault or unexplained gap, 2 could not tell (one line on stderr
 says why).
 """
@@ -123,7 +125,7 @@ def parsed(words: Sequence[str]) -> Options:
 
 
 def _verb_for(words: Sequence[str]) -> str:
-    """What the words ask for: a verb, ``look`` at logs, or nothing where they name neither."""
+    """What the words ask for: a verb, ``look`` (the audit that opens its page), or nothing where they name neither."""
     first = words[0]
     if first.startswith("-"):
         of_the_program = first.partition("=")[0] in ("-h", "--help", "--version")

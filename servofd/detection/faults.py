@@ -104,10 +104,10 @@ LOOKS_BACK_S: Final = 65.0
 
 
 class Named(NamedTuple):
-    """Hypotheses fitted to a window, the best one first."""
+    """Hypotheses fitted to a window, the best one first; nothing to do with a servo that the user named."""
 
     known: int
-    """How many samples there were since the alarm when they were."""
+    """How many samples there were since the alarm when they were fitted."""
     window: Window
     guesses: list[Guess]
 

@@ -1,4 +1,6 @@
-"""A surface whose servo is named: it moves as its own model does, with its tolerances as the covariance of good ones.
+"""A surface whose servo is named by the user: it moves as its own model does, its tolerances being the covariance.
+
+Faults get their names in `servofd.detection.faults`.
 
 The sensitivities to gain, delay, bandwidth and rate limit are those of its own model; what a change of another
 parameter adds is that of the family (`servofd.estimate.family`) about the servo that is most like it. The residual that

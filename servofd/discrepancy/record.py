@@ -127,7 +127,7 @@ class Record:
     """Which of the three folds each sample lies in: 0 and 1, each predicted from the other, and 2, which no search
     looks at."""
     logged: Mapping[str, FloatArray] = field(default_factory=dict)
-    """What was logged beside it, by its column: the airspeed (as dynamic pressure [Pa]), supply, current, warmth."""
+    """What was logged beside it, by its column; under `airspeed_m_s` stands the dynamic pressure [Pa]."""
     pushed: Context | None = None
     """Load that was logged on the shaft."""
     step_deg: float | None = None

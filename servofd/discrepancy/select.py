@@ -267,6 +267,7 @@ def _static_loss(record: Record, fit: Fit) -> float:
     if record.runs:
         return loss
     if AirLoad in fit.effects and "airspeed_m_s" in record.logged:
+        # What is kept under the name of the airspeed is its dynamic pressure.
         loss += fit.physics.airload_per_pa * float(np.median(record.logged["airspeed_m_s"]))
     if GravityLoad in fit.effects or TiltedLoad in fit.effects:
         loss += float(np.radians(fit.physics.droop_deg)) * load_slope(record, fit)

@@ -25,11 +25,11 @@ class Slot(Enum):
 
     What passes is an angle [deg] of the surface, but in `EVENTS`, where ``act(commands, *parameters)`` takes and
     returns times [s], values [deg] and slopes [deg/s], arrays, and sees no `Now`; in `LOAD`, the sum of the
-    deflections that loads take away [deg], which begins at 0; in `GRIP`, the sum of frictions as the position error
-    that overcomes them [deg], which begins at 0; and in `SPEED`, the speed of the shaft [deg/s], whose result is
-    where the loop goes on: it may be limited, and not scaled, for a factor would act in each step anew. Effects of
-    one slot act in the order of their modules' names, and within a module as they stand there. In `READING` nothing
-    takes time: `Now.step_s` is 0.
+    deflections that loads take away [deg], which begins at 0 and is positive where they push to smaller angles; in
+    `GRIP`, the sum of frictions as the position error that overcomes them [deg], which begins at 0; and in `SPEED`,
+    the speed of the shaft [deg/s], whose result is where the loop goes on: it may be limited, and not scaled, for a
+    factor would act in each step anew. Effects of one slot act in the order of their modules' names, and within a
+    module as they stand there. In `READING` nothing takes time: `Now.step_s` is 0.
     """
 
     EVENTS = "the commands, when they reach the servo"
@@ -58,7 +58,7 @@ class Now(NamedTuple):
     speed_deg_s: float
     """Of the shaft, before the step; 0 there."""
     error_s: float
-    """Position error that drives a steady speed: deg for each deg/s."""
+    """Position error that keeps up a steady motion, for each deg/s of its speed [deg/(deg/s)]."""
     effort_deg: float
     """Of the motor, as the position error that it balances; in `Slot.GRIP` alone."""
     load_deg: float
@@ -108,7 +108,7 @@ class Parameter:
 
     name: str
     fields: tuple[str, ...] = ()
-    """Of `servofd.servo.physics.Physics`, all set to the value; if none is given, one of its own."""
+    """Of `servofd.servo.physics.Physics`, all set to the value; if none is given, one of its own: effect_parameter."""
     low: float = math.nan
     high: float = math.nan
     neutral: float = math.nan

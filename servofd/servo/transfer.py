@@ -1,4 +1,4 @@
-"""Transfer functions of a servo: poles, gain, bandwidth, and the modes the kernel integrates."""
+"""Transfer functions of a servo: poles, gain, bandwidth, and modes, for the residual filter and the script on board."""
 
 from __future__ import annotations
 

@@ -45,7 +45,8 @@ def test_starting_values_rise_and_leave_no_hole(effect: type[Effect]) -> None:
         if not parameter.kinked:
             assert tuple(grid) == parameter.grid
             beside = [(a, b) for a, b in pairwise(grid) if a > 0.0]
-            assert all(b <= 3.0 * a or parameter.name == "damping_ratio" for a, b in beside)
+            # 0.3, 1, 3 and 10 typical sizes where a class gives none.
+            assert all(b <= 3.34 * a or parameter.name == "damping_ratio" for a, b in beside)
 
 
 @every_effect

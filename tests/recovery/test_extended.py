@@ -65,7 +65,8 @@ FORMS = {
     "quantization command": ("quantization", {"form": "command", "step_deg": 0.5}),
 }
 for new in catalogue():  # one that has no size above is taken at what is common
-    SIZES.setdefault(new.name, {p.name: p.neutral + p.typical for p in new.parameters})
+    common = {p: p.neutral + p.typical for p in new.parameters}
+    SIZES.setdefault(new.name, {p.name: v if v <= p.high else p.neutral - p.typical for p, v in common.items()})
 CASES = {name: (name, size) for name, size in SIZES.items()} | FORMS
 TIME_S: FloatArray = np.cumsum(np.random.default_rng(3).uniform(0.008, 0.012, 800))
 COMMAND_DEG = gusty(TIME_S, np.random.default_rng(1))
