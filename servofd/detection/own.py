@@ -1,11 +1,10 @@
 """The servo that a log shows by itself: fitted to the part of it that explains the whole best.
 
-Neither the servo nor the part of the log that is good is known. The whole log and its thirds are fitted, each by
-itself, what came before a fault that was there from the first motion on and mended itself, then the log's first and
-last sixths and twelfths if none of them is like a sound servo. A part counts if its servo explains what the surface
-does there and stays below its own limits; of those that count, the one is taken that explains the whole log best, with
-the faults that it sees there, and that is most like a sound servo. A servo that was faulty throughout is what was
-fitted, and only what sound servos are like can tell.
+Neither the servo nor the part of the log that is good is known. The whole log is fitted; unless it moves alike and
+leaves no fault, so are its thirds and what came before its servo changed most, each by itself. A part counts if its
+servo explains what the surface does there and stays below its own limits; of those that count, the one is taken that
+explains the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that was
+faulty throughout is what was fitted, and only what sound servos are like can tell.
 """
 
 from __future__ import annotations
