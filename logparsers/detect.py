@@ -174,7 +174,7 @@ FORMATS = (
     Format("text table", _is_text, read_table),
     Format("text with control characters in its first line", _has_control, "take them out of the names"),
 )
-"""Tried from top to bottom; to add a format is to give its line a reader."""
+"""Tried from top to bottom: the first that matches takes the file, or refuses it with what to give instead."""
 
 
 def detect(head: bytes, label: str) -> Reader:

@@ -130,13 +130,13 @@ def _audit(parser: _Parser) -> None:
     parser.value("--html", "write a page that can be sent by mail")
     parser.value("--rrd", "write a Rerun recording (of one log)")
     of_many = "of many logs, tables (Parquet) and a page, to which the next call adds what is new"
-    parser.output(f"write figures, recordings and audit.json to a folder; {of_many}", "DIR")
+    parser.output(f"write page, figures, recordings and audit.json to a folder; {of_many}", "DIR")
     parser.workers()
     parser.set_defaults(pages=None, looks=False)
 
 
 def _info(parser: _Parser) -> None:
-    parser.logs(nargs=None)
+    parser.logs("any log that audit reads", nargs=None)
     parser.config()
     parser.flag("--channels", "list every channel, not only those of surfaces")
     parser.flag("--json", "print JSON instead of text")
@@ -144,12 +144,12 @@ def _info(parser: _Parser) -> None:
 
 def _explain(parser: _Parser) -> None:
     parser.logs("any log that audit reads; several are fitted together")
-    parser.surface("only this surface (default: all)", "SURFACE")
+    parser.surface("only this surface (default: all)")
     parser.config()
-    parser.servo("servo: of the library, FILE.toml, or unknown (fitted)")
+    parser.servo()
     parser.value("--effect", "try an effect of your own as well (docs/explain.md)", "FILE.py")
     also = "judge the model on these flights as well, without fitting it to them"
-    parser.value("--also", also, nargs="+", action="extend", default=[])
+    parser.value("--also", also, "LOG", nargs="+", action="extend", default=[])
     parser.json(instead="text")
     parser.value("--save", "write the aircraft with the better model, for audit -c", "MODEL.toml")
     parser.value("--rrd", "write a Rerun recording of both simulations (of one surface)")
@@ -176,7 +176,7 @@ def _fleet(parser: _Parser) -> None:
 
 def _trend(parser: _Parser) -> None:
     parser.logs("logs, folders, patterns or addresses")
-    parser.config("aircraft file, or a shipped one", required=True)
+    parser.config(required=True)
     parser.surface("follow only this surface")
     parser.json(instead="tables")
     parser.value("--html", "write a page that can be sent by mail")
@@ -187,7 +187,8 @@ def _serve(parser: _Parser) -> None:
     parser.value("--folder", "folder of logs (default: flights)", "DIR", default="flights")
     parser.config()
     parser.servo()
-    parser.value("--port", f"(default: {SERVE_PORT}; 0: a free one)", "PORT", _FREE_PORT, default=SERVE_PORT)
+    port = f"port of the page (default: {SERVE_PORT}; 0: a free one)"
+    parser.value("--port", port, "PORT", _FREE_PORT, default=SERVE_PORT)
     parser.value("--most-mb", f"largest log that is taken (default: {MOST_MB})", "MB", _SIZE, default=MOST_MB)
     parser.value("--workers", "processes (default: one per core)", "N", _SIZE)
     parser.flag("--no-open", "do not open the page")
@@ -220,9 +221,9 @@ def _calibrate(parser: _Parser) -> None:
 
 
 def _identify(parser: _Parser) -> None:
-    parser.logs("table, FASER log, or DataFlash log (chirp applet: SCRP)")
-    parser.add_argument("-s", "--surface", metavar="SURFACE", help="which servo, if the logs hold several")
-    parser.config("aircraft file: columns, calibration")
+    parser.logs("bench test: any log that audit reads, or one of ArduPilot's chirp applet (SCRP)")
+    parser.add_argument("-s", "--surface", metavar="NAME", help="which surface, if the logs hold several")
+    parser.config("aircraft file, which names columns and calibration, or the name of a shipped one")
     parser.add_argument("--order", type=int, choices=[1, 2, 3], help="number of poles (default: the data choose)")
     parser.json(instead="text")
     parser.value("--save", "write a servo file, for --servo and aircraft files", "SERVO.toml")
@@ -256,7 +257,7 @@ def _design(parser: _Parser) -> None:
     parser.add_argument("servo", metavar="SERVO", help="name from 'servofd config --servos'")
     parser.value("--pole", "filter pole (default: fastest, noise gain <= 0.5)", "RAD_S", float)
     parser.value("--rate-hz", "sample rate (default: 100)", "HZ", float, default=100.0)
-    parser.flag("--printed-gain", "keep the dc gain as printed, do not scale it to 1")
+    parser.flag("--printed-gain", "keep the dc gain as its source prints it, do not scale it to 1")
 
 
 def _monitor(parser: _Parser) -> None:
@@ -265,17 +266,17 @@ def _monitor(parser: _Parser) -> None:
     several = "aircraft file; of several vehicles one each, as ID=FILE by system id"
     parser.config(several, "[ID=]AIRCRAFT.toml", action="append", required=True)
     parser.value("--duration", "end after so long [s]", "S", _LASTING, default=math.inf)
-    parser.value("--speed", "of a replay; 0: as fast as it goes (default: 1)", "X", _SPEED)
+    parser.value("--speed", "speed of a replay; 0: as fast as it goes (default: 1)", "X", _SPEED)
     parser.value("--rrd", "write a Rerun recording")
     parser.flag("--serve", "let Rerun viewers on this machine connect")
-    parser.value("--viewer-port", "(default: 9876)", "PORT", _PORT, default=9876)
+    parser.value("--viewer-port", "port for these viewers (default: 9876)", "PORT", _PORT, default=9876)
     parser.value("--tlog", "write all that is received as a telemetry log")
     parser.value("--alert-to", "send alerts there (default: back to the stream)", "ENDPOINT")
     parser.flag("--no-alert", "send no alerts")
     parser.flag("--no-request", "send nothing at all to the stream")
     parser.flag("--dataflash", "ask for the autopilot's own log (CSRV, RCOU) as well")
     parser.value("--system", "system id to speak as (default: the vehicle's)", "ID", _ADDRESS)
-    parser.value("--component", "component id (default: 191)", "ID", _ADDRESS, default=191)
+    parser.value("--component", "component id to speak as (default: 191)", "ID", _ADDRESS, default=191)
     parser.value("--signing-key", "file with the key that frames are signed with")
     parser.value("--json-lines", "write each event as a line of JSON; - prints them")
     parser.flag("--plain", "print lines instead of a changing picture")
@@ -284,7 +285,7 @@ def _monitor(parser: _Parser) -> None:
 def _onboard(parser: _Parser) -> None:
     aircraft = "aircraft file, best a calibrated one; --stream-only does without"
     parser.add_argument("aircraft", metavar="AIRCRAFT.toml", nargs="?", help=aircraft)
-    parser.output("the script", "FILE.lua", required=True)
+    parser.output("script to write", "FILE.lua", required=True)
     parser.surface("watch only this surface")
     parser.flag("--stream-only", "only send measured positions, for a log or a monitor on the ground")
     parser.value("--rate-hz", "how often each servo is judged (default: 50)", "HZ", float, default=50.0)
@@ -300,15 +301,16 @@ def _simulate(parser: _Parser) -> None:
         "there, in real time"
     )
     where.add_argument("--stream", metavar="ENDPOINT", help=stream)
-    parser.config()
-    parser.servo("library servo of all surfaces; default: as in the shipped simulated")
-    parser.value("--duration", "length [s] (default: 60; of a stream 600)", "S", float)
+    usual = "(default: elevator, aileron and rudder; of a .mat faser)"
+    parser.config(f"{_AIRCRAFT} {usual}")
+    parser.servo("library servo of all surfaces (default: that of the aircraft)")
+    parser.value("--duration", "length [s] (default: 60; of a stream 600, with --airframe 180)", "S", float)
     rate = "sample rate (default: 100; in a .tlog 40; of a stream 50, the main loop of an ArduPlane)"
     parser.value("--rate-hz", rate, "HZ", float)
-    parser.value("--seed", "the same seed gives the same flight", "N", int, default=0)
+    parser.value("--seed", "the same seed gives the same flight (default: 0)", "N", int, default=0)
     command = "flight, calm, gusty, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)"
     parser.add_argument("--command", default="flight", help=command)
-    parser.value("--noise-deg", "noise of the position (default: 0.1)", "X", float, default=0.1)
+    parser.value("--noise-deg", "noise of the position [deg] (default: 0.1)", "X", float, default=0.1)
     fault = (
         "stuck, bias, hardover, floating, oscillation, deadband, slow, loss_of_effectiveness or intermittent, from "
         "START [s] on (until end_s=... if it passes); may be given again, on one surface for a later time"
@@ -325,8 +327,9 @@ def _simulate(parser: _Parser) -> None:
     )
     parser.add_argument("--generation", metavar="NAME", help=generation)
     airframe = (
-        "an aeroplane without servo feedback that answers its surfaces, into a .bin: plain, elevon or vtail; "
-        "faults stuck, loss_of_effectiveness, slow and bias, each with value=... (deg, share left, s, deg)"
+        "an aeroplane without servo feedback that answers its surfaces, into a .bin at 25 Hz: plain, elevon or vtail; "
+        "faults stuck, loss_of_effectiveness, slow and bias, each with value=... (deg, share left, s, deg); beside "
+        "them only --seed and --duration count"
     )
     parser.add_argument("--airframe", metavar="MIXER", help=airframe)
     # Options of a vehicle that is simulated live; none has a default, so that they can be refused for a file.
@@ -342,6 +345,7 @@ def _simulate(parser: _Parser) -> None:
     key = "sign with this key (32 bytes, 64 hex digits, or a passphrase)"
     rate = "rate of SERVO_OUTPUT_RAW until another is asked for (default: 1, as ArduPlane)"
     grant = "grant rates up to that of the main loop; ArduPlane gives 0.8 of it"
+    clock = "what its clock shows at the start [s]; with 4290 the microseconds of SERVO_OUTPUT_RAW overflow after 5 s"
     flag: dict[str, Any] = {"action": "store_true", "default": None}
     live.add_argument("--speed", type=float, metavar="X", help="seconds of flight per second (default: 1)")
     live.add_argument("--wait", **flag, help="take off when the first message has arrived")
@@ -352,9 +356,7 @@ def _simulate(parser: _Parser) -> None:
     live.add_argument("--mavlink1", **flag, help="send frames of MAVLink 1")
     live.add_argument("--signing-key", metavar="FILE", help=key)
     live.add_argument("--trouble", action="append", metavar="KIND@START[:KEY=VALUE]", help=trouble)
-    live.add_argument(
-        "--clock-s", type=float, metavar="S", help="what its clock shows at the start [s]; 4290 wraps after 5 s"
-    )
+    live.add_argument("--clock-s", type=float, metavar="S", help=clock)
 
 
 def _help(parser: _Parser) -> None:
@@ -365,11 +367,12 @@ _GROUPS: dict[str, dict[Callable[[_Parser], None], tuple[str, str, str]]] = {
     "Look at flights": {
         _audit: (
             "judge every surface of a flight log",
-            f"Judges every surface of one or more flight logs. {_JUDGED}",
+            "Judges every surface of one or more flight logs, and prints why; servofd LOG prints what it comes to, "
+            f"and opens a page. {_JUDGED}",
             "audit flight.mat -c configs/faser.toml -o report/",
         ),
         _info: (
-            "what is in a log, and can it be audited?",
+            "tell what is in a log, and whether it can be audited",
             "Prints format, duration, damage, vehicle, the rate and gaps of the channels that matter, which "
             "surfaces can be audited, and for the others what would have to be logged.",
             "info flight.bin",
@@ -395,13 +398,13 @@ _GROUPS: dict[str, dict[Callable[[_Parser], None], tuple[str, str, str]]] = {
         ),
         _trend: (
             "follow the servos of one aircraft over many flights",
-            "Estimates bias, dead band, delay, bandwidth, rate limit, noise and margin of each servo in each "
+            "Estimates bias, dead band, delay, bandwidth, rate limit, noise and threshold margin of each servo in each "
             "flight, finds what changes, separates wear from a swap, and forecasts when a limit is crossed. Exit code "
             "0: no limit in sight; 1: one is exceeded or will be; 2: some logs could not be judged.",
-            "trend flights/ -c my_plane.toml --html trend.html",
+            "trend flights/ -c plane.toml --html trend.html",
         ),
         _serve: (
-            "a local page: drop logs on it, see their verdicts",
+            "serve a local page: drop logs on it, see their verdicts",
             "Serves a page on this computer: logs that are dropped on it, or lie in its folder, are judged one "
             "after the other; each gets its page, JSON and recording. Ctrl-C ends it.",
             "serve --folder flights",
@@ -411,7 +414,7 @@ _GROUPS: dict[str, dict[Callable[[_Parser], None], tuple[str, str, str]]] = {
         _config: (
             "draft an aircraft file from a log",
             "Prints a commented aircraft file: the surfaces of the log, each with a servo fitted to it.",
-            "config flight.bin > my_plane.toml && servofd audit flight.bin -c my_plane.toml",
+            "config flight.bin > plane.toml && servofd audit flight.bin -c plane.toml",
         ),
         _calibrate: (
             "fit an aircraft file to flights that are known to be good",
@@ -433,10 +436,10 @@ _GROUPS: dict[str, dict[Callable[[_Parser], None], tuple[str, str, str]]] = {
         _monitor: (
             "watch a flying aircraft on its MAVLink stream",
             f"Watches the servos of a flying aircraft and raises alarms. Never commands the vehicle. {_JUDGED}",
-            "monitor udpin:127.0.0.1:14550 -c my_plane.toml",
+            "monitor udpin:127.0.0.1:14550 -c plane.toml",
         ),
         _onboard: (
-            "the same watch as a script on an ArduPilot autopilot",
+            "write the same watch as a script for an ArduPilot autopilot",
             "Writes one Lua script for ArduPilot 4.6 or newer: it watches the servos of an aircraft file on "
             "the autopilot itself, tells the ground station which one fails, logs what it saw and sends the positions.",
             "onboard plane.toml -o servofd.lua; then copy it to APM/scripts and set SCR_ENABLE = 1",
@@ -468,8 +471,8 @@ WAYS: dict[str, tuple[str, str, Callable[[_Parser], None], str, str, str]] = {
         *("audit", "--sweep", _sweep),
         "pre-flight check: go or no-go from a short sweep on the ground",
         "Judges a log in which each surface was moved to both sides on the ground, by a script or with the "
-        "sticks. Exit code 0: go for all; 1: at least one no-go; 2: could not tell.",
-        "ground_check.bin -c calibrated.toml",
+        "sticks. Exit code 0: go for all of which the log holds channels; 1: at least one no-go; 2: could not tell.",
+        "ground.bin -c plane.toml",
     ),
     "servos": (
         *("config", "--servos", _servos),
@@ -483,7 +486,7 @@ WAYS: dict[str, tuple[str, str, Callable[[_Parser], None], str, str, str]] = {
         "Tells how often noise alone would raise an alarm, which offsets are seen in time, and which "
         "threshold gives a wanted rate of false alarms: from the design alone, or from healthy flights. "
         "Exit code 0: done; 2: could not tell.",
-        "-c faser --log flight1.mat flight2.mat --false-alarms-per-hour 1e-3",
+        "-c faser --log flight1.mat flight2.mat",
     ),
     "design": (
         *("config", "--filter", _design),

@@ -58,7 +58,7 @@ def simulate(
     aircraft : Aircraft, str or Path, optional
         An aircraft, its file, or the name of one that comes with servofd; three surfaces of one servo if left out.
     servo : str, optional
-        Of all surfaces: a name of the library, or a file.
+        Of all surfaces: a name of the library; that of the aircraft if left out.
     command : str
         One of `servofd.simulation.commands.COMMANDS`.
     duration_s, rate_hz : float
