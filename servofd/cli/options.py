@@ -309,8 +309,8 @@ def _simulate(parser: _Parser) -> None:
     parser.value("--rate-hz", rate, "HZ", float)
     parser.value("--seed", "the same seed gives the same flight (default: 0)", "N", int, default=0)
     command = "flight, calm, gusty, cruise or hand_flown; on the bench chirp, steps or doublets (default: flight)"
-    parser.add_argument("--command", default="flight", help=command)
-    parser.value("--noise-deg", "noise of the position [deg] (default: 0.1)", "X", float, default=0.1)
+    parser.add_argument("--command", help=command)
+    parser.value("--noise-deg", "noise of the position [deg] (default: 0.1)", "X", float)
     fault = (
         "stuck, bias, hardover, floating, oscillation, deadband, slow, loss_of_effectiveness or intermittent, from "
         "START [s] on (until end_s=... if it passes); may be given again, on one surface for a later time"

@@ -39,6 +39,10 @@ _OF_STREAM = (*_SETTINGS, "wait", "mavlink1", "signing_key", "clock_s", "trouble
 """Options of a live link, which make no sense for a file; among them how a vehicle speaks."""
 
 
+_OF_SERVOS = ("config", "servo", "rate_hz", "command", "noise_deg", "effect", "generation", *_OF_STREAM)
+"""Options of a flight whose servos report their positions, which that of an airframe does not."""
+
+
 def run(options: Options) -> int:
     """Simulate, and write or fly."""
     if options.airframe is not None:
@@ -55,7 +59,7 @@ def run(options: Options) -> int:
     output = None if streamed else options.output
     aircraft = aircraft_to_fly(options.config, options.servo, output)
     names = ("command", "seed", "fault", "effect", "noise_deg", "generation")
-    asked: dict[str, Any] = {name: getattr(options, name) for name in names}
+    asked: dict[str, Any] = {name: given for name in names if (given := getattr(options, name)) is not None}
     rate_hz = _LOOP_HZ if streamed and options.rate_hz is None else options.rate_hz
     flight = simulate(output, aircraft, duration_s=duration_s, rate_hz=rate_hz, pulses=streamed, **asked)
     if streamed:
@@ -71,6 +75,10 @@ def _run_airframe(options: Options) -> int:
     """An aeroplane that answers its surfaces, as the log of its autopilot."""
     if not options.output or Path(options.output).suffix.lower() != ".bin":
         raise ConfigError(f"{options.output or options.stream}: --airframe writes ArduPlane's log, a .bin")
+    for name in _OF_SERVOS:
+        if getattr(options, name) not in (None, []):
+            what = f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{what}: with --airframe only --seed, --duration and --fault count; leave {what} out")
     if options.seed < 0:
         raise ConfigError(f"--seed {options.seed}: give a whole number of zero or more")
     faults = []

@@ -84,6 +84,8 @@ def test_an_aileron_hard_over_whose_bank_moves_pitch_as_well_is_one_of_roll() ->
         (["--airframe", "plane"], "mixer"),
         (["--airframe", "plain", "--fault", "flap:stuck@1:value=0"], "surface"),
         (["--airframe", "plain", "--fault", "rudder:stuck@1"], "value=X"),
+        (["--airframe", "plain", "-c", "nosuch.toml"], "only --seed, --duration and --fault count; leave --config out"),
+        (["--airframe", "plain", "--noise-deg", "0.2"], "leave --noise-deg out"),
     ],
 )
 def test_what_cannot_be_flown_is_one_line(
