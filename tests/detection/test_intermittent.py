@@ -7,7 +7,10 @@ import pytest
 
 import servofd
 from servofd.aircraft.schema import plain_aircraft
+from servofd.core.statistics import Estimate
+from servofd.detection.faults import _added
 from servofd.detection.outages import held, outages_in
+from servofd.detection.verdict import Fault
 from servofd.servo.faults import Intermittent, failing_deflection
 from servofd.simulation.flight import simulate_flight
 
@@ -68,3 +71,15 @@ def test_a_good_servo_has_no_outages() -> None:
     sigma_deg = np.full(time_s.size, 0.1)
     found = outages_in(time_s, command_deg, np.zeros(time_s.size), sigma_deg, 0.05, (time_s, command_deg), 0.0)
     assert found == ()
+
+
+def test_one_that_has_its_name_is_not_perhaps_what_it_is() -> None:
+    """With two brief faults after it, each soon after the one before."""
+    named = Fault("intermittent", 100.0, 110.0, 118.0, {"outage_s": Estimate.of(0.8, 0.2)}, 0.9, ("deadband",))
+    jams = (Fault("stuck", at_s, at_s + 2.0, at_s + 2.5, {}, 0.9, ()) for at_s in (137.0, 148.0))
+    faults: list[Fault] = []
+    for fault in (named, *jams):
+        faults, _ = _added(faults, fault, fault.alarm_s)
+    (one,) = faults
+    assert (one.kind, one.start_s, one.end_s, one.alternatives) == ("intermittent", 100.0, 150.5, ("deadband",))
+    assert one.parameters["outage_s"].value == 2.5  # of 0.8, 2.5 and 2.5 s, and not of 18 s
