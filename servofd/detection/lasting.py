@@ -50,7 +50,7 @@ with much motion whose servos all lost half their speed. Of the same aircraft 44
 that failed, each taken at its best instant (`benchmarks/evidence.py`, even seeds); 85 and 138 with those that were
 calibrated."""
 _LITTLE: Final = 8.0
-"""Score below which no change is worth looking for."""
+"""Score below which no change is worth looking for, of either sign."""
 _EACH: Final = 6.0
 """Score of a servo that is one of them: the least is 9.3 in those 14 flights. More than half of a log's are."""
 WITHIN_S: Final = 2.0
@@ -85,8 +85,8 @@ class Lasting(NamedTuple):
         return float(self.since_s[np.argmax(best)]) if best.max(initial=0.0) > _ALONE else np.inf
 
     def shows_none(self) -> bool:
-        """Whether the whole flight moves alike: no change explains much of it."""
-        return self.since_s.size > 0 and float(self.scores.max()) < _LITTLE
+        """Whether the whole flight moves alike: no change explains much of it, for the worse or for the better."""
+        return self.since_s.size > 0 and float(np.abs(self.scores).max()) < _LITTLE
 
 
 NOTHING_LASTS: Final = Lasting(np.zeros(0), np.zeros((0, len(_COLUMNS))))

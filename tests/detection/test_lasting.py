@@ -62,6 +62,15 @@ def test_one_that_is_slower_accuses_no_other() -> None:
     assert fault.start_s == pytest.approx(SINCE_S, abs=2.0)
 
 
+@pytest.mark.slow
+def test_one_that_was_slower_and_mended_itself_is_not_called_sound() -> None:
+    """Its model is between the two servos that it was, and sees neither at fault: the part after it does."""
+    sound, slow = (calm((share,), since_s=0.0) for share in (1.0, 0.4))
+    (result,) = servofd.audit(sound.where(sound.time_s >= 50.0, slow))
+    ((fault,),) = (surface.faults for surface in result.surfaces)
+    assert (fault.kind, fault.end_s) == ("slow", pytest.approx(50.0, abs=1.0))
+
+
 def scores(since_s: FloatArray, slower: FloatArray) -> Lasting:
     return Lasting(since_s, np.outer(slower, [1.0, 0.0, 0.0, 0.0]))
 
