@@ -71,7 +71,7 @@ _NO_NEWS = 0.01
 _GROWN: Final = 1.3
 """Hypotheses fitted to a window are fitted again when it holds so many times as many samples since the alarm."""
 _MOST_FAULTS: Final = 20
-"""Alarms of one flight that are named at most, suspicions among them; what comes later is not."""
+"""Alarms of one flight that are named at most, suspicions among them; what comes later is not looked at."""
 _RESIDUALS: Final = STATISTICS.index("left_2s")
 """So many statistics are of the residual over its total sigma, not of what is left of it."""
 AGAIN_S: Final = 1.0
@@ -231,6 +231,8 @@ class Found(NamedTuple):
     """What the healthy servo, or a fault, leaves of each position [deg], (m,); NaN where none is judged."""
     against: str = ""
     """Why nothing should be concluded from them."""
+    looked_to_s: float = np.inf
+    """Until when it was looked at, where there were more alarms than are named [s]."""
 
 
 def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
@@ -241,7 +243,7 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
     faults: list[Fault] = []
     suspicions: list[Fault] = []
     left_deg = error_deg.copy()
-    begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
+    begin, earliest_s, looked_to_s = 0, float(time_s[0]) if time_s.size else 0.0, np.inf
     for _ in range(_MOST_FAULTS):
         rows = (time_s, error_deg, flight.slopes, flight.noise_deg, flight.lost_deg)
         rest = [each[begin:] for each in rows]
@@ -272,7 +274,9 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
         begin = int(np.searchsorted(time_s, earliest_s + AGAIN_S))
         if begin >= time_s.size - 2:
             break
-    return Found(tuple(faults), tuple(suspicions), left_deg)
+    else:
+        looked_to_s = earliest_s
+    return Found(tuple(faults), tuple(suspicions), left_deg, looked_to_s=looked_to_s)
 
 
 def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
