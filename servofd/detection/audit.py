@@ -176,6 +176,8 @@ def _reported(verdict: Callable[..., SurfaceAudit], seen: Seen, duration_s: floa
     reason = "; ".join((reason, *remarks))
     if share < MOST_OF_THE_LOG:
         reason += f"; judged for {share:.0%} of the log"
+    if np.isfinite(found.looked_to_s):
+        reason += f"; so many alarms that what came after {found.looked_to_s:.0f} s was not looked at"
     if segment.left_out_in_words:
         reason += f"; {segment.left_out_in_words}"
     if segment.frozen_s > 0.0:

@@ -71,7 +71,7 @@ _NO_NEWS = 0.01
 _GROWN: Final = 1.3
 """Hypotheses fitted to a window are fitted again when it holds so many times as many samples since the alarm."""
 _MOST_FAULTS: Final = 20
-"""Faults of one flight at most."""
+"""Alarms of one flight that are named at most, suspicions among them; what comes later is not looked at."""
 _RESIDUALS: Final = STATISTICS.index("left_2s")
 """So many statistics are of the residual over its total sigma, not of what is left of it."""
 AGAIN_S: Final = 1.0
@@ -79,16 +79,20 @@ AGAIN_S: Final = 1.0
 _SOON_AFTER_S: Final = 5.0
 """For so long after an alarm its size counts."""
 _STILL_FAST: Final = 0.69
-"""Speed goes with the supply, and friction with the temperature: a fifth each, between good flights."""
+"""Share of the speed from which on a servo is a good one: speed goes with the supply, and friction with the
+temperature, a fifth each, between good flights."""
 _STILL_ALL: Final = 0.93
 """Share of the travel from which on none is lost."""
 _LASTING: Final = ("slow", "loss_of_effectiveness", "bias", "deadband")
+"""Kinds that come of wear, and are none if they barely pass and last for a moment only."""
 _SHOWN_EARLY: Final = ("slow", "loss_of_effectiveness", "bias")
+"""Kinds that begin before their alarm, or are none where only a test of what the residual may mean raised it."""
 _NONE: Final = (("bias_deg", 0.0), ("gain", 1.0), ("bandwidth_scale", 1.0), ("width_deg", 0.0))
 """What a healthy servo has."""
 _LEAST_DEG: Final = {"oscillation": ("amplitude_deg", 0.2), "deadband": ("width_deg", 0.2)}
 """What the narrow-band test counts as an oscillation, and less play than any servo has."""
 _SHORTEST_WEAR_S: Final = 2.0
+"""What is shorter is no wear."""
 _OF_ONE_CONTACT: Final = 3
 """So many brief faults, each soon after the one before, have one cause."""
 SAME_S: Final = 5.0
@@ -227,6 +231,8 @@ class Found(NamedTuple):
     """What the healthy servo, or a fault, leaves of each position [deg], (m,); NaN where none is judged."""
     against: str = ""
     """Why nothing should be concluded from them."""
+    looked_to_s: float = np.inf
+    """Until when it was looked at, where there were more alarms than are named [s]."""
 
 
 def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
@@ -237,7 +243,7 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
     faults: list[Fault] = []
     suspicions: list[Fault] = []
     left_deg = error_deg.copy()
-    begin, earliest_s = 0, float(time_s[0]) if time_s.size else 0.0
+    begin, earliest_s, looked_to_s = 0, float(time_s[0]) if time_s.size else 0.0, np.inf
     for _ in range(_MOST_FAULTS):
         rows = (time_s, error_deg, flight.slopes, flight.noise_deg, flight.lost_deg)
         rest = [each[begin:] for each in rows]
@@ -268,7 +274,9 @@ def judged(flight: Watched, names: dict[float, Named] | None = None) -> Found:
         begin = int(np.searchsorted(time_s, earliest_s + AGAIN_S))
         if begin >= time_s.size - 2:
             break
-    return Found(tuple(faults), tuple(suspicions), left_deg)
+    else:
+        looked_to_s = earliest_s
+    return Found(tuple(faults), tuple(suspicions), left_deg, looked_to_s=looked_to_s)
 
 
 def _weighed(fault: Fault, ratio: float, *, is_far: bool) -> Fault:
@@ -339,13 +347,22 @@ def _are_one_contact(first: Fault, then: Fault) -> bool:
 def _gathered(faults: list[Fault]) -> list[Fault]:
     """The same faults; the last three are one contact that comes and goes, if they are brief and soon after another."""
     last = faults[-_OF_ONE_CONTACT:]
-    lengths_s = [fault.end_s - fault.start_s for fault in last if fault.end_s is not None and _comes_and_goes(fault)]
+    lengths_s = [_moment_s(fault) for fault in last if fault.end_s is not None and _comes_and_goes(fault)]
     apart_s = [two.start_s - (one.end_s or two.start_s) for one, two in pairwise(last)]
     if len(lengths_s) < _OF_ONE_CONTACT or max(apart_s) > WINDOW_S:
         return faults
     size = {"outage_s": Estimate.of(float(np.median(lengths_s)), float(np.std(lengths_s)))}
-    one = replace(last[0], kind="intermittent", parameters=size, end_s=last[-1].end_s, alternatives=(last[0].kind,))
+    first, is_named = last[0], last[0].kind == "intermittent"
+    others = first.alternatives if is_named else (first.kind,)
+    one = replace(first, kind="intermittent", parameters=size, end_s=last[-1].end_s, alternatives=others)
     return [*faults[:-_OF_ONE_CONTACT], one]
+
+
+def _moment_s(fault: Fault) -> float:
+    """How long a brief fault lasts, or one moment of a contact that comes and goes [s]."""
+    if "outage_s" in fault.parameters:
+        return fault.parameters["outage_s"].value
+    return (np.inf if fault.end_s is None else fault.end_s) - fault.start_s
 
 
 def _joined(first: Fault, then: Fault) -> Fault:
@@ -417,6 +434,12 @@ def changed(faults: tuple[Fault, ...], seen: Lasting, flight: Watched, slow_s: f
         return faults
     end_s = float(flight.record.time_s[-1])
     window = Window(flight, since_s, since_s + _NAMED_S)
+    if window.count < _FEWEST:  # it set in where nothing was judged
+        judged_s = flight.record.time_s[flight.judged]
+        shown_s = float(judged_s[judged_s >= since_s].min(initial=end_s))
+        window = Window(flight, shown_s, shown_s + _NAMED_S)
+    if window.count < _FEWEST:
+        return faults
     guesses = ranked(window)
     kind, probability, others, sizes = concluded(window, guesses, LOUD)
     if is_common and kind != "slow":

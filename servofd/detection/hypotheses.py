@@ -78,6 +78,8 @@ _USUAL_BIAS_DEG: Final = 3.0
 """Larger offsets are rarer, by e for each of these [deg]."""
 _MOVING, _MOVING_DEG = 3.0, 0.3
 """A surface that moves by so many sigma of the reading, and so much, is not stuck."""
+_ADDED: Final = ("_deg", "_s")
+"""Units of sizes that tell what came on top of what the servo had; one without a unit is the share that is left."""
 _AT_REST: Final = 6
 """So many readings in a row that stay where they are come to rest, after motion."""
 _FEWEST_OUTAGES: Final = 2
@@ -342,7 +344,7 @@ def _sized(window: Window, tried: Guess) -> Guess:
         moved = theta
         cost, *_ = window.reduced(error_deg, slopes)
     deviation = float(np.sqrt(covariance[FITTED, FITTED]))
-    if kind == "deadband":
+    if next(iter(tried.parameters)).endswith(_ADDED):
         estimate = Estimate.of(max(moved[place] - window.theta[place], 0.0), deviation)
     else:
         estimate = Estimate.of(moved[place] / window.theta[place], deviation / abs(window.theta[place]))

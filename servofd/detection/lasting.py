@@ -7,8 +7,9 @@ these with the residual (n: of all parameters, over the whole flight; h: of a ch
 
     z(t) = (b_h(t) - A_hn(t) M b_n) / sqrt(A_hh(t) - A_hn(t) M A_nh(t) + 1),    M = (A_nn + Sigma^-1)^-1,
 
-is the score of a change that sets in then and stays: of unit variance where the model is right, and half its square is
-what the change explains, in nats. Servos of one supply lose their speed at once, and add up what each explains.
+is the score of a change that sets in then and stays, of unit variance where the model is right; where it leaves more
+than the noise, over what it leaves. Half its square is what the change explains, in nats. Servos of one supply lose
+their speed at once, and add up what each explains.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ with much motion whose servos all lost half their speed. Of the same aircraft 44
 that failed, each taken at its best instant (`benchmarks/evidence.py`, even seeds); 85 and 138 with those that were
 calibrated."""
 _LITTLE: Final = 8.0
-"""Score below which no change is worth looking for."""
+"""Score below which no change is worth looking for, of either sign."""
 _EACH: Final = 6.0
 """Score of a servo that is one of them: the least is 9.3 in those 14 flights. More than half of a log's are."""
 WITHIN_S: Final = 2.0
@@ -62,9 +63,20 @@ class Lasting(NamedTuple):
     since_s: FloatArray
     scores: FloatArray
 
+    def slower(self, at_s: FloatArray) -> FloatArray:
+        """Scores of being slower since some instants [s], of their shape; 0 before the first and after the last known.
+
+        Where nothing is judged for a while, that of the end of the hole: only what comes after an instant tells.
+        """
+        place = np.searchsorted(self.since_s, at_s)
+        is_before = at_s < self.since_s.min(initial=np.inf)
+        return np.where(is_before, 0.0, np.append(self.scores[:, _WEAK], 0.0)[place])
+
     def is_slower_near(self, at_s: float) -> bool:
-        """Whether it shows at an instant [s] what servos of one supply show together."""
+        """Whether it shows at an instant [s], or next after it, what servos of one supply show together."""
         near = np.abs(self.since_s - at_s) <= WITHIN_S
+        place = int(np.searchsorted(self.since_s, at_s))
+        near[place : place + 1] |= place > 0
         return bool(self.scores[near, _WEAK].max(initial=0.0) > _EACH)
 
     def beyond_doubt_s(self) -> float:
@@ -78,8 +90,8 @@ class Lasting(NamedTuple):
         return float(self.since_s[np.argmax(most)]) if most.max(initial=0.0) >= _LITTLE else np.nan
 
     def shows_none(self) -> bool:
-        """Whether the whole flight moves alike: no change explains much of it."""
-        return self.since_s.size > 0 and float(self.scores.max()) < _LITTLE
+        """Whether the whole flight moves alike: no change explains much of it, for the worse or for the better."""
+        return self.since_s.size > 0 and float(np.abs(self.scores).max()) < _LITTLE
 
 
 NOTHING_LASTS: Final = Lasting(np.zeros(0), np.zeros((0, len(_COLUMNS))))
@@ -152,10 +164,11 @@ def slow_together(servos: Sequence[Lasting]) -> float:
         return np.inf
     at_s = np.unique(np.concatenate([each.since_s for each in known]))
     around_s = at_s[:, None] + np.linspace(-WITHIN_S, WITHIN_S, 5)
-    near = (np.interp(around_s, each.since_s, each.scores[:, _WEAK], left=0.0, right=0.0) for each in known)
-    scores = np.stack([each.max(axis=1) for each in near])
+    scores = np.stack([each.slower(around_s).max(axis=1) for each in known])
     nats = 0.5 * np.sign(scores) * scores**2
     others = nats.sum(axis=0) - nats.max(axis=0)
-    since_s = float(np.mean(at_s[others == others.max()]))
+    best_s = at_s[others == others.max()]
+    after_holes = np.append(0, 1 + np.flatnonzero(np.diff(best_s) > WITHIN_S))
+    since_s = float(np.mean(best_s[after_holes[-1] :]))
     members = sum(each.is_slower_near(since_s) for each in known)
     return since_s if others.max() > _TOGETHER_NATS and 2 * members > len(known) else np.inf

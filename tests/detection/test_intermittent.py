@@ -7,8 +7,11 @@ import pytest
 
 import servofd
 from servofd.aircraft.schema import plain_aircraft
+from servofd.core.statistics import Estimate
+from servofd.detection.faults import _added
 from servofd.detection.outages import held, outages_in
-from servofd.servo.faults import Intermittent, failing_deflection
+from servofd.detection.verdict import Fault
+from servofd.servo.faults import Bias, Intermittent, failing_deflection
 from servofd.simulation.flight import simulate_flight
 
 
@@ -68,3 +71,31 @@ def test_a_good_servo_has_no_outages() -> None:
     sigma_deg = np.full(time_s.size, 0.1)
     found = outages_in(time_s, command_deg, np.zeros(time_s.size), sigma_deg, 0.05, (time_s, command_deg), 0.0)
     assert found == ()
+
+
+def test_one_that_has_its_name_is_not_perhaps_what_it_is() -> None:
+    """With two brief faults after it, each soon after the one before."""
+    named = Fault("intermittent", 100.0, 110.0, 118.0, {"outage_s": Estimate.of(0.8, 0.2)}, 0.9, ("deadband",))
+    jams = (Fault("stuck", at_s, at_s + 2.0, at_s + 2.5, {}, 0.9, ()) for at_s in (137.0, 148.0))
+    faults: list[Fault] = []
+    for fault in (named, *jams):
+        faults, _ = _added(faults, fault, fault.alarm_s)
+    (one,) = faults
+    assert (one.kind, one.start_s, one.end_s, one.alternatives) == ("intermittent", 100.0, 150.5, ("deadband",))
+    assert one.parameters["outage_s"].value == 2.5  # of 0.8, 2.5 and 2.5 s, and not of 18 s
+
+
+@pytest.mark.slow
+def test_what_comes_after_more_alarms_than_are_named_is_not_passed_over_in_silence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    aircraft = plain_aircraft(["rudder"], "hs225bb-eq31")
+    faults = {"rudder": tuple(Bias(at_s, end_s=at_s + 8.0, bias_deg=5.0) for at_s in (20.0, 50.0))}
+    flown = simulate_flight(aircraft, faults=faults, duration_s=80.0, seed=1, noise_deg=0.05)
+    columns = {"rudder_cmd_deg": flown.command_deg[:, 0], "rudder_pos_deg": flown.measured_deg[:, 0]}
+    for most, many, is_cut in ((20, 2, False), (1, 1, True)):
+        monkeypatch.setattr("servofd.detection.faults._MOST_FAULTS", most)
+        audit = servofd.audit({"time_s": flown.time_s, **columns}, servo="hs225bb-eq31")
+        assert isinstance(audit, servofd.Audit)
+        assert len(audit["rudder"].faults) == many
+        assert ("what came after 28 s was not looked at" in audit["rudder"].reason) == is_cut
