@@ -84,11 +84,6 @@ class Lasting(NamedTuple):
         best = self.scores[:, _FAULTS].max(axis=1, initial=0.0)
         return float(self.since_s[np.argmax(best)]) if best.max(initial=0.0) > _ALONE else np.inf
 
-    def turns_s(self) -> float:
-        """When a servo changed most, for better or worse [s]; NaN where it hardly did."""
-        most = np.abs(self.scores).max(axis=1, initial=0.0)
-        return float(self.since_s[np.argmax(most)]) if most.max(initial=0.0) >= _LITTLE else np.nan
-
     def shows_none(self) -> bool:
         """Whether the whole flight moves alike: no change explains much of it, for the worse or for the better."""
         return self.since_s.size > 0 and float(np.abs(self.scores).max()) < _LITTLE

@@ -1,10 +1,11 @@
 """The servo that a log shows by itself: fitted to the part of it that explains the whole best.
 
 Neither the servo nor the part of the log that is good is known. The whole log is fitted; unless it moves alike and
-leaves no fault, so are its thirds and what came before its servo changed most, each by itself. A part counts if its
-servo explains what the surface does there and stays below its own limits; of those that count, the one is taken that
-explains the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that was
-faulty throughout is what was fitted, and only what sound servos are like can tell.
+leaves no fault, so are its thirds, each by itself, what came before a fault that was there from the first motion on and
+mended itself, then the log's first and last sixths and twelfths if none of them is like a sound servo. A part counts if
+its servo explains what the surface does there and stays below its own limits; of those that count, the one is taken
+that explains the whole log best, with the faults that it sees there, and that is most like a sound servo. A servo that
+was faulty throughout is what was fitted, and only what sound servos are like can tell.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
     from servofd.estimate.fit import Fit
     from servofd.servo.library import Servo
 
-_PARTS: Final = (1, 3, 0)
-"""Into how many parts a log is cut, one after the other; last only what came before its servo changed most."""
+_PARTS: Final = (1, 3, 6, 12)
+"""Into how many parts a log is cut, one after the other."""
 _MOST_SAMPLES: Final = 3_000
 """Of a part that are fitted: a minute at 50 Hz."""
 _EXPLAINS: Final = 0.3
@@ -47,8 +48,8 @@ _EXPLAINS: Final = 0.3
 _SHORT_EXPLAINS, _FAR_EXPLAINS, _NOISE_DEG = 0.6, 0.95, 0.5
 """The same of less than a third of the log, and of a servo that is like no sound one or leaves more than noise [deg]:
 some motion goes with some command by chance."""
-_LARGE: Final = 0.33
-"""Share of the log from which on a part is large."""
+_LARGE_PARTS: Final = 3
+"""So many or fewer are large, and all of them are tried."""
 _SHORTEST_S: Final = 4.0
 """Of a part: what a servo does in less is no measure of the rest. A third of the cycles of a test stand lasts 4.3 s."""
 _TELLING_S: Final = 5.0
@@ -154,6 +155,8 @@ class _Part:
     """How sure it has changed since each instant of the whole log."""
     explains_all: bool
     """Whether it is like a sound servo, and no fault and no change is left in the log."""
+    mended_s: float
+    """When a fault that was there from its first motion on was over [s]; NaN without one."""
 
 
 def own_servo(segment: Series, source: str = "the log", *, before_s: float = np.inf) -> OwnServo | ModelOrigin:
@@ -169,25 +172,21 @@ def own_servo(segment: Series, source: str = "the log", *, before_s: float = np.
         return ModelOrigin(origin="none")
     reach_deg = reach_of([whole])
     found: list[_Part] = []
-    turns_s: list[float] = []
     share: float | None = None
     start: FloatArray | None = None
-    for count in _PARTS if np.isinf(before_s) else (0,):
-        ends_s = [each.lasting.turns_s() for each in found] if count == 0 else []
-        for between_s, part in _parts(segment, count, [*turns_s, *ends_s] if np.isinf(before_s) else [before_s]):
+    for count in _PARTS if np.isinf(before_s) else _PARTS[1:2]:
+        for between_s, part in _parts(segment, count, found, before_s):
             records = _records(part, usual)
-            if not records or between_s in [each.between_s for each in found]:
+            if not records:
                 continue
             fitted = fit(records, start=start, reach_deg=reach_deg, is_alone=True)
             if count == 1:
                 share = fitted.explained_share
-                turns_s.append(_turned_s(fitted, records, whole, usual))
-            is_large = between_s[1] - between_s[0] >= _LARGE * (whole.time_s[-1] - whole.time_s[0])
-            if fitted.explained_share >= _least_share(fitted, is_large=is_large):
+            if fitted.explained_share >= _least_share(count, fitted):
                 start = fitted.theta if start is None else start
                 one = _judged(between_s, fitted, records, whole, usual, is_whole=count == 1)
                 found += [one] if one is not None else []
-        if found and (_is_settled(_best(found), whole) if count != 1 else found[0].explains_all):
+        if found and (_is_settled(_best(found), whole) if count > 1 else found[0].explains_all):
             break
     if not found:
         return ModelOrigin(origin="none", explained_share=share)
@@ -265,9 +264,9 @@ def _better(part: _Part, whole: _Part) -> float:
     return max(0.5 * alike * float(np.log(squares[0] / squares[1])), 0.0)
 
 
-def _least_share(fitted: Fit, *, is_large: bool) -> float:
-    """Share of the motion that the servo of a part has to explain."""
-    is_unusual = bool(unusual(fitted.theta))
+def _least_share(count: int, fitted: Fit) -> float:
+    """Share of the motion that the servo of one of so many parts has to explain."""
+    is_unusual, is_large = bool(unusual(fitted.theta)), count <= _LARGE_PARTS
     if is_unusual and not is_large:
         return np.inf
     if is_unusual or fitted.held_out_rms_deg > _NOISE_DEG:
@@ -276,25 +275,33 @@ def _least_share(fitted: Fit, *, is_large: bool) -> float:
 
 
 def parts_of(segment: Series, count: int) -> Iterator[tuple[tuple[float, float], Series]]:
-    """Yield from when to when each of so many parts of a log lasts [s], and it, where enough moves."""
+    """Yield from when to when each of so many parts of a log lasts [s], and it, where enough moves; small ones at ends.
+
+    A short part in the middle may go with the command by chance.
+    """
     edges_s = np.linspace(segment.measured_s[0], segment.measured_s[-1], count + 1).tolist()
-    for from_s, to_s in itertools.pairwise(edges_s):
+    parts = list(itertools.pairwise(edges_s))
+    for from_s, to_s in parts if count <= _LARGE_PARTS else (parts[0], parts[-1]):
         if to_s - from_s >= _SHORTEST_S or count == 1:
             yield from _between(segment, from_s, to_s)
 
 
-def _turned_s(fitted: Fit, records: list[Record], whole: Record, usual: tuple[float, float]) -> float:
-    """When the servo of a whole log changed most [s]; NaN where it hardly did."""
-    known = known_servo(fitted, records, *usual, pushed=_PUSHED, apart=_APART)
-    return lasting(watched(known, whole)).turns_s()
+def _parts(
+    segment: Series, count: int, found: list[_Part], before_s: float
+) -> Iterator[tuple[tuple[float, float], Series]]:
+    """Parts of a log that are tried when so many are: what comes before a time [s] alone, if that is known."""
+    if np.isfinite(before_s):
+        yield from _between(segment, float(segment.measured_s[0]), before_s)
+        return
+    yield from parts_of(segment, count)
+    if count > 1:
+        yield from _before_mended(segment, found)
 
 
-def _parts(segment: Series, count: int, ends_s: list[float]) -> Iterator[tuple[tuple[float, float], Series]]:
-    """So many parts of a log, and what came before each of some times [s]: it may be what is sound."""
-    if count:
-        yield from parts_of(segment, count)
-    from_s = float(segment.measured_s[0])
-    for to_s in sorted({end_s for end_s in ends_s if end_s - from_s >= _SHORTEST_S}):
+def _before_mended(segment: Series, found: list[_Part]) -> Iterator[tuple[tuple[float, float], Series]]:
+    """What came before a fault that mended itself: it may be what is sound, and the rest at fault."""
+    from_s, tried_s = float(segment.measured_s[0]), {each.between_s[1] for each in found}
+    for to_s in sorted({each.mended_s for each in found if each.mended_s - from_s >= _SHORTEST_S} - tried_s):
         yield from _between(segment, from_s, to_s)
 
 
@@ -355,7 +362,7 @@ def _judged(
     fitted_s = np.concatenate([record.time_s[record.usable] for record in records])
     return _Part(
         between_s, fitted, known, sigma_deg, story.left_deg, apart, whole.time_s, fitted_s, whole.period_s, is_whole,
-        over_all, explains_all,
+        over_all, explains_all, mended_s,
     )  # fmt: skip
 
 
