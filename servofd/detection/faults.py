@@ -352,8 +352,8 @@ def _gathered(faults: list[Fault]) -> list[Fault]:
     if len(lengths_s) < _OF_ONE_CONTACT or max(apart_s) > WINDOW_S:
         return faults
     size = {"outage_s": Estimate.of(float(np.median(lengths_s)), float(np.std(lengths_s)))}
-    first, is_named = last[0], last[0].kind == "intermittent"
-    others = first.alternatives if is_named else (first.kind,)
+    first = last[0]
+    others = first.alternatives if first.kind == "intermittent" else (first.kind,)
     one = replace(first, kind="intermittent", parameters=size, end_s=last[-1].end_s, alternatives=others)
     return [*faults[:-_OF_ONE_CONTACT], one]
 

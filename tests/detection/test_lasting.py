@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
 import servofd
 from servofd.core.types import FloatArray
+from servofd.detection.audit import audit_log
 from servofd.detection.lasting import NOTHING_LASTS, Lasting, slow_together
+from servofd.feedback.flown import flown_aircraft, one_log
 from servofd.servo.effects.commands import Delay
 from servofd.servo.effects.shaft import Friction
 from servofd.servo.library import second_order
@@ -102,3 +106,12 @@ def test_a_supply_that_gives_way_while_one_servo_is_not_seen_is_one_event() -> N
     assert [surface.faults[0].start_s for surface in result.surfaces] == pytest.approx([73.2] * 4, abs=1.0)
     (cause,) = result.common_causes
     assert len(cause.surfaces) == 4
+
+
+@pytest.mark.slow
+def test_progress_counts_each_surface_once_though_it_is_looked_at_twice(tmp_path: Path) -> None:
+    calm((0.5, 0.5, 0.5)).to_csv(path := tmp_path / "flight.csv", index=False)
+    log, done = one_log(path), list[str]()
+    found = audit_log(log, flown_aircraft(log), progress=done.append)
+    assert [cause.kind for cause in found.common_causes] == ["supply"]
+    assert sorted(done) == ["servo0", "servo1", "servo2"]
